@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from typer.main import get_command
 
 from mavnav.cli import app_for
-from mavnav.outputs.schema import run_keys, run_schema
+from mavnav.outputs.documents.schema import run_keys, run_schema
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -17,13 +17,13 @@ import numpy as np
 from numba import njit
 
 from mavnav.config.loading import load_config
-from mavnav.kernels.layout import NEAR
 from mavnav.kernels.line_search.cost import Lines, cost_sum
+from mavnav.kernels.maps.layout import NEAR
 from mavnav.logs import open_log
 from mavnav.pose import transform_points
-from mavnav.slam.motion_model import Motion
-from mavnav.slam.registry import make_method
-from mavnav.slam.robust import Robust
+from mavnav.slam.matching.motion_model import Motion
+from mavnav.slam.methods.registry import make_method
+from mavnav.slam.methods.robust import Robust
 from mavnav.slam.track import Track
 
 SAMPLE = Path(__file__).parent.parent / "sample_logs" / "corridor.mcap"

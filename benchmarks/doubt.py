@@ -37,7 +37,7 @@ from mavnav.slam.doubt.evidence import evidence_of, with_resampled_track
 from mavnav.slam.doubt.features import DISAGREEMENT, FEATURES, WRONG_M, WRONG_RAD
 from mavnav.slam.doubt.judge import FEWEST, WORTH_A_TRACK, judge_track
 from mavnav.slam.doubt.model import contributions, doublings, probability
-from mavnav.slam.doubt.record import HIGH
+from mavnav.slam.findings import HIGH
 from mavnav.slam.track import Track
 from mavnav.units import DEG
 

@@ -26,7 +26,7 @@ from mavnav.kernels import polar_search as polar_kernels
 from mavnav.kernels.line_search import search as line_search
 from mavnav.kernels.polar_search import search as polar_search
 from mavnav.logs import open_log
-from mavnav.slam import scan_matching
+from mavnav.slam.matching import scan_matching
 from support.matches import GRIDS, LASERS, differences, polar_problem, random_problem
 
 SAMPLE = Path(__file__).parent.parent / "sample_logs" / "corridor.mcap"

@@ -30,8 +30,7 @@ from mavnav.mapping.occupancy_grid import Grid, occupied_xy_m
 from mavnav.metrics.ghost_walls import GhostWall
 from mavnav.metrics.map_quality import map_quality
 from mavnav.metrics.wall_thickness import wall_thickness
-from mavnav.outputs.run import Truth
-from mavnav.outputs.viewport import (
+from mavnav.outputs.pictures.viewport import (
     DPI,
     GOAL_RED,
     INK,
@@ -44,6 +43,7 @@ from mavnav.outputs.viewport import (
     window_around,
     window_of,
 )
+from mavnav.outputs.run import Truth
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import Scan
 from mavnav.simulation.mission import Flight, fly

@@ -25,7 +25,7 @@ from mavnav.logs.messages import cdr, definitions
 from mavnav.pipelines.replay import ReplayRequest, replay_log
 from mavnav.pose import Pose
 from mavnav.scan import LaserSpec, Scan
-from mavnav.slam.registry import load_kernels
+from mavnav.slam.methods.registry import load_kernels
 
 SPEC = LaserSpec(-np.pi, 2 * np.pi / 720, 720, 0.1, 12.0)
 LENGTH_M, AISLES, PITCH_M, WIDE_M, BLOCK = 200.0, 10, 20.0, 3.0, 2000

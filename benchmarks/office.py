@@ -22,11 +22,11 @@ from mavnav.config.loading import load_config
 from mavnav.config.models import Config
 from mavnav.pose import Trajectory
 from mavnav.scan import LaserSpec, Scan
-from mavnav.slam.motion_model import Motion
+from mavnav.slam.matching.motion_model import Motion
+from mavnav.slam.matching.relocalization import around, everywhere, lowest
+from mavnav.slam.methods.robust import Robust
 from mavnav.slam.pipeline import run_slam
-from mavnav.slam.relocalization import around, everywhere, lowest
 from mavnav.slam.result import SlamResult
-from mavnav.slam.robust import Robust
 from mavnav.slam.tracker import track
 from support.synthetic import along, box, polyline, scan_at
 

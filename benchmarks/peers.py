@@ -26,8 +26,8 @@ from mavnav.logs import open_log
 from mavnav.metrics.journey import Journey, placed_scans
 from mavnav.metrics.revisits import pairs_of, revisits
 from mavnav.pose import Trajectory
+from mavnav.slam.methods.registry import load_kernels
 from mavnav.slam.pipeline import run_slam
-from mavnav.slam.registry import load_kernels
 
 if TYPE_CHECKING:
     from collections.abc import Callable

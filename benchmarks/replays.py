@@ -71,7 +71,7 @@ def cut(log: Path, path: Path) -> None:
 
 def imports_s() -> float:
     """Return the CPU time of a process that only imports the program, in s."""
-    command = [sys.executable, "-c", "import mavnav.cli, mavnav.pipelines.replay, mavnav.outputs.map_picture"]
+    command = [sys.executable, "-c", "import mavnav.cli, mavnav.pipelines.replay, mavnav.outputs.pictures.map_picture"]
     _, _, usage = os.wait4(os.posix_spawn(sys.executable, command, environment()), 0)
     return usage.ru_utime + usage.ru_stime
 

@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
 from mavnav import Log, open_log
 from mavnav.ground_truth.tables import read_tum
-from mavnav.outputs.gridmap import read_npz
+from mavnav.outputs.files.gridmap import read_npz
 from mavnav.pose import Trajectory
 from mavnav.scan import LaserSpec
 from support.log_files import LASER, Message, write_mcap

@@ -5,6 +5,8 @@ The names below are the Python interface (docs/python.md). They are loaded when 
 
 from __future__ import annotations
 
+from mavnav.version import __version__
+
 TYPE_CHECKING = False  # as in typing, whose import would take most of the time
 if TYPE_CHECKING:
     from typing import Any
@@ -19,7 +21,6 @@ if TYPE_CHECKING:
     from mavnav.pose import Pose, Trajectory
     from mavnav.scan import LaserSpec, Scan
 
-__version__ = "0.2.0"
 __all__ = [
     "Comparison",
     "ConfigError",

@@ -76,7 +76,7 @@ def _print_version(wanted: bool) -> None:
     import platform
     from importlib.metadata import version
 
-    from mavnav import __version__
+    from mavnav.version import __version__
 
     libraries = ", ".join(f"{name} {version(name)}" for name in LIBRARIES)
     emit(f"mavnav {__version__} (Python {platform.python_version()}; {libraries})")

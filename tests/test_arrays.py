@@ -28,7 +28,7 @@ from mavnav.arrays import (
     release_rows,
 )
 from mavnav.commands.heap import keep_free_memory
-from mavnav.kernels.layout import WIDE
+from mavnav.kernels.maps.layout import WIDE
 from mavnav.mapping.tiled_arrays import blank_strips, moved
 from support.memory_use import in_use_mb, taking_less_than
 

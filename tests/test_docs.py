@@ -22,7 +22,7 @@ from mavnav.cli import app_for, run
 from mavnav.comparison.figures import RELATIVE_COSTS
 from mavnav.config.loading import fields, load_config
 from mavnav.metrics.gates import check_names, parse_gate
-from mavnav.outputs.schema import number_names, run_keys
+from mavnav.outputs.documents.schema import number_names, run_keys
 from mavnav.pipelines.diff import NUMBERS as DIFF_NUMBERS
 from mavnav.simulation.world import load_scenario
 

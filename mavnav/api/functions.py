@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from mavnav.api.arguments import File
-    from mavnav.outputs.provenance import Typed
+    from mavnav.outputs.documents.provenance import Typed
     from mavnav.profiling import Progress
 
 
@@ -288,6 +288,6 @@ def simulate(
 
 
 def _typed(config: File | None) -> Typed:
-    from mavnav.outputs.provenance import Typed  # noqa: PLC0415  heavy
+    from mavnav.outputs.documents.provenance import Typed  # noqa: PLC0415  heavy
 
     return Typed(config=config_of(config))

@@ -16,7 +16,7 @@ from mavnav.atomic_files import naming_full_disk
 from mavnav.errors import UsageError
 from mavnav.ground_truth.tables import read_tum
 from mavnav.outputs.directory import RUN_FILE, staged
-from mavnav.outputs.gridmap import read_npz
+from mavnav.outputs.files.gridmap import read_npz
 
 if TYPE_CHECKING:
     from collections.abc import Callable

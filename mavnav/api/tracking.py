@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.api.arguments import File
-    from mavnav.slam.steps import Step
+    from mavnav.slam.matching.steps import Step
 
 
 def track(
@@ -65,8 +65,8 @@ def track(
     MavnavError
         ConfigError; UsageError for scans that do not fit their `LaserSpec`, or whose stamps do not ascend.
     """
-    from mavnav.slam.motion_model import USUAL_PERIOD_S, Motion  # noqa: PLC0415  heavy
-    from mavnav.slam.registry import load_kernels, make_method  # noqa: PLC0415
+    from mavnav.slam.matching.motion_model import USUAL_PERIOD_S, Motion  # noqa: PLC0415  heavy
+    from mavnav.slam.methods.registry import load_kernels, make_method  # noqa: PLC0415
     from mavnav.slam.tracker import track as tracked  # noqa: PLC0415
 
     options = {"method": method, "grid": grid, "azimuth": azimuth, "final_pass": False}

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 
-from mavnav import __version__
 from mavnav.atomic_files import beside
 from mavnav.config.named_files import read_json
 from mavnav.errors import SEVERITY, ExitCode, OutputError, UsageError
 from mavnav.metrics.gates import full_name
-from mavnav.outputs.document import to_json
-from mavnav.outputs.quantities import number
+from mavnav.outputs.documents.quantities import number
+from mavnav.outputs.files.document import to_json
+from mavnav.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

@@ -19,7 +19,7 @@ from mavnav.ground_truth.topics import recorded_topic
 from mavnav.jobs.run_cache import REFERENCES, PlannedRun, make_run, references_sha256
 from mavnav.logs import content_sha256
 from mavnav.metrics.gates import Gate, parse_gate
-from mavnav.outputs.addresses import is_address, public_address
+from mavnav.outputs.documents.addresses import is_address, public_address
 from mavnav.pipelines.replay import ReplayRequest
 from mavnav.pose import Pose
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING, Any, Final
 
-from mavnav import __version__
 from mavnav.batch.baseline import Change, changes, lacking, lacking_text
 from mavnav.errors import SEVERITY, ExitCode, worst
 from mavnav.jobs.run_cache import run_row
 from mavnav.metrics.gates import judge_some
+from mavnav.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -14,9 +14,9 @@ from mavnav.batch.page import to_page
 from mavnav.errors import OutputError, UsageError
 from mavnav.jobs.run_cache import RUNS_FOLDER
 from mavnav.outputs.directory import check_apart
-from mavnav.outputs.document import to_json
-from mavnav.outputs.markdown import inert
-from mavnav.outputs.quantities import number
+from mavnav.outputs.documents.quantities import number
+from mavnav.outputs.files.document import to_json
+from mavnav.outputs.report.markdown import inert
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping

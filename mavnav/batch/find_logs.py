@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Final
 
 from mavnav.errors import NoScansError, UsageError
 from mavnav.logs.formats.detect import SUFFIXES, is_named_like_a_log
-from mavnav.outputs.addresses import is_address
 from mavnav.outputs.directory import MERGE_FILE, RUN_FILE
+from mavnav.outputs.documents.addresses import is_address
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

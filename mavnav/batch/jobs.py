@@ -10,7 +10,7 @@ from msgspec.structs import asdict, replace
 
 from mavnav.batch.remote import fetched
 from mavnav.errors import MavnavError
-from mavnav.outputs.addresses import public_address
+from mavnav.outputs.documents.addresses import public_address
 from mavnav.pipelines.replay import replay_log
 
 if TYPE_CHECKING:

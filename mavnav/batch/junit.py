@@ -13,7 +13,7 @@ from xml.etree import ElementTree as XML  # noqa: N814  short, because many line
 
 from mavnav.batch.document import why
 from mavnav.batch.files import FIGURES
-from mavnav.outputs.quantities import number
+from mavnav.outputs.documents.quantities import number
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

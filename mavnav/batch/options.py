@@ -18,8 +18,8 @@ from mavnav.errors import ExitCode, UsageError
 from mavnav.jobs import usable_cores
 from mavnav.jobs.dask import LOCAL
 from mavnav.metrics.gates import Gate, full_name, parse_gate
-from mavnav.outputs.addresses import is_address
-from mavnav.outputs.provenance import Typed
+from mavnav.outputs.documents.addresses import is_address
+from mavnav.outputs.documents.provenance import Typed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

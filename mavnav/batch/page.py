@@ -13,16 +13,16 @@ from mavnav.batch.thumbnail import thumbnail
 from mavnav.config.named_files import read_json
 from mavnav.errors import ExitCode
 from mavnav.outputs.directory import RUN_FILE
-from mavnav.outputs.facts import facts
-from mavnav.outputs.html import environment, inlined
-from mavnav.outputs.quantities import NAMED, PATH, TIME
+from mavnav.outputs.documents.facts import facts
+from mavnav.outputs.documents.quantities import NAMED, PATH, TIME
+from mavnav.outputs.report.html import environment, inlined
 from mavnav.outputs.writers import REPORT_FILE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from mavnav.outputs.quantities import Quantity
+    from mavnav.outputs.documents.quantities import Quantity
 
 
 COLUMNS: Final = (

@@ -14,8 +14,8 @@ from mavnav.batch.manifest import GATE_EXAMPLE, located
 from mavnav.errors import UsageError
 from mavnav.jobs.run_cache import RUNS_FOLDER, check_cache_directory, is_finished
 from mavnav.metrics.gates import check_names
-from mavnav.outputs.schema import number_names
-from mavnav.slam import registry
+from mavnav.outputs.documents.schema import number_names
+from mavnav.slam.methods import registry
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

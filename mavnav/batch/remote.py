@@ -20,7 +20,7 @@ from msgspec import Struct, field
 
 from mavnav.errors import MavnavError, OutputError, UsageError
 from mavnav.jobs.dask.worker import in_cluster
-from mavnav.outputs.addresses import public_address, public_text
+from mavnav.outputs.documents.addresses import public_address, public_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from msgspec import Struct, field
 
 from mavnav.errors import UsageError
-from mavnav.outputs.provenance import Typed
+from mavnav.outputs.documents.provenance import Typed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

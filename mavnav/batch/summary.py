@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.batch.baseline import Change, lacking_text
 from mavnav.batch.document import why, worst_first
-from mavnav.outputs.markdown import escaped, table_row
-from mavnav.outputs.quantities import NAMED, TIME
+from mavnav.outputs.documents.quantities import NAMED, TIME
+from mavnav.outputs.report.markdown import escaped, table_row
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

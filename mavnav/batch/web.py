@@ -11,7 +11,7 @@ from urllib.parse import urlsplit
 import aiohttp
 
 from mavnav.errors import UsageError
-from mavnav.outputs.addresses import public_address
+from mavnav.outputs.documents.addresses import public_address
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -41,7 +41,7 @@ def row_printer(total: int, *, json: bool, quiet: bool) -> Callable[[dict[str, A
 
 
 def _line(document: dict[str, Any]) -> str:
-    from mavnav.outputs.document import plain
+    from mavnav.outputs.files.document import plain
 
     return json_text(plain(document))
 

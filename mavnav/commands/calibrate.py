@@ -100,7 +100,7 @@ def calibrate(
 
 
 def _rows(document: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    from mavnav.outputs.summary_page import QUANTITY_NAMES
+    from mavnav.outputs.report.summary_page import QUANTITY_NAMES
 
     source = document["input"]
     frames = f"{source['frame_id']} on {source['base_frame']}"
@@ -116,7 +116,7 @@ def _rows(document: dict[str, Any]) -> Iterator[tuple[str, str]]:
 def _text(row: dict[str, Any]) -> str:
     if row["refused"]:
         return f"not determined: {row['refused']}"
-    from mavnav.outputs.summary_page import QUANTITY_NAMES
+    from mavnav.outputs.report.summary_page import QUANTITY_NAMES
 
     digits, unit = QUANTITY_NAMES[row["name"]][1], f" {row['unit']}".rstrip()
     found = f"{row['value']:.{digits}f}{unit} +- {row['ci95']:.{digits}f}"

@@ -114,7 +114,7 @@ def compare(
             from mavnav.comparison import pipeline
             from mavnav.comparison.grids import comparison_settings
             from mavnav.jobs import usable_cores
-            from mavnav.outputs.provenance import Typed
+            from mavnav.outputs.documents.provenance import Typed
         target = directory or pipeline.comparison_directory(logs or ())
         if not logs:
             logs, true_map = _sample(target, report)

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
-    from mavnav.outputs.quantities import Quantity
+    from mavnav.outputs.documents.quantities import Quantity
 
 METRICS_WITH_BAR = {"wall_thickness.spread.p95_mm", "timing.cpu_s"}
 """Metrics that are shown with a bar."""
@@ -95,7 +95,7 @@ def _table(document: dict[str, Any], less: set[str]) -> Table:
 
 def _known(document: dict[str, Any]) -> list[Quantity]:
     """Return the metrics for which any run has a value."""
-    from mavnav.outputs.quantities import QUANTITIES
+    from mavnav.outputs.documents.quantities import QUANTITIES
 
     return [figure for figure in QUANTITIES if any(figure.of(cell["run"]) is not None for cell in document["cells"])]
 

@@ -60,7 +60,7 @@ def schema(
 ) -> None:
     """Print the JSON Schema of configuration files, for editors that check while you type, or of run.json."""
     if document == "run":
-        from mavnav.outputs.schema import run_schema
+        from mavnav.outputs.documents.schema import run_schema
 
         emit_json(run_schema())
         return

@@ -42,7 +42,7 @@ def check_gates(gates: list[Gate], *sections: str) -> None:
     if not gates:
         return
     from mavnav.metrics.gates import check_names
-    from mavnav.outputs.schema import number_names, run_keys
+    from mavnav.outputs.documents.schema import number_names, run_keys
 
     more = [key for key in run_keys() if key.partition(".")[0] in sections]
     check_names((gate.name for gate in gates), [*number_names(reference="reference" in sections), *more])

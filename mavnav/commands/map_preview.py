@@ -20,8 +20,8 @@ Preview = Annotated[
 
 def show_preview(directory: Path, title: str = "", *, stderr: bool = False) -> None:
     """Print the map of a run directory, under a title if one is given."""
-    from mavnav.outputs.gridmap import read_npz
-    from mavnav.outputs.preview import preview
+    from mavnav.outputs.files.gridmap import read_npz
+    from mavnav.outputs.pictures.preview import preview
 
     stream: TextIO = sys.stderr if stderr else sys.stdout
     lines = preview(read_npz(directory / "hits.npz"), braille=can_print("\u28ff", stream))

@@ -15,7 +15,7 @@ Rows = list[tuple[str, str]]
 
 def doubt_rows(doubt: dict[str, Any]) -> Rows:
     """Return the row on ``tracking.doubt`` of a summary table, where the doubt is high."""
-    from mavnav.slam.doubt.record import HIGH
+    from mavnav.slam.findings import HIGH
 
     probability = doubt["probability"]
     if probability is None or probability <= HIGH:

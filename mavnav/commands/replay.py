@@ -172,7 +172,7 @@ def replay(
             from msgspec.structs import replace
 
             from mavnav.ground_truth.topics import truth_fields
-            from mavnav.outputs.provenance import Typed
+            from mavnav.outputs.documents.provenance import Typed
             from mavnav.pipelines.replay import ReplayRequest, replay_directory, replay_log
             from mavnav.pose import Pose
         compile_s = perf_counter() - started_s
@@ -256,7 +256,7 @@ def _print_result(document: dict[str, Any], directory: Path, *, json: bool) -> N
     if "continued" in document:
         _note_continued(document["continued"], document["input"]["path"])
     if document["tracking"]["lost"] and document["exit_code"] == ExitCode.TRACKING_LOST:
-        from mavnav.outputs.document import with_picture
+        from mavnav.outputs.files.document import with_picture
 
         note(with_picture(lost_line(document), document["outputs"]))
     if document["partial"]:

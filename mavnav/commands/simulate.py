@@ -137,7 +137,7 @@ def simulate(
         with loading_modules():
             from msgspec.structs import replace
 
-            from mavnav.outputs.provenance import Typed
+            from mavnav.outputs.documents.provenance import Typed
             from mavnav.pipelines.simulate import SimulationRequest, simulate_mission, simulation_directory
             from mavnav.simulation.world.scenario_file import scenario_path
         compile_s = perf_counter() - started_s
@@ -184,7 +184,7 @@ def _print_result(document: dict[str, Any], directory: Path, *, json: bool) -> N
     else:
         print_table(_summary(document, directory))
     if document["exit_code"] in (ExitCode.GATE_FAILED, ExitCode.TRACKING_LOST):
-        from mavnav.outputs.document import MAP_PICTURE, OTHER_PICTURE
+        from mavnav.outputs.files.document import MAP_PICTURE, OTHER_PICTURE
 
         picture = directory / MAP_PICTURE if MAP_PICTURE in document["outputs"] else OTHER_PICTURE
         note(f"mavnav: error: {_failure(document)}; look at {picture}")

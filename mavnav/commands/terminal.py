@@ -28,7 +28,7 @@ def printable(text: object) -> str:
 
 
 def _visible(text: object) -> str:
-    from mavnav.outputs.addresses import public_line
+    from mavnav.outputs.documents.addresses import public_line
 
     text = public_line(str(text))
     shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
@@ -72,7 +72,7 @@ def print_traceback(error: BaseException) -> None:
     """Print the traceback of an exception on stderr, without the secrets of addresses in it."""
     from traceback import format_exception
 
-    from mavnav.outputs.addresses import public_line
+    from mavnav.outputs.documents.addresses import public_line
 
     with suppress(OSError, ValueError):
         sys.stderr.write(public_line("".join(format_exception(error))))

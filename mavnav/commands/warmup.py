@@ -18,10 +18,10 @@ def warmup() -> None:
     import mavnav.kernels
     from mavnav.commands.progress import reporting
     from mavnav.errors import OutputError
-    from mavnav.kernels._cache import is_kept, user_directory
-    from mavnav.kernels._jit import KERNELS
-    from mavnav.kernels._loader import cache_key
-    from mavnav.kernels.building import not_on_disk, prepare
+    from mavnav.kernels.machine.building import not_on_disk, prepare
+    from mavnav.kernels.machine.cache import is_kept, user_directory
+    from mavnav.kernels.machine.jit import KERNELS
+    from mavnav.kernels.machine.loader import cache_key
 
     started_s = perf_counter()
     folder = Path(mavnav.kernels.__path__[0])

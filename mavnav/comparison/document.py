@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from mavnav import __version__
 from mavnav.comparison.figures import RELATIVE_COSTS, best, one_best, relative_costs
 from mavnav.errors import ExitCode, worst
 from mavnav.jobs.run_cache import run_row
 from mavnav.metrics.gates import judge_some
+from mavnav.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

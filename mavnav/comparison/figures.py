@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from mavnav.outputs.quantities import QUANTITIES, comparable, competing, number, winners
+from mavnav.outputs.documents.quantities import QUANTITIES, comparable, competing, number, winners
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mavnav.outputs.quantities import Run
+    from mavnav.outputs.documents.quantities import Run
 
 RELATIVE_COSTS: Final = {
     "evaluations": "search.evaluations_per_scan.mean",

@@ -10,9 +10,9 @@ from mavnav.atomic_files import beside
 from mavnav.batch.document import ENDS
 from mavnav.comparison.figures import RELATIVE_COSTS
 from mavnav.errors import OutputError
-from mavnav.outputs.document import to_json
-from mavnav.outputs.markdown import escaped, inert, table_row
-from mavnav.outputs.quantities import QUANTITIES, not_compared, number
+from mavnav.outputs.documents.quantities import QUANTITIES, not_compared, number
+from mavnav.outputs.files.document import to_json
+from mavnav.outputs.report.markdown import escaped, inert, table_row
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -25,8 +25,8 @@ from mavnav.errors import UsageError
 from mavnav.ground_truth.topics import recorded_topic
 from mavnav.jobs.run_cache import REFERENCES, RUNS_FOLDER, check_cache_directory
 from mavnav.logs.formats.detect import log_name
-from mavnav.outputs.document import plain
-from mavnav.outputs.provenance import Typed
+from mavnav.outputs.documents.provenance import Typed
+from mavnav.outputs.files.document import plain
 from mavnav.outputs.writers import REPORT_FILE
 
 if TYPE_CHECKING:

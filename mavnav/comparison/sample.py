@@ -9,13 +9,13 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from mavnav import __version__
 from mavnav.atomic_files import beside
 from mavnav.errors import OutputError
 from mavnav.logs.writing.recorder import record
 from mavnav.pipelines.simulate import recorded
 from mavnav.simulation.mission import fly
 from mavnav.simulation.world import load_scenario
+from mavnav.version import __version__
 
 if TYPE_CHECKING:
     from mavnav.profiling import Progress

@@ -13,13 +13,13 @@ import numpy as np
 from msgspec import MsgspecError, Struct, convert
 from msgspec.structs import asdict, replace
 
-from mavnav import __version__
 from mavnav.config.named_files import read_json
 from mavnav.errors import ExitCode, OutputError
 from mavnav.outputs.directory import RUN_FILE, check_link, file_sha256
-from mavnav.outputs.run_json import RunDocument
+from mavnav.outputs.documents.run_json import RunDocument
 from mavnav.outputs.writers import REPORT_FILE
 from mavnav.pipelines.replay import replay_directory
+from mavnav.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

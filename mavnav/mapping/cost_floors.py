@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec import Struct
 
-from mavnav.kernels import cost_floors as kernels
-from mavnav.kernels.layout import LEVELS
+from mavnav.kernels.maps import cost_floors as kernels
+from mavnav.kernels.maps.layout import LEVELS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -20,7 +20,7 @@ MARGIN_M = 2.0
 
 
 class CostFloors(Struct, frozen=True):
-    """Bounds in the cells from ``corner`` (row, col) on, by level and as planes; see ``mavnav.kernels.cost_floors``.
+    """Bounds in the cells from ``corner`` (row, col) on, by level and as planes; see ``kernels.maps.cost_floors``.
 
     They hold within ``extent_m``, for the truncated distance ``truncate_m`` and positions ``step`` cells apart.
     """

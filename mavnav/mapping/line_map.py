@@ -10,9 +10,9 @@ import numpy as np
 from msgspec import Struct, field
 
 from mavnav.arrays import blank
-from mavnav.kernels.layout import FAR, NEAR, REACH_CELLS
-from mavnav.kernels.linemap import insert_points, rebuild
-from mavnav.kernels.points import extent
+from mavnav.kernels.maps.layout import FAR, NEAR, REACH_CELLS
+from mavnav.kernels.maps.linemap import insert_points, rebuild
+from mavnav.kernels.scans.points import extent
 from mavnav.mapping.cost_floors import CostFloors
 from mavnav.mapping.tiled_arrays import NO_EXTENT, covered_extent, covering, moved, within
 from mavnav.profiling import timed
@@ -35,7 +35,7 @@ NOWHERE = (1e9, 1e9, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 
 class LineMap(Struct):
-    """A growing map of local lines; see ``mavnav.kernels.linemap`` for the arrays.
+    """A growing map of local lines; see ``mavnav.kernels.maps.linemap`` for the arrays.
 
     ``origin_cells`` is the lattice index (col, row) of cell [0, 0]; the map frame's origin is always a corner of cells.
     An area is mapped where its line is fitted to ``known_points`` points or more (``line_search``).

@@ -12,10 +12,10 @@ from msgspec.structs import force_setattr
 
 from mavnav.arrays import SMALL_BYTES
 from mavnav.errors import MapTooLargeError
-from mavnav.kernels import hits as hits_kernel
-from mavnav.kernels.dynamic_cells import dynamic_cells
-from mavnav.kernels.layout import MOST, MOST_SHIELDED, WIDE
-from mavnav.kernels.points import extent
+from mavnav.kernels.maps import hits as hits_kernel
+from mavnav.kernels.maps.dynamic_cells import dynamic_cells
+from mavnav.kernels.maps.layout import MOST, MOST_SHIELDED, WIDE
+from mavnav.kernels.scans.points import extent
 from mavnav.mapping.tiled_arrays import (
     NO_EXTENT,
     bands,
@@ -153,7 +153,7 @@ class GridBuilder(Struct):
         ``gap_cells`` may be empty, is represented by its cell with most hits; of several such cells by the nearest one,
         or, with ``middle``, by the one nearest to the middle of the wall.
         """
-        from mavnav.kernels import raycast  # noqa: PLC0415  the paper's alone
+        from mavnav.kernels.maps import raycast  # noqa: PLC0415  the paper's alone
 
         return raycast.virtual_scan(self.hits, self.lattice, laser.as_array(), directions, far_m, gap_cells, middle)
 

@@ -77,7 +77,7 @@ def sliced(placed: Callable[[], Iterable[PlacedScan]], area: Grid, slice_m: floa
     the floor. A beam counts in a slice only where it crosses its heights. ``placed`` gives the scans, again at every
     call.
     """
-    from mavnav.kernels.height_slices import add_to_slices  # noqa: PLC0415  few logs need it
+    from mavnav.kernels.maps.height_slices import add_to_slices  # noqa: PLC0415  few logs need it
 
     shape = area.hits.shape
     most = int(min(MOST_SLICES, max(MOST_BYTES // (4 * area.hits.size), 1)))

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mavnav.arrays import SMALL_BYTES, blank, release_free_memory, release_rows
-from mavnav.kernels.layout import WIDE
+from mavnav.kernels.maps.layout import WIDE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

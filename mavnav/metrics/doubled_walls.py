@@ -14,7 +14,7 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.arrays import contained, distinct, median
-from mavnav.kernels.scan_pairs import best_alignments, wall_gaps, wall_normals
+from mavnav.kernels.walls.scan_pairs import best_alignments, wall_gaps, wall_normals
 from mavnav.metrics.ghost_walls import GhostWall, GhostWalls, as_ghost_walls
 from mavnav.metrics.journey import spread, used_ranges_m
 from mavnav.metrics.lines import fit_line, linked, members

@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.arrays import median
-from mavnav.kernels.profiles import wall_profiles
+from mavnav.kernels.walls.profiles import wall_profiles
 from mavnav.metrics.fields import Measured, number
 from mavnav.metrics.lines import fit_line, linked, members
 from mavnav.units import DEG, MM

@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.arrays import distinct
-from mavnav.kernels.overlap import scan_distances
+from mavnav.kernels.walls.overlap import scan_distances
 from mavnav.metrics.fields import Measured, number
 from mavnav.metrics.journey import spread, used_ranges_m
 from mavnav.units import DEG, MM

@@ -12,8 +12,8 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.arrays import blank, median
-from mavnav.kernels.regions import region_sizes
-from mavnav.kernels.smoothing import smoothed
+from mavnav.kernels.maps.regions import region_sizes
+from mavnav.kernels.walls.smoothing import smoothed
 from mavnav.mapping.occupancy_grid import OCCUPIED, UNKNOWN
 from mavnav.mapping.tiled_arrays import bands, count
 from mavnav.metrics.fields import number

@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.arrays import blank
-from mavnav.kernels.hits import show_ends
+from mavnav.kernels.maps.hits import show_ends
 from mavnav.mapping.occupancy_grid import OCCUPIED
 from mavnav.mapping.tiled_arrays import bands
 from mavnav.metrics.fields import Measured, number

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Final
 import numpy as np
 from msgspec import Struct
 
-from mavnav.kernels.profiles import wall_profiles
-from mavnav.kernels.straight_beams import straight_beams
+from mavnav.kernels.walls.profiles import wall_profiles
+from mavnav.kernels.walls.straight_beams import straight_beams
 from mavnav.metrics.fields import Measured, number
 from mavnav.metrics.journey import spread
 from mavnav.metrics.lines import linked

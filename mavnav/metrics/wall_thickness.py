@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import numpy as np
 from msgspec import Struct
 
-from mavnav.kernels.thickness import column_runs, run_moments
+from mavnav.kernels.walls.thickness import column_runs, run_moments
 from mavnav.mapping.occupancy_grid import counts
 from mavnav.mapping.tiled_arrays import bands, count
 from mavnav.metrics.fields import Measured, number

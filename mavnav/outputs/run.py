@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from mavnav.metrics.map_quality import MeasuredMap
     from mavnav.metrics.reference import Reference
     from mavnav.metrics.wall_report import WallThicknessReport
-    from mavnav.outputs.continued_section import Continued
-    from mavnav.outputs.run_json import Localisation, MissionResult, Provenance, TruthErrors
+    from mavnav.outputs.documents.continued_section import Continued
+    from mavnav.outputs.documents.run_json import Localisation, MissionResult, Provenance, TruthErrors
     from mavnav.pose import Trajectory
-    from mavnav.slam.joining.session import Session
+    from mavnav.sessions.session import Session
     from mavnav.slam.result import SlamResult
 
 

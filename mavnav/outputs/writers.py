@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any, Final
 from mavnav.arrays import release_free_memory
 from mavnav.errors import UsageError
 from mavnav.outputs.directory import RUN_FILE, file_sha256, staged
-from mavnav.outputs.document import plain, plain_json, run_document, with_picture, write_metrics
-from mavnav.outputs.gridmap import write_npz, write_pgm, write_yaml
-from mavnav.outputs.sessions import recording_file, trajectory_file, write_poses, write_scans
-from mavnav.outputs.slices_files import slice_files, write_slice
-from mavnav.outputs.trajectory import (
+from mavnav.outputs.files.document import plain, plain_json, run_document, with_picture, write_metrics
+from mavnav.outputs.files.gridmap import write_npz, write_pgm, write_yaml
+from mavnav.outputs.files.sessions import recording_file, trajectory_file, write_poses, write_scans
+from mavnav.outputs.files.slices_files import slice_files, write_slice
+from mavnav.outputs.files.trajectory import (
     TRUE_WALLS_FILE,
     write_base_tum,
     write_csv,
@@ -49,17 +49,17 @@ WRITERS: Final[dict[str, Callable[[Run, Path], None]]] = {
     "map.pgm": write_pgm,
     "map.yaml": write_yaml,
     "hits.npz": write_npz,
-    "map.svg": partial(_late, "vector_map"),
-    "map_scale.png": partial(_late, "scale_map"),
-    "map_scale.yaml": partial(_late, "scale_map"),
-    "pose_graph.g2o": partial(_late, "graph_file"),
-    "walls.csv": partial(_late, "wall_table"),
-    "wall_thickness.png": partial(_late, "wall_picture"),  # first, because the smaller pictures reuse its memory
-    "map.png": partial(_late, "map_picture"),
-    "true_map.png": partial(_late, "mission_picture"),
-    "map_3d.png": partial(_late, "slices_picture"),
-    "result.mcap": partial(_late, "replay_log"),
-    "foxglove_layout.json": partial(_late, "foxglove_layout"),
+    "map.svg": partial(_late, "pictures.vector_map"),
+    "map_scale.png": partial(_late, "pictures.scale_map"),
+    "map_scale.yaml": partial(_late, "pictures.scale_map"),
+    "pose_graph.g2o": partial(_late, "files.graph_file"),
+    "walls.csv": partial(_late, "files.wall_table"),
+    "wall_thickness.png": partial(_late, "pictures.wall_picture"),  # first: smaller pictures reuse its memory
+    "map.png": partial(_late, "pictures.map_picture"),
+    "true_map.png": partial(_late, "pictures.mission_picture"),
+    "map_3d.png": partial(_late, "pictures.slices_picture"),
+    "result.mcap": partial(_late, "files.replay_log"),
+    "foxglove_layout.json": partial(_late, "files.foxglove_layout"),
     "metrics.json": write_metrics,
 }
 

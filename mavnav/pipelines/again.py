@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct, ValidationError, convert
 
-from mavnav import __version__
 from mavnav.config.layers import by_dotted_key
 from mavnav.config.loading import load_config, validated
 from mavnav.config.named_files import read_json
@@ -19,19 +18,20 @@ from mavnav.errors import ConfigError, UsageError
 from mavnav.ground_truth.topics import recorded_topic
 from mavnav.logs import content_sha256
 from mavnav.metrics.fields import ABSENT
-from mavnav.outputs.addresses import is_address
 from mavnav.outputs.directory import RUN_FILE
-from mavnav.outputs.provenance import Typed
-from mavnav.outputs.run_json import Provenance
+from mavnav.outputs.documents.addresses import is_address
+from mavnav.outputs.documents.provenance import Typed
+from mavnav.outputs.documents.run_json import Provenance
 from mavnav.outputs.writers import REPORT_FILE
 from mavnav.pose import Pose
+from mavnav.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mavnav.config.layers import Layer
     from mavnav.config.models import Config
-    from mavnav.outputs.run_json import GivenPose, Options
+    from mavnav.outputs.documents.run_json import GivenPose, Options
 
 _WORD: Final = re.compile(r"[A-Za-z/][\w/.-]*|\d+x\d+")
 _PATHS: Final = ("map", "truth", "truth_map", "relations", "continue_from")

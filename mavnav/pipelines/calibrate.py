@@ -8,24 +8,24 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 
-from mavnav import __version__
 from mavnav.config.models import OdometryConfig
 from mavnav.errors import ExitCode, TopicError, UsageError, worst
 from mavnav.logs import check_log, open_log
 from mavnav.logs.formats.detect import log_name
 from mavnav.metrics.calibration.motion import motions_of
 from mavnav.metrics.calibration.quantities import KINDS, LEAST_TURN_RAD, Calibration, calibration_of, motion_of, refused
-from mavnav.outputs import calibration_picture
 from mavnav.outputs.directory import check_apart
-from mavnav.outputs.document import to_json
+from mavnav.outputs.files.document import to_json
+from mavnav.outputs.pictures import calibration_picture
+from mavnav.outputs.report.summary_page import calibration_summary, drawn, write_summary
 from mavnav.outputs.single_file import check_file, write_file
-from mavnav.outputs.summary_page import calibration_summary, drawn, write_summary
 from mavnav.pipelines.calibration_lines import option_of, reading_options, replay_line, transform_line
 from mavnav.scan import LONGEST_SWEEP
-from mavnav.slam import beam_order
+from mavnav.slam.methods.registry import load_kernels
 from mavnav.slam.pipeline import MEASURING, run_slam
-from mavnav.slam.registry import load_kernels
+from mavnav.slam.retries import beam_order
 from mavnav.units import DEG
+from mavnav.version import __version__
 
 if TYPE_CHECKING:
     from pathlib import Path

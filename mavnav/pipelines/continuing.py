@@ -8,17 +8,17 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from mavnav import __version__
 from mavnav.errors import MavnavError, NoScansError, UsageError
 from mavnav.logs.formats.detect import log_name
-from mavnav.outputs.continued_section import Continued, EarlierSession
-from mavnav.outputs.sessions import evidence, recording_file, trajectory_file
+from mavnav.outputs.documents.continued_section import Continued, EarlierSession
+from mavnav.outputs.files.sessions import evidence, recording_file, trajectory_file
 from mavnav.pipelines.sessions import finished_run
-from mavnav.slam.covariance import turned
-from mavnav.slam.joining.group import Join, group_in_frame
-from mavnav.slam.joining.growth import alike, extended
-from mavnav.slam.joining.merged_map import merged_map, trajectories
-from mavnav.slam.joining.session import make_session
+from mavnav.sessions.group import Join, group_in_frame
+from mavnav.sessions.growth import alike, extended
+from mavnav.sessions.merged_map import merged_map, trajectories
+from mavnav.sessions.session import make_session
+from mavnav.slam.refinement.covariance import turned
+from mavnav.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from mavnav.pipelines.sessions import FinishedRun
     from mavnav.profiling import Progress
     from mavnav.scan import Scan
-    from mavnav.slam.joining.group import Group
-    from mavnav.slam.joining.session import Session
+    from mavnav.sessions.group import Group
+    from mavnav.sessions.session import Session
     from mavnav.slam.result import SlamResult
 
 ANY_PAUSE_S: Final = np.inf

@@ -7,22 +7,22 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 
-from mavnav import __version__
 from mavnav.config.models import Config
 from mavnav.errors import ExitCode, UsageError
 from mavnav.ground_truth.map_file import map_files, read_map
-from mavnav.kernels import raycast  # noqa: F401  it is compiled with the others
-from mavnav.kernels.building import prepare
+from mavnav.kernels.machine.building import prepare
+from mavnav.kernels.maps import raycast  # noqa: F401  it is compiled with the others
 from mavnav.mapping.occupancy_grid import known_part, occupied_xy_m
 from mavnav.metrics.map_difference import View, difference
-from mavnav.outputs import difference_picture
 from mavnav.outputs.directory import check_apart
-from mavnav.outputs.gridmap import read_npz
+from mavnav.outputs.files.gridmap import read_npz
+from mavnav.outputs.pictures import difference_picture
+from mavnav.outputs.report.summary_page import diff_summary, drawn, write_summary
 from mavnav.outputs.single_file import check_file, write_file
-from mavnav.outputs.summary_page import diff_summary, drawn, write_summary
-from mavnav.slam.map_alignment import align
-from mavnav.slam.prior_map import PriorMap, prior_map_of
+from mavnav.sessions.map_alignment import align
+from mavnav.slam.matching.prior_map import PriorMap, prior_map_of
 from mavnav.units import DEG, MM
+from mavnav.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from mavnav.metrics.map_difference import Difference
     from mavnav.profiling import Progress
-    from mavnav.slam.map_alignment import Alignment
+    from mavnav.sessions.map_alignment import Alignment
 
 SCHEMA_VERSION: Final = 1
 

@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 from msgspec import Struct
 from msgspec.structs import replace
 
-from mavnav import __version__
 from mavnav.config.named_files import read_json
 from mavnav.errors import MavnavError, UsageError, reason_of
 from mavnav.ground_truth.map_file import read_map
 from mavnav.ground_truth.references import References, check_times, compared
 from mavnav.ground_truth.tables import read_tum
-from mavnav.kernels.building import prepare
+from mavnav.kernels.machine.building import prepare
 from mavnav.logs import open_log
 from mavnav.mapping.occupancy_grid import occupied_xy_m
 from mavnav.metrics.fields import ABSENT
@@ -24,11 +23,12 @@ from mavnav.metrics.map_quality import MapQuality, measure_map
 from mavnav.metrics.wall_report import wall_report
 from mavnav.metrics.walls import Wall
 from mavnav.outputs.directory import RUN_FILE
-from mavnav.outputs.document import plain
-from mavnav.outputs.gridmap import read_npz
+from mavnav.outputs.files.document import plain
+from mavnav.outputs.files.gridmap import read_npz
 from mavnav.pose import Pose, Trajectory, transform_points
-from mavnav.slam.doubt.record import HIGH, NOT_PLANAR
+from mavnav.slam.findings import HIGH, NOT_PLANAR
 from mavnav.units import DEG, MM, NS
+from mavnav.version import __version__
 
 if TYPE_CHECKING:
     from pathlib import Path

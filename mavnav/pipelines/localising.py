@@ -5,15 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mavnav.errors import UsageError
-from mavnav.outputs.run_json import FoundPose, Localisation, StartPose
-from mavnav.slam.registry import LOCALIZERS
+from mavnav.outputs.documents.run_json import FoundPose, Localisation, StartPose
+from mavnav.slam.methods.registry import LOCALIZERS
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from mavnav.pose import Pose
-    from mavnav.slam.prior_map import PriorMap
+    from mavnav.slam.matching.prior_map import PriorMap
     from mavnav.slam.result import SlamResult
 
 
@@ -28,7 +28,7 @@ def known_map(path: Path | None, start_pose: Pose | None, method: str) -> PriorM
         advice = f"use --method {' or '.join(LOCALIZERS)}"
         raise UsageError(f"--map: method {method} makes a map of its own; {advice}")
     from mavnav.ground_truth.map_file import read_map  # noqa: PLC0415  few runs need them
-    from mavnav.slam.prior_map import prior_map_of  # noqa: PLC0415
+    from mavnav.slam.matching.prior_map import prior_map_of  # noqa: PLC0415
 
     file = read_map(path / "map.yaml" if path.is_dir() else path)
     known = prior_map_of(file.grid, file.map_T_grid, start_pose)

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec import Struct
 from msgspec.structs import replace
 
-from mavnav import __version__
 from mavnav.atomic_files import temporary_folder
 from mavnav.errors import (
     ExitCode,
@@ -25,20 +24,21 @@ from mavnav.errors import (
 from mavnav.logs import check_log
 from mavnav.logs.formats.detect import log_name
 from mavnav.mapping.occupancy_grid import Grid, known_part, occupancy
-from mavnav.outputs import merged_picture
 from mavnav.outputs.directory import MERGE_FILE, RUN_FILE, check_directory, file_sha256, staged
-from mavnav.outputs.document import plain, to_json
-from mavnav.outputs.gridmap import write_npz, write_pgm, write_yaml
-from mavnav.outputs.sessions import evidence, recording_file, trajectory_file, write_poses, write_scans
-from mavnav.outputs.summary_page import merge_summary, write_summary
+from mavnav.outputs.files.document import plain, to_json
+from mavnav.outputs.files.gridmap import write_npz, write_pgm, write_yaml
+from mavnav.outputs.files.sessions import evidence, recording_file, trajectory_file, write_poses, write_scans
+from mavnav.outputs.pictures import merged_picture
+from mavnav.outputs.report.summary_page import merge_summary, write_summary
 from mavnav.outputs.writers import REPORT_FILE
 from mavnav.pipelines.replay import ReplayRequest, replay_log
 from mavnav.pipelines.sessions import FinishedRun, finished_run
-from mavnav.slam.joining.group import Join
-from mavnav.slam.joining.growth import grown
-from mavnav.slam.joining.merged_map import frame_of, merged_map, trajectories
-from mavnav.slam.registry import load_kernels
+from mavnav.sessions.group import Join
+from mavnav.sessions.growth import grown
+from mavnav.sessions.merged_map import frame_of, merged_map, trajectories
+from mavnav.slam.methods.registry import load_kernels
 from mavnav.units import DEG
+from mavnav.version import __version__
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -49,8 +49,8 @@ if TYPE_CHECKING:
     from mavnav.config.models import Config
     from mavnav.pose import Pose, Trajectory
     from mavnav.profiling import Progress
-    from mavnav.slam.joining.group import Group
-    from mavnav.slam.joining.session import Session
+    from mavnav.sessions.group import Group
+    from mavnav.sessions.session import Session
 
 SCHEMA_VERSION: Final = 1
 TRACKING: Final = ("lost", "tracked_share", "intervals", "doubt")

@@ -23,9 +23,9 @@ from mavnav.mapping.occupancy_grid import occupied_xy_m
 from mavnav.metrics.fields import ABSENT
 from mavnav.metrics.trajectory_error import position_errors
 from mavnav.outputs.directory import check_directory
-from mavnav.outputs.provenance import Typed, provenance, utc_now
+from mavnav.outputs.documents.provenance import Typed, provenance, utc_now
+from mavnav.outputs.documents.run_json import GivenPose, Options
 from mavnav.outputs.run import Run, Timing
-from mavnav.outputs.run_json import GivenPose, Options
 from mavnav.outputs.writers import check_groups, write_run
 from mavnav.pipelines.again import replay_words
 from mavnav.pipelines.localising import known_map, localisation
@@ -33,8 +33,8 @@ from mavnav.pipelines.map_references import check_references, references_in_map
 from mavnav.pipelines.measuring import map_slices_of, measured_map
 from mavnav.pose import Pose
 from mavnav.profiling import Progress, Stage, new_profile, timed
+from mavnav.slam.methods.registry import load_kernels, uses_odometry
 from mavnav.slam.pipeline import run_slam
-from mavnav.slam.registry import load_kernels, uses_odometry
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
@@ -43,12 +43,12 @@ if TYPE_CHECKING:
     from mavnav.config.models import Config
     from mavnav.ground_truth.references import References
     from mavnav.logs import Log
-    from mavnav.outputs.run_json import Provenance
+    from mavnav.outputs.documents.run_json import Provenance
     from mavnav.pipelines.continuing import Continuation
     from mavnav.pipelines.sessions import FinishedRun
     from mavnav.scan import Scan
-    from mavnav.slam.joining.session import Session
-    from mavnav.slam.prior_map import PriorMap
+    from mavnav.sessions.session import Session
+    from mavnav.slam.matching.prior_map import PriorMap
     from mavnav.slam.result import SlamResult
 
 

@@ -13,13 +13,13 @@ from mavnav.ground_truth.tables import read_tum
 from mavnav.logs import open_log
 from mavnav.logs.formats.detect import log_name
 from mavnav.outputs.directory import MERGE_FILE, RUN_FILE, file_sha256
-from mavnav.outputs.sessions import recording_file, trajectory_file
-from mavnav.slam.doubt.record import HIGH
-from mavnav.slam.joining.session import make_session
+from mavnav.outputs.files.sessions import recording_file, trajectory_file
+from mavnav.sessions.session import make_session
+from mavnav.slam.findings import HIGH
 
 if TYPE_CHECKING:
     from mavnav.config.models import Config
-    from mavnav.slam.joining.session import Session
+    from mavnav.sessions.session import Session
 
 OWN_FILES: Final = ("trajectory.tum", "result.mcap")
 

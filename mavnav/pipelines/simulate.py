@@ -21,11 +21,11 @@ from mavnav.logs import open_log
 from mavnav.logs.writing.recorder import Recording, check_recording, record
 from mavnav.mapping.occupancy_grid import GridBuilder, occupied_xy_m
 from mavnav.metrics.trajectory_error import absolute_error, position_errors
-from mavnav.outputs.animation import animate, check_animation
 from mavnav.outputs.directory import check_apart, check_directory, check_parent
-from mavnav.outputs.provenance import Typed, provenance, utc_now
+from mavnav.outputs.documents.provenance import Typed, provenance, utc_now
+from mavnav.outputs.documents.run_json import MissionResult, TruthErrors
+from mavnav.outputs.pictures.animation import animate, check_animation
 from mavnav.outputs.run import Mission, Run, Timing, Truth, WallShapes
-from mavnav.outputs.run_json import MissionResult, TruthErrors
 from mavnav.outputs.writers import WRITERS, check_groups, write_run
 from mavnav.pipelines.measuring import map_slices_of, measured_map
 from mavnav.pose import Pose, rigid_fit
@@ -33,7 +33,7 @@ from mavnav.profiling import Progress, new_profile
 from mavnav.simulation.mission import Flight, fly
 from mavnav.simulation.vehicle import mid_sweep_s
 from mavnav.simulation.world.laser import EDGE_M
-from mavnav.slam.registry import load_kernels
+from mavnav.slam.methods.registry import load_kernels
 from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:

@@ -17,10 +17,10 @@ from mavnav.simulation.obstacles import Obstacles
 from mavnav.simulation.planner.potential_field import Command, Planner
 from mavnav.simulation.vehicle import disturbance, sweeping, tilts_over, vehicle_of
 from mavnav.simulation.world import LaserModel, Scenario, laser_model, take_scan
-from mavnav.slam.motion_model import Motion
+from mavnav.slam.matching.motion_model import Motion
+from mavnav.slam.matching.steps import Steps
+from mavnav.slam.methods.registry import make_method
 from mavnav.slam.pipeline import finish
-from mavnav.slam.registry import make_method
-from mavnav.slam.steps import Steps
 from mavnav.slam.track import Track
 from mavnav.slam.tracker import track
 from mavnav.units import MM, NS
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from mavnav.scan import Attitude, Scan
     from mavnav.simulation.vehicle import Vehicle
     from mavnav.simulation.world.shapes import XY
+    from mavnav.slam.matching.steps import Step
     from mavnav.slam.result import SlamResult
-    from mavnav.slam.steps import Step
     from mavnav.slam.track import OnStep
 
 

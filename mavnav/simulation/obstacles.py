@@ -13,7 +13,7 @@ from mavnav.pose import transform_points
 if TYPE_CHECKING:
     from mavnav.scan import Scan
     from mavnav.simulation.world import Scenario
-    from mavnav.slam.steps import Step
+    from mavnav.slam.matching.steps import Step
 
 
 class Obstacles(Struct, frozen=True):

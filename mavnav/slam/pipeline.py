@@ -5,28 +5,29 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
-from mavnav.slam.beam_order import with_reversed_beams
-from mavnav.slam.beginning import rematch_beginning, with_good_beginning
-from mavnav.slam.contradicted import without_contradicted
-from mavnav.slam.deskewed_track import match_deskewed
 from mavnav.slam.doubt.judge import judge_track
 from mavnav.slam.loop_closure.remap import close_loops
-from mavnav.slam.motion_model import Motion
-from mavnav.slam.odometry_check import without_misleading_odometry
-from mavnav.slam.parts import with_lost_parts, without_late_poses
-from mavnav.slam.redraw import redraw_map
-from mavnav.slam.registry import make_method
-from mavnav.slam.rematch import refine_against_final_map, rematch_rejected, remove_dynamic_cells
-from mavnav.slam.remedy import with_remedy
-from mavnav.slam.resampled_track import with_coarser_voxels
+from mavnav.slam.matching.motion_model import Motion
+from mavnav.slam.methods.registry import make_method
+from mavnav.slam.recovery.parts import with_lost_parts, without_late_poses
+from mavnav.slam.recovery.rematch import rematch_rejected, remove_dynamic_cells
+from mavnav.slam.refinement.contradicted import without_contradicted
+from mavnav.slam.refinement.deskewed_track import match_deskewed
+from mavnav.slam.refinement.redraw import redraw_map
+from mavnav.slam.refinement.refine import refine_against_final_map
+from mavnav.slam.refinement.smoothing import smooth_jitter
 from mavnav.slam.result import summarize
-from mavnav.slam.smoothing import smooth_jitter
+from mavnav.slam.retries.beam_order import with_reversed_beams
+from mavnav.slam.retries.beginning import rematch_beginning, with_good_beginning
+from mavnav.slam.retries.odometry_check import without_misleading_odometry
+from mavnav.slam.retries.remedy import with_remedy
+from mavnav.slam.retries.resampled_track import with_coarser_voxels
 from mavnav.slam.track import Track
 
 if TYPE_CHECKING:
     from mavnav.config.models import Config
     from mavnav.pose import Rotation, Trajectory
-    from mavnav.slam.prior_map import PriorMap
+    from mavnav.slam.matching.prior_map import PriorMap
     from mavnav.slam.result import SlamResult
     from mavnav.slam.track import LogScans, OnStep, Pass
 

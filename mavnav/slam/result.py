@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec import Struct, field
 
-from mavnav.arrays import median
-from mavnav.slam.covariance import covariances_of
-from mavnav.slam.doubt.record import NOT_PLANAR
-from mavnav.slam.loop_closure.detection import Loops
-from mavnav.slam.parts import Part, lost_for_good, part_warnings, parts_of
-from mavnav.slam.pauses import blind_warnings, pause_warnings
-from mavnav.slam.steps import LostInterval, Steps, jumps, lost_intervals, tracked_trajectory
+from mavnav.arrays import distinct, median
+from mavnav.slam.findings import NOT_PLANAR, Loops
+from mavnav.slam.matching.steps import LostInterval, Steps, jumps, lost_intervals, tracked_trajectory
+from mavnav.slam.methods.pauses import blind_warnings, pause_warnings
+from mavnav.slam.recovery.parts import Part, lost_for_good, part_warnings, parts_of
+from mavnav.slam.refinement.covariance import covariances_of
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.pose import Trajectory
-    from mavnav.slam.doubt.record import Doubt, Remedy
+    from mavnav.slam.findings import Doubt, Remedy
     from mavnav.slam.track import Track
 
 MOST_SCATTERED = 0.2
@@ -144,3 +143,19 @@ def beginning_ns(steps: Steps, begin: int) -> int | None:
     """Return the stamp of the first tracked scan from number ``begin`` on; None if there is none."""
     later = steps.column("stamp_ns")[begin:][steps.column("tracked")[begin:]]
     return int(later[0]) if len(later) else None
+
+
+def parts_of_path(slam: SlamResult) -> list[NDArray[np.float64]]:
+    """Return the positions of the path (n, 2), in parts between the stretches where the track was lost."""
+    breaks = np.searchsorted(slam.trajectory.stamps_ns, [lost.start_ns for lost in slam.lost], side="right")
+    return np.split(slam.trajectory.xyyaw[:, :2], breaks)
+
+
+def doubtful_parts(slam: SlamResult) -> list[NDArray[np.float64]]:
+    """Return the positions (n, 2) of the doubtful stretches of the path."""
+    stamps_ns = slam.trajectory.stamps_ns
+    marked, breaks = slam.doubtful(stamps_ns), [lost.start_ns for lost in slam.lost]
+    turns, gaps = np.flatnonzero(np.diff(marked)) + 1, np.searchsorted(stamps_ns, breaks, side="right")
+    ends = distinct(np.concatenate((turns, gaps)))
+    parts = zip(np.split(slam.trajectory.xyyaw[:, :2], ends), np.split(marked, ends), strict=True)
+    return [xy_m for xy_m, doubtful in parts if doubtful.any()]

@@ -11,10 +11,10 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 
 from mavnav.pose import Pose
-from mavnav.slam.loop_closure.detection import Loops
-from mavnav.slam.registry import make_method
-from mavnav.slam.scan_matching import no_match
-from mavnav.slam.steps import Step, Steps
+from mavnav.slam.findings import Loops
+from mavnav.slam.matching.scan_matching import no_match
+from mavnav.slam.matching.steps import Step, Steps
+from mavnav.slam.methods.registry import make_method
 from mavnav.slam.tracker import track
 
 if TYPE_CHECKING:
@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 
     from mavnav.config.models import Config
     from mavnav.scan import Scan
-    from mavnav.slam.doubt.record import Doubt, Remedy
-    from mavnav.slam.method import Method, Refiner
-    from mavnav.slam.motion_model import Motion
-    from mavnav.slam.prior_map import PriorMap
+    from mavnav.slam.findings import Doubt, Remedy
+    from mavnav.slam.matching.motion_model import Motion
+    from mavnav.slam.matching.prior_map import PriorMap
+    from mavnav.slam.methods.method import Method, Refiner
 
     LogScans = Callable[[], Iterable[Scan]]
     """Return the scans of a log; every call starts at the first scan."""

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mavnav.slam.relocalization import apart
-from mavnav.slam.steps import Step
-from mavnav.slam.track_state import TrackState, Verdict
+from mavnav.slam.matching.relocalization import apart
+from mavnav.slam.matching.steps import Step
+from mavnav.slam.matching.track_state import TrackState, Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from mavnav.scan import Scan
-    from mavnav.slam.method import Method, Refiner
-    from mavnav.slam.motion_model import Motion
-    from mavnav.slam.scan_matching import Match
+    from mavnav.slam.matching.motion_model import Motion
+    from mavnav.slam.matching.scan_matching import Match
+    from mavnav.slam.methods.method import Method, Refiner
 
 DOUBTFUL_SCANS, LONG_LOST_SCANS, RARELY_SCANS = 8, 16, 64
 """Numbers of scans without an accepted pose that decide when the whole map is searched.

@@ -19,7 +19,7 @@ from mavnav.batch.summary import missing_lines
 from mavnav.errors import ConfigError, ExitCode, OutputError, UsageError
 from mavnav.jobs import Ended, Event, Started
 from mavnav.metrics.gates import check_names, names
-from mavnav.outputs.schema import number_names
+from mavnav.outputs.documents.schema import number_names
 from support.small_batch import NAME, OPTIONS, batch
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from mavnav.batch.find_logs import check_found, find_logs
 from mavnav.errors import NoScansError, UsageError
-from mavnav.outputs.addresses import is_address
+from mavnav.outputs.documents.addresses import is_address
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ import pytest
 from mavnav.batch import run
 from mavnav.commands import signals
 from mavnav.errors import ExitCode
-from mavnav.slam import registry
+from mavnav.slam.methods import registry
 
 
 @pytest.fixture

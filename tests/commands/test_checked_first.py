@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 import mavnav.pipelines.evaluate
-import mavnav.slam.registry
+import mavnav.slam.methods.registry
 from mavnav.errors import ExitCode
-from mavnav.kernels._jit import Kernel
+from mavnav.kernels.machine.jit import Kernel
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -70,7 +70,7 @@ def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     def asked(*_: object) -> None:
         pytest.fail("kernels are asked for")
 
-    monkeypatch.setattr(mavnav.slam.registry, "prepare", asked)
+    monkeypatch.setattr(mavnav.slam.methods.registry, "prepare", asked)
     monkeypatch.setattr(mavnav.pipelines.evaluate, "prepare", asked)
     monkeypatch.setattr(Kernel, "load", asked)
     monkeypatch.chdir(tmp_path)

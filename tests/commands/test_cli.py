@@ -19,7 +19,7 @@ from mavnav import __version__, cli
 from mavnav.commands import progress, signals
 from mavnav.commands.terminal import json_text, printable
 from mavnav.errors import ExitCode, MavnavError, NoScansError, OutputError, TopicError
-from mavnav.kernels._jit import KERNELS
+from mavnav.kernels.machine.jit import KERNELS
 
 
 def test_version_names_the_libraries(mavnav: Callable) -> None:

@@ -12,8 +12,8 @@ import pytest
 from PIL import Image
 
 import mavnav as api
-from mavnav.outputs.canvas import rgb_of
-from mavnav.outputs.difference_picture import AREAS, GONE, NEW
+from mavnav.outputs.pictures.canvas import rgb_of
+from mavnav.outputs.pictures.difference_picture import AREAS, GONE, NEW
 from support.changed_rooms import TURNED, mapped, rooms, saved
 from support.synthetic import room
 

@@ -654,7 +654,7 @@ def test_a_signal_after_the_last_scan_comes_too_late_to_make_the_run_partial(sam
 WHILE_REDRAWING = """
 import os, signal, sys
 from mavnav.cli import main
-from mavnav.slam import redraw
+from mavnav.slam.refinement import redraw
 redrawn = redraw.redrawn
 
 def befallen(track, refiner):

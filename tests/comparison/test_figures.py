@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from mavnav.comparison.figures import best, one_best, relative_costs
-from mavnav.outputs.quantities import QUANTITIES
+from mavnav.outputs.documents.quantities import QUANTITIES
 
 
 def run(p95: float | None = 100.0, *, cpu_s: float = 1.0, code: int = 0, cell_mm: float = 20.0, **more: Any) -> dict:

@@ -74,7 +74,7 @@ def test_a_loss_of_power_keeps_the_old_or_the_new(tmp_path: Path, monkeypatch: p
 
 
 def test_machine_code_that_is_lost_with_the_power_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from mavnav.kernels import _cache
+    from mavnav.kernels.machine import cache as _cache
 
     monkeypatch.setenv("MAVNAV_CACHE_DIR", str(tmp_path))
     _cache.write_code("key", "kernel-1", b"code")

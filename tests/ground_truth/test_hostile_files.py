@@ -14,7 +14,7 @@ from mavnav.config.named_files import read_json
 from mavnav.errors import ConfigError, UsageError
 from mavnav.ground_truth.map_file import read_map
 from mavnav.ground_truth.tables import read_relations, read_tum
-from mavnav.outputs.gridmap import read_npz
+from mavnav.outputs.files.gridmap import read_npz
 from support.fuzz import mutated
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavnav.arrays import SMALL_BYTES, blank
-from mavnav.kernels.layout import SHIFT, WIDE
+from mavnav.kernels.maps.layout import SHIFT, WIDE
 from mavnav.mapping import tiled_arrays
 from mavnav.mapping.tiled_arrays import blank_strips, covered_extent, covering, in_strips, moved, plain, pooled, within
 

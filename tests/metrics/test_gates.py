@@ -20,7 +20,7 @@ from mavnav.metrics.gates import (
     names,
     parse_gate,
 )
-from mavnav.outputs.schema import number_names
+from mavnav.outputs.documents.schema import number_names
 
 RUN: dict[str, Any] = {
     "grid": "10x10",

@@ -10,8 +10,8 @@ from mavnav.config.models import Config
 from mavnav.mapping.occupancy_grid import Grid, known_part, occupied_xy_m
 from mavnav.metrics.map_difference import Change, View, difference, paired
 from mavnav.pose import Pose
-from mavnav.slam.map_alignment import align
-from mavnav.slam.prior_map import PriorMap
+from mavnav.sessions.map_alignment import align
+from mavnav.slam.matching.prior_map import PriorMap
 from support.changed_rooms import DOOR, MOVED, POSES, TURNED, WALL, mapped, rooms
 from support.synthetic import room
 

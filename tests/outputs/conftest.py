@@ -14,12 +14,12 @@ from mavnav.logs import Damage, Odometry, ScanCounts, Topic
 from mavnav.mapping.occupancy_grid import GridBuilder, measured_part
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import measure_map
-from mavnav.outputs.provenance import Typed, provenance
+from mavnav.outputs.documents.provenance import Typed, provenance
 from mavnav.outputs.run import Run, Timing
 from mavnav.pose import Pose, Trajectory, transform_points
+from mavnav.slam.matching.scan_matching import Match
+from mavnav.slam.matching.steps import LostInterval, Step, Steps
 from mavnav.slam.result import SlamResult
-from mavnav.slam.scan_matching import Match
-from mavnav.slam.steps import LostInterval, Step, Steps
 from support.synthetic import along, furnished_rooms, scan_at
 
 LOST = (10, 11)

@@ -15,7 +15,7 @@ from mavnav.errors import NoScansError, OutputError, UsageError
 from mavnav.logs import open_log
 from mavnav.logs.writing.recorder import record
 from mavnav.mapping.occupancy_grid import Grid, GridBuilder
-from mavnav.outputs.run_json import TruthErrors
+from mavnav.outputs.documents.run_json import TruthErrors
 from mavnav.pipelines.simulate import (
     SimulationRequest,
     check_outputs,

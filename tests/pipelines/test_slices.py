@@ -13,8 +13,8 @@ from PIL import Image
 
 import mavnav
 from mavnav.cli import run
-from mavnav.outputs.canvas import rgb_of
-from mavnav.outputs.map_axes import END, START
+from mavnav.outputs.pictures.canvas import rgb_of
+from mavnav.outputs.pictures.map_axes import END, START
 from mavnav.pose import transform_points
 from support.log_files import START_NS
 from support.tilted import flight, furnished, write_flight

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from mavnav.outputs.run_json import TruthErrors
+from mavnav.outputs.documents.run_json import TruthErrors
 from mavnav.pipelines.simulate import truth_errors
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import Scan

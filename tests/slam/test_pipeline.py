@@ -17,13 +17,13 @@ from mavnav.config.models import Config
 from mavnav.logs import open_log
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import Scan
-from mavnav.slam import registry
-from mavnav.slam.odometry_check import EARLY_STEPS
+from mavnav.slam.matching.scan_matching import first_match
+from mavnav.slam.matching.steps import Step, Steps
+from mavnav.slam.methods import registry
+from mavnav.slam.methods.registry import METHODS, RARE_KERNELS
 from mavnav.slam.pipeline import run_slam
-from mavnav.slam.registry import METHODS, RARE_KERNELS
 from mavnav.slam.result import SlamResult, jump_warnings
-from mavnav.slam.scan_matching import first_match
-from mavnav.slam.steps import Step, Steps
+from mavnav.slam.retries.odometry_check import EARLY_STEPS
 from support.synthetic import (
     LDS_01,
     TOUR,

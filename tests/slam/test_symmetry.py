@@ -12,9 +12,9 @@ from mavnav.config.models import Config
 from mavnav.logs import open_log
 from mavnav.pose import Pose, Trajectory, wrap_angle
 from mavnav.scan import Scan
-from mavnav.slam import robust
+from mavnav.slam.matching.scan_matching import Match, first_match
+from mavnav.slam.methods import robust
 from mavnav.slam.pipeline import run_slam
-from mavnav.slam.scan_matching import Match, first_match
 from mavnav.units import DEG
 
 NAMES = ("ccny_demo", "lego_robot4")

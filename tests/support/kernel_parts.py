@@ -6,8 +6,6 @@ is half-windows (m, rad), the cost of a squared metre, the truncation (m2), and 
 
 from __future__ import annotations
 
-from mavnav.kernels._jit import helper, kernel
-from mavnav.kernels._types import F64_1D, F64_2D, U32_2D, float64, int64, void
 from mavnav.kernels.line_search.azimuth import turn_sums as _turn_sums
 from mavnav.kernels.line_search.azimuth import turns_of
 from mavnav.kernels.line_search.cost import Lines, Middle, Window
@@ -15,7 +13,9 @@ from mavnav.kernels.line_search.cost import cost_sum as _cost_sum
 from mavnav.kernels.line_search.plane import shift_sums as _shift_sums
 from mavnav.kernels.line_search.quadratic_form import quadratic_form as _quadratic_form
 from mavnav.kernels.line_search.search import on_mapped_area as _on_mapped_area
-from mavnav.kernels.points import voxel_means as _voxel_means
+from mavnav.kernels.machine.jit import helper, kernel
+from mavnav.kernels.machine.types import F64_1D, F64_2D, U32_2D, float64, int64, void
+from mavnav.kernels.scans.points import voxel_means as _voxel_means
 
 
 @helper

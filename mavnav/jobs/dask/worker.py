@@ -14,10 +14,10 @@ from urllib.parse import urlsplit
 from msgspec import Struct
 from msgspec.structs import replace
 
-from mavnav import __version__
 from mavnav.errors import UsageError
 from mavnav.jobs import Outcome, Status, attempt, failed
 from mavnav.jobs.run_cache import source_sha256
+from mavnav.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mavnav.kernels._jit import helper
-from mavnav.kernels.lookup import line_distance2, slot_at
+from mavnav.kernels.machine.jit import helper
+from mavnav.kernels.maps.lookup import line_distance2, slot_at
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.kernels._jit import helper
-from mavnav.kernels._types import float64, int32, int64, uint64
-from mavnav.kernels.lookup import slot_of
+from mavnav.kernels.machine.jit import helper
+from mavnav.kernels.machine.types import float64, int32, int64, uint64
+from mavnav.kernels.maps.lookup import slot_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

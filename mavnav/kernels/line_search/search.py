@@ -24,13 +24,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mavnav.kernels._jit import helper, kernel
-from mavnav.kernels._types import F64_1D, F64_2D, U32_2D, Several, boolean, float64, int64, uint64
 from mavnav.kernels.line_search.azimuth import least_turn, turns_of
 from mavnav.kernels.line_search.cost import Lines, Middle, Window, mean, rotate
 from mavnav.kernels.line_search.plane import least_shift
 from mavnav.kernels.line_search.quadratic_form import least_of_form, quadratic_form
-from mavnav.kernels.lookup import closeness_of, line_distance2, slot_at, slot_of
+from mavnav.kernels.machine.jit import helper, kernel
+from mavnav.kernels.machine.types import F64_1D, F64_2D, U32_2D, Several, boolean, float64, int64, uint64
+from mavnav.kernels.maps.lookup import closeness_of, line_distance2, slot_at, slot_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.kernels._jit import helper
+from mavnav.kernels.machine.jit import helper
 from mavnav.kernels.polar_search.cost import Scan, span, to_polar
 from mavnav.kernels.polar_search.fixed_beams import (
     FIXED_SHARE,

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mavnav.kernels._jit import helper
-from mavnav.kernels._types import int64, uint64
+from mavnav.kernels.machine.jit import helper
+from mavnav.kernels.machine.types import int64, uint64
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.kernels._jit import helper
-from mavnav.kernels._types import uint64
+from mavnav.kernels.machine.jit import helper
+from mavnav.kernels.machine.types import uint64
 from mavnav.kernels.polar_search.cost import lower_ranges, span, to_polar
 
 if TYPE_CHECKING:

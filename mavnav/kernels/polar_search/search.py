@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mavnav.kernels._jit import helper, kernel
-from mavnav.kernels._types import F64_1D, F64_2D, float64, int64
+from mavnav.kernels.machine.jit import helper, kernel
+from mavnav.kernels.machine.types import F64_1D, F64_2D, float64, int64
 from mavnav.kernels.polar_search.bounds import bound
 from mavnav.kernels.polar_search.cost import Limits, Scan, evaluate, limits_of, scan_of, work_for
 from mavnav.kernels.polar_search.fixed_beams import Window

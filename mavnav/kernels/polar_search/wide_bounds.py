@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mavnav.kernels._jit import helper
-from mavnav.kernels._types import float64, int32, int64, uint64
+from mavnav.kernels.machine.jit import helper
+from mavnav.kernels.machine.types import float64, int32, int64, uint64
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -167,7 +167,7 @@ def _stamp(time_ns: int) -> int:
 def _write(source: Path, unfinished: Path, writing: _Writing, progress: Callable[[int, int], None] | None) -> None:
     from mcap.writer import CompressionType, Writer  # noqa: PLC0415
 
-    from mavnav import __version__  # noqa: PLC0415
+    from mavnav.version import __version__  # noqa: PLC0415
 
     report = writing.report
     with unfinished.open("wb") as file:

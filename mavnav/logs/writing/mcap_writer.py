@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct, field
 
-from mavnav import __version__
 from mavnav.logs.messages.definitions import definition
 from mavnav.logs.writing.mcap_stream import McapStream
+from mavnav.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt, uniform_filter
 
 from mavnav.mapping.occupancy_grid import cell_centres
-from mavnav.outputs.viewport import Window
+from mavnav.outputs.pictures.viewport import Window
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

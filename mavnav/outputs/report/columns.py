@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
-from mavnav.outputs.quantities import (
+from mavnav.outputs.documents.quantities import (
     DOUBT,
     QUANTITIES,
     Quantity,

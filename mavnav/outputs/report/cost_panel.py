@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from mavnav.arrays import median, quantile
-from mavnav.outputs.canvas import dashed, stroke
-from mavnav.outputs.plot import Axes, Line, Mark, cross, labelled, legend, ticks
+from mavnav.outputs.pictures.canvas import dashed, stroke
+from mavnav.outputs.pictures.plot import Axes, Line, Mark, cross, labelled, legend, ticks
+from mavnav.outputs.pictures.viewport import GOAL_RED, MUTED
 from mavnav.outputs.report.panels import CHART, CHART_MARGINS, FONT_PT, panel
-from mavnav.outputs.viewport import GOAL_RED, MUTED
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -11,12 +11,12 @@ from msgspec import Struct
 from PIL import Image
 
 from mavnav.config.named_files import read_json
-from mavnav.outputs import wall_table
 from mavnav.outputs.directory import RUN_FILE
-from mavnav.outputs.gridmap import read_npz
+from mavnav.outputs.files import wall_table
+from mavnav.outputs.files.gridmap import read_npz
+from mavnav.outputs.files.trajectory import ATTITUDE_COLUMNS, TRUE_WALLS_FILE
+from mavnav.outputs.pictures.viewport import wall_lines
 from mavnav.outputs.run import Truth
-from mavnav.outputs.trajectory import ATTITUDE_COLUMNS, TRUE_WALLS_FILE
-from mavnav.outputs.viewport import wall_lines
 from mavnav.pose import Trajectory
 
 if TYPE_CHECKING:

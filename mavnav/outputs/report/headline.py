@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from mavnav.outputs.quantities import (
+from mavnav.outputs.documents.quantities import (
     DOUBT,
     NAMED,
     QUANTITIES,
@@ -21,7 +21,7 @@ from mavnav.outputs.report import columns
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mavnav.outputs.quantities import Quantity
+    from mavnav.outputs.documents.quantities import Quantity
     from mavnav.outputs.report.entry import Entry
 
 QUALITY: Final = tuple(q for q in QUANTITIES if not q.cost)

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from mavnav.mapping.occupancy_grid import occupancy
-from mavnav.outputs import map_axes
-from mavnav.outputs.canvas import stroke
-from mavnav.outputs.plot import Axes, Line, Mark, circle, legend
+from mavnav.outputs.pictures import map_axes
+from mavnav.outputs.pictures.canvas import stroke
+from mavnav.outputs.pictures.plot import Axes, Line, Mark, circle, legend
+from mavnav.outputs.pictures.viewport import GOAL_RED, INK, MUTED, POSE_MAGENTA, Window, window_of
 from mavnav.outputs.report.panels import FONT_PT, MAP_MARGINS, panel
-from mavnav.outputs.viewport import GOAL_RED, INK, MUTED, POSE_MAGENTA, Window, window_of
 from mavnav.pose import Pose, transform_points
 from mavnav.units import DEG, MM
 

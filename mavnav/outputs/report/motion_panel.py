@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from mavnav.arrays import median
-from mavnav.outputs.canvas import Canvas, stroke
-from mavnav.outputs.plot import Axes, Line, labelled, ticks
+from mavnav.outputs.pictures.canvas import Canvas, stroke
+from mavnav.outputs.pictures.plot import Axes, Line, labelled, ticks
 from mavnav.outputs.report.panels import CHART, CHART_MARGINS, FONT_PT
 from mavnav.units import DEG, MM
 

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 
-from mavnav import __version__
 from mavnav.atomic_files import beside
 from mavnav.errors import OutputError
-from mavnav.outputs.facts import facts
-from mavnav.outputs.html import environment, inlined
+from mavnav.outputs.documents.facts import facts
 from mavnav.outputs.report import details, panels
 from mavnav.outputs.report.columns import Table, table
 from mavnav.outputs.report.entry import Entry, Failure, load
 from mavnav.outputs.report.headline import headline
+from mavnav.outputs.report.html import environment, inlined
 from mavnav.outputs.report.pictures import Pictures, draw
+from mavnav.version import __version__
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Final
 
 from PIL import Image
 
-from mavnav.outputs.canvas import Canvas
-from mavnav.outputs.plot import Axes
+from mavnav.outputs.pictures.canvas import Canvas
+from mavnav.outputs.pictures.plot import Axes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mavnav.outputs.canvas import Box
+    from mavnav.outputs.pictures.canvas import Box
 
 COLOURS: Final = 256
 """Number of colors of a PNG file: a palette reduces its size to a third, and the octree method keeps rare colors, those

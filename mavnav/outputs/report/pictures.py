@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
-from mavnav.outputs.map_axes import top_of_scale
-from mavnav.outputs.quantities import why_not_meaningful
+from mavnav.outputs.documents.quantities import why_not_meaningful
+from mavnav.outputs.pictures.map_axes import top_of_scale
+from mavnav.outputs.pictures.viewport import Window
 from mavnav.outputs.report.closeups import MIN_SIDE_M, differing_places
 from mavnav.outputs.report.cost_panel import caption, cost_panels
 from mavnav.outputs.report.map_panel import (
@@ -22,7 +23,6 @@ from mavnav.outputs.report.map_panel import (
 from mavnav.outputs.report.motion_panel import motion_panel
 from mavnav.outputs.report.panels import sheet, stacked
 from mavnav.outputs.report.thickness_panel import thickness_panels
-from mavnav.outputs.viewport import Window
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from mavnav.outputs.canvas import stroke
-from mavnav.outputs.plot import Line, labelled, ticks
-from mavnav.outputs.quantities import number
+from mavnav.outputs.documents.quantities import number
+from mavnav.outputs.pictures.canvas import stroke
+from mavnav.outputs.pictures.plot import Line, labelled, ticks
+from mavnav.outputs.pictures.wall_picture import BAR_COLOUR, P95_COLOUR
 from mavnav.outputs.report.panels import CHART, chart
-from mavnav.outputs.wall_picture import BAR_COLOUR, P95_COLOUR
 from mavnav.units import MM
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from PIL.Image import Image
 
-    from mavnav.outputs.plot import Axes
+    from mavnav.outputs.pictures.plot import Axes
     from mavnav.outputs.report.entry import Entry
 
 P95: Final = Line(P95_COLOUR, "", partial(stroke, width_pt=1.6))

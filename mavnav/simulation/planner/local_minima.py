@@ -9,7 +9,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from mavnav.kernels import potential
+from mavnav.kernels.planning import potential
 from mavnav.pose import wrap_angle
 from mavnav.simulation.planner.shortest_path import aim_on_shortest_path
 from mavnav.units import MM

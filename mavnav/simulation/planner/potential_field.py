@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from mavnav.kernels import potential
+from mavnav.kernels.planning import potential
 from mavnav.pose import wrap_angle
 from mavnav.simulation.planner.local_minima import TECHNIQUES, Memory, Scene
 from mavnav.units import DEG, MM

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.kernels import wavefront
+from mavnav.kernels.planning import wavefront
 from mavnav.units import MM
 
 if TYPE_CHECKING:

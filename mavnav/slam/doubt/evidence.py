@@ -13,7 +13,7 @@ from msgspec.structs import replace
 
 from mavnav.slam.doubt.second_motion import second_motion
 from mavnav.slam.loop_closure.remap import points_of
-from mavnav.slam.resampled_track import COARSER
+from mavnav.slam.retries.resampled_track import COARSER
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.scan import Scan
-    from mavnav.slam.method import Refiner
+    from mavnav.slam.methods.method import Refiner
     from mavnav.slam.track import LogScans, Track
 
     Floats = NDArray[np.float64]

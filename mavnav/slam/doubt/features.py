@@ -9,8 +9,8 @@ import numpy as np
 from mavnav.arrays import quantile
 from mavnav.pose import motions
 from mavnav.slam.doubt.evidence import turns_rad, wrapped
-from mavnav.slam.doubt.record import NOT_PLANAR, SECOND_MOTION
 from mavnav.slam.doubt.second_motion import LEAST_AGREEING
+from mavnav.slam.findings import NOT_PLANAR, SECOND_MOTION
 from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:

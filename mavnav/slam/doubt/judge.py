@@ -11,7 +11,7 @@ from mavnav.slam.doubt.evidence import evidence_of, with_resampled_track
 from mavnav.slam.doubt.model import doubt_of
 
 if TYPE_CHECKING:
-    from mavnav.slam.method import Refiner
+    from mavnav.slam.methods.method import Refiner
     from mavnav.slam.track import Track
 
 WORTH_A_TRACK = 0.1

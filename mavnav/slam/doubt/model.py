@@ -9,7 +9,7 @@ import numpy as np
 
 from mavnav.slam.doubt.coefficients import ONE_TRACK, TWO_TRACKS
 from mavnav.slam.doubt.features import DISAGREEMENT, FEATURES
-from mavnav.slam.doubt.record import Doubt, Reason
+from mavnav.slam.findings import Doubt, Reason
 from mavnav.units import NS
 
 if TYPE_CHECKING:

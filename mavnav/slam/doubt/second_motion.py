@@ -13,18 +13,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.arrays import distinct
-from mavnav.kernels.correlative_search import pose_costs
-from mavnav.kernels.points import extent
+from mavnav.kernels.scans.correlative_search import pose_costs
+from mavnav.kernels.scans.points import extent
 from mavnav.mapping.line_map import LineMap
 from mavnav.pose import Pose
-from mavnav.slam.redraw import motions_along
-from mavnav.slam.steps import tracked_trajectory
+from mavnav.slam.matching.motion_model import motions_along
+from mavnav.slam.matching.steps import tracked_trajectory
 from mavnav.units import MM, NS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.slam.method import Refiner
+    from mavnav.slam.methods.method import Refiner
     from mavnav.slam.track import Track
 
     Floats = NDArray[np.float64]

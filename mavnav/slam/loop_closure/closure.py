@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.slam.loop_closure.key_frames import KeyFrame
-    from mavnav.slam.scan_matching import Match
+    from mavnav.slam.matching.scan_matching import Match
 
 SIGMA_M, SIGMA_RAD = 0.03, 0.5 * DEG
 """Standard deviations of a closure."""

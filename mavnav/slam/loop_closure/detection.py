@@ -11,17 +11,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from msgspec import Struct
 from msgspec.structs import replace
 
 from mavnav.pose import Pose, Trajectory, blend
 from mavnav.profiling import timed
+from mavnav.slam.findings import Edge, Graph, Loop, Loops
 from mavnav.slam.loop_closure.closure import Closure, agreeing, is_small
 from mavnav.slam.loop_closure.drift import Paths, drift_bound
 from mavnav.slam.loop_closure.key_frames import KeyFrame, Part, Visibility, key_rows
 from mavnav.slam.loop_closure.matching import find_closure
 from mavnav.slam.loop_closure.path_edges import path_edges
-from mavnav.slam.loop_closure.pose_graph import Edge, optimized
+from mavnav.slam.loop_closure.pose_graph import optimized
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -53,43 +53,6 @@ SMALL_SHARE, FAR_OFF = 0.95, 3.0
 
 ROUNDS = 3
 """Maximum number of rounds: a closed loop can bring other closures within the bounds."""
-
-
-class Loop(Struct, frozen=True):
-    """A closed loop: the scan of row ``end`` of the trajectory lies at ``start_T_end`` from that of row ``start``.
-
-    ``correction`` is the corrected pose of the later scan in its tracked frame, without the direction that is not
-    observable. ``inliers`` is the share of its points that agree.
-    """
-
-    start: int
-    end: int
-    start_T_end: Pose
-    correction: Pose
-    inliers: float
-
-
-class Graph(Struct, frozen=True):
-    """The pose graph of a track: the rows of the key frames in the trajectory, and the edges between key frames."""
-
-    rows: tuple[int, ...]
-    edges: tuple[Edge, ...]
-
-
-class Loops(Struct, frozen=True):
-    """The closed loops, the number of refused candidates, and the corrected poses.
-
-    ``map_T_laser`` is None if the track does not change, ``graph`` is None if no loop was searched.
-    """
-
-    closed: tuple[Loop, ...] = ()
-    refused: int = 0
-    map_T_laser: Trajectory | None = None
-    graph: Graph | None = None
-
-    def dropped(self) -> Loops:
-        """Return the loops with every one refused."""
-        return Loops(refused=self.refused + len(self.closed), graph=self.graph)
 
 
 @timed("loops")

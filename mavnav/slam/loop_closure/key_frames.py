@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.arrays import distinct
-from mavnav.kernels.points import extent
+from mavnav.kernels.scans.points import extent
 from mavnav.mapping.line_map import LineMap
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose, transform_points, wrap_angle

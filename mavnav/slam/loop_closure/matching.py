@@ -11,7 +11,7 @@ from mavnav.pose import wrap_angle
 from mavnav.slam.loop_closure.closure import Closure
 from mavnav.slam.loop_closure.drift import DRIFT_RAD
 from mavnav.slam.loop_closure.key_frames import Part
-from mavnav.slam.relocalization import (
+from mavnav.slam.matching.relocalization import (
     apart,
     around,
     candidates,
@@ -21,7 +21,7 @@ from mavnav.slam.relocalization import (
     unobservable_direction,
     with_conflicts,
 )
-from mavnav.slam.scan_matching import Schedule, search_lines
+from mavnav.slam.matching.scan_matching import Schedule, search_lines
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from mavnav.config.models import Config
     from mavnav.slam.loop_closure.key_frames import KeyFrame, Visibility
-    from mavnav.slam.scan_matching import Match
+    from mavnav.slam.matching.scan_matching import Match
 
 LEAST_INLIERS, LEAST_WEAK_INLIERS = 0.5, 0.7
 """Minimum share of inliers of a closure, and of a weak one; the other points may lie on new area."""

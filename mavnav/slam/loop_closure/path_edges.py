@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from mavnav.pose import motions
-from mavnav.slam.loop_closure.pose_graph import Edge
-from mavnav.slam.relocalization import ACCELERATION_M_S2, SLACK_M
+from mavnav.slam.findings import Edge
+from mavnav.slam.matching.relocalization import ACCELERATION_M_S2, SLACK_M
 from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:

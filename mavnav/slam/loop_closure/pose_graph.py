@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from msgspec import Struct
 
 from mavnav.pose import Pose, wrap_angle
 
@@ -20,24 +19,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from scipy.sparse import csr_matrix
 
+    from mavnav.slam.findings import Edge
+
 OUTLIER_SIGMAS = 3.0
 """Error above which the loss is linear instead of quadratic, so that one wrong edge cannot distort the rest."""
 
 MAX_ITERATIONS = 50
 SMALL_STEP = 1e-6  # m, rad
-
-
-class Edge(Struct, frozen=True):
-    """Pose ``end`` was measured from pose ``start`` (numbers of poses).
-
-    ``sqrt_information`` (3, 3) is the square root of the information matrix of x, y (m) and yaw (rad) in the frame of
-    ``start``: a diagonal of inverse standard deviations, or a row of zeros for an unconstrained direction.
-    """
-
-    start: int
-    end: int
-    start_T_end: Pose
-    sqrt_information: NDArray[np.float64]
 
 
 def root_information(sigma_m: float, sigma_rad: float) -> NDArray[np.float64]:

@@ -9,9 +9,9 @@ import numpy as np
 from msgspec.structs import replace
 
 from mavnav.slam.loop_closure.detection import find_loops
-from mavnav.slam.registry import make_method
-from mavnav.slam.scan_matching import no_match
-from mavnav.slam.steps import Steps, tracked_trajectory
+from mavnav.slam.matching.scan_matching import no_match
+from mavnav.slam.matching.steps import Steps, tracked_trajectory
+from mavnav.slam.methods.registry import make_method
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
     from mavnav.pose import Pose, Trajectory
     from mavnav.scan import Scan
-    from mavnav.slam.method import Method, Refiner
-    from mavnav.slam.motion_model import Motion
-    from mavnav.slam.steps import Step
+    from mavnav.slam.matching.motion_model import Motion
+    from mavnav.slam.matching.steps import Step
+    from mavnav.slam.methods.method import Method, Refiner
     from mavnav.slam.track import LogScans, Track
 
 

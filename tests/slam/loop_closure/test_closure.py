@@ -12,8 +12,8 @@ from mavnav.pose import Pose
 from mavnav.slam.loop_closure.closure import SIGMA_M, SIGMA_RAD, Closure, agree, agreeing
 from mavnav.slam.loop_closure.key_frames import KeyFrame, Part
 from mavnav.slam.loop_closure.matching import LEAST_GROWTH
-from mavnav.slam.relocalization import unobservable_direction
-from mavnav.slam.scan_matching import first_match
+from mavnav.slam.matching.relocalization import unobservable_direction
+from mavnav.slam.matching.scan_matching import first_match
 from support.synthetic import DEG, LDS_01, Segments, polyline, scan_at
 
 KEYS = [KeyFrame(k, path_m, np.zeros((0, 2)), Pose()) for k, path_m in enumerate((0.0, 30.0))]

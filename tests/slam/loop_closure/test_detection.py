@@ -13,15 +13,16 @@ from msgspec import Struct
 from mavnav.config.models import Config
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import LaserSpec, Scan
+from mavnav.slam.findings import Loop, Loops
 from mavnav.slam.loop_closure import remap
-from mavnav.slam.loop_closure.detection import LOOP_M, Loop, Loops, find_loops
+from mavnav.slam.loop_closure.detection import LOOP_M, find_loops
 from mavnav.slam.loop_closure.drift import drift_bound
 from mavnav.slam.loop_closure.key_frames import KeyFrame, Visibility, key_rows
-from mavnav.slam.motion_model import Motion
+from mavnav.slam.matching.motion_model import Motion
+from mavnav.slam.matching.scan_matching import first_match
+from mavnav.slam.matching.steps import Step, Steps
+from mavnav.slam.methods.robust import Robust
 from mavnav.slam.pipeline import finish
-from mavnav.slam.robust import Robust
-from mavnav.slam.scan_matching import first_match
-from mavnav.slam.steps import Step, Steps
 from mavnav.slam.track import Track
 from support.matches import voxel_means
 from support.synthetic import DEG, Segments, along, box, polyline, scan_at

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mavnav.pose import Pose, Trajectory
+from mavnav.slam.findings import Edge
 from mavnav.slam.loop_closure.key_frames import KeyFrame
 from mavnav.slam.loop_closure.path_edges import (
     OBSERVABLE,
@@ -15,7 +16,7 @@ from mavnav.slam.loop_closure.path_edges import (
     path_edges,
     weakest_translation,
 )
-from mavnav.slam.loop_closure.pose_graph import Edge, optimized
+from mavnav.slam.loop_closure.pose_graph import optimized
 from mavnav.units import DEG
 
 PERIOD_NS, STEP_M, EVERY = 100_000_000, 0.08, 4

@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavnav.pose import Pose, blend
-from mavnav.slam.loop_closure.pose_graph import OUTLIER_SIGMAS, Edge, _Graph, optimized
+from mavnav.slam.findings import Edge
+from mavnav.slam.loop_closure.pose_graph import OUTLIER_SIGMAS, _Graph, optimized
 
 RING = [Pose(2 * cos(a), 2 * sin(a), a + pi / 2) for a in np.linspace(0, 2 * pi, 25)[:-1]]
 

@@ -1,0 +1,152 @@
+"""The disk cache of machine code: one file per kernel, named by the hash of its sources, with a checksum.
+
+It is in ``MAVNAV_CACHE_DIR``, else ``NUMBA_CACHE_DIR``, else the user's cache directory. If that cannot be written, new
+entries go to a private temporary directory, which child processes share and which is removed at the end; a cache that
+can only be read is still used.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import re
+import shutil
+import sys
+from contextlib import suppress
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+from typing import Final, cast
+
+_IMPORT = re.compile(rb"\nfrom ([\w.]+) import ")  # an eighth of the time that ^ takes
+
+PRIVATE: Final = "MAVNAV_PRIVATE_CACHE_DIR"
+"""Environment variable with the private directory, for child processes."""
+
+VERSIONS_KEPT = 4
+"""Number of versions of a kernel's code that stay on disk when its source changes."""
+
+_DIGEST_BYTES = 32
+
+
+def user_directory() -> Path:
+    """Return the directory of the machine code, which may not exist; relative only without a home directory."""
+    for variable in ("MAVNAV_CACHE_DIR", "NUMBA_CACHE_DIR"):
+        if named := os.environ.get(variable):
+            return Path(named).absolute()
+    if sys.platform == "win32":
+        base = os.environ.get("LOCALAPPDATA") or "~/AppData/Local"
+    else:
+        base = "~/Library/Caches" if sys.platform == "darwin" else os.environ.get("XDG_CACHE_HOME") or "~/.cache"
+    return Path(os.path.expanduser(base)) / "mavnav"  # noqa: PTH111  Path's own raises where there is no home
+
+
+def share_private_directory(key: str) -> None:
+    """Create the private directory if the user's cannot be written, for this process and its children."""
+    if not is_kept(key):
+        _private_directory()
+
+
+def is_kept(key: str) -> bool:
+    """Return whether the user's directory can be written, so that new entries outlast the process."""
+    from tempfile import TemporaryFile  # noqa: PLC0415  runs with all kernels on disk do without
+
+    folder = user_directory() / key
+    with suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True)
+        TemporaryFile(dir=folder).close()
+        return True
+    return False
+
+
+def _private_directory() -> Path:
+    """Return the private directory; the first process that needs it creates it and removes it at exit."""
+    from tempfile import mkdtemp  # noqa: PLC0415
+
+    if not os.environ.get(PRIVATE):
+        os.environ[PRIVATE] = made = mkdtemp(prefix="mavnav-")
+        atexit.register(_remove, made, os.getpid())
+    return Path(os.environ[PRIVATE])
+
+
+def _remove(folder: str, owner: int) -> None:
+    if os.getpid() == owner:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def read_code(key: str, name: str) -> memoryview | None:
+    """Return the content of an entry; None if there is none with a valid checksum."""
+    private = os.environ.get(PRIVATE)
+    for folder in (user_directory(), *([Path(private)] if private else [])):
+        with suppress(OSError):
+            content = memoryview((folder / key / name).read_bytes())  # whose slices are not copied
+            if sha256(content[_DIGEST_BYTES:]).digest() == content[:_DIGEST_BYTES]:
+                return content[_DIGEST_BYTES:]
+    return None
+
+
+def write_code(key: str, name: str, code: bytes) -> None:
+    """Store an entry, if any disk allows it. Files appear complete, because two processes may write one."""
+    content = sha256(code).digest() + code
+    with suppress(OSError):
+        _write(user_directory() / key, name, content)
+        return
+    with suppress(OSError):
+        _write(_private_directory() / key, name, content)
+
+
+def _write(folder: Path, name: str, content: bytes) -> None:
+    from tempfile import NamedTemporaryFile  # noqa: PLC0415
+
+    folder.mkdir(parents=True, exist_ok=True)
+    file = NamedTemporaryFile(dir=folder, prefix=".", delete=False)  # noqa: SIM115  it is renamed below
+    try:
+        with file:
+            file.write(content)
+        mask = os.umask(0)
+        os.umask(mask)
+        Path(file.name).chmod(0o666 & ~mask)
+        Path(file.name).replace(folder / name)
+    except OSError:
+        Path(file.name).unlink(missing_ok=True)
+        raise
+    _forget_old(folder, name.rpartition("-")[0])
+
+
+def _forget_old(folder: Path, kernel: str) -> None:
+    """Remove the oldest versions of a kernel's code."""
+    with suppress(OSError):
+        by_age = sorted(folder.glob(f"{kernel}-*"), key=lambda path: path.stat().st_mtime)
+        for path in by_age[:-VERSIONS_KEPT]:
+            path.unlink()
+
+
+def source_stamp(module: str) -> bytes:
+    """Return the hash of a module's source and of the modules it imports, at any depth, of its package and of this one.
+
+    Imports must have the form ``from package.module import name`` at the start of a line; the modules must be loaded.
+    The sources of what compiles and lays out machine code, which is imported only then, are included.
+    """
+    packages = {name.partition(".")[0].encode() for name in (module, __name__)}
+    digests: dict[str, bytes] = {}
+    left = [module]
+    while left:
+        name = left.pop()
+        if name not in digests:
+            digests[name], imported = _source(name)
+            left += [other.decode() for other in imported if other.split(b".")[0] in packages]
+    return sha256(_compilers() + b"".join(name.encode() + digests[name] for name in sorted(digests))).digest()
+
+
+@cache
+def _compilers() -> bytes:
+    """Return the hash of the sources of the compiler."""
+    names = ("compiler.py", "object_file.py")
+    return sha256(b"".join(Path(__file__).with_name(name).read_bytes() for name in names)).digest()
+
+
+@cache
+def _source(module: str) -> tuple[bytes, list[bytes]]:
+    """Return the hash of a loaded module's source, and the names of the modules that it imports from."""
+    source = Path(cast("str", sys.modules[module].__file__)).read_bytes()
+    return sha256(source).digest(), _IMPORT.findall(b"\n" + source)

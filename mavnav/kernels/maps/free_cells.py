@@ -1,0 +1,33 @@
+"""Free positions of a map, on a coarser lattice."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavnav.kernels.machine.jit import kernel
+from mavnav.kernels.machine.types import I64_1D, U16_2D, U16_3D, uint8
+from mavnav.kernels.maps.layout import SHIFT, WIDE
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+@kernel(uint8[:, ::1](U16_3D, U16_2D, I64_1D, I64_1D))
+def free_positions(
+    hits: NDArray[np.uint16], passes: NDArray[np.uint16], rows: NDArray[np.int64], cols: NDArray[np.int64]
+) -> NDArray[np.uint8]:
+    """Return which positions of a lattice have a free cell: one that more beams crossed than ended in.
+
+    ``rows`` and ``cols``, ascending from 0, are the lattice row of each row of cells, and the same for columns.
+    """
+    free = np.zeros((rows[-1] + 1, cols[-1] + 1), np.uint8)
+    for row in range(len(rows)):
+        out = free[rows[row]]
+        for strip in range(len(hits)):
+            ended, crossed = hits[strip, row], passes[row, strip << SHIFT : (strip + 1) << SHIFT]
+            for k in range(min(WIDE, len(cols) - (strip << SHIFT))):
+                if crossed[k] > ended[k]:
+                    out[cols[(strip << SHIFT) + k]] = uint8(1)
+    return free

@@ -1,0 +1,128 @@
+"""The cost of a scan at every one of many poses: correlative search (Olson 2009; docs/method.md)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavnav.kernels.machine.jit import helper, kernel
+from mavnav.kernels.machine.types import F64_1D, F64_2D, U32_2D, float64, int32, int64
+from mavnav.kernels.maps.lookup import line_distance2, slot_of
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+BLOCK = 1024  # positions at a time: their data stay in the processor's cache
+
+
+@helper
+def pose_cost(
+    points: NDArray[np.float64],
+    xy_map_m: NDArray[np.float64],
+    yaw_rad: float,
+    truncate_m: float,
+    nearest: NDArray[np.uint32],
+    lines: NDArray[np.float64],
+    geometry: NDArray[np.float64],
+) -> float:
+    """Return the cost of ``pose_costs`` at one pose, bit for bit."""
+    (rows, cols), (x, y) = nearest.shape, xy_map_m
+    ox, oy, cell_m, _, _, _ = geometry
+    inverse, truncate_m2, total = 1.0 / cell_m, truncate_m * truncate_m, 0.0
+    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+    for k in range(len(points)):
+        kx, ky = c * points[k, 0] - s * points[k, 1], s * points[k, 0] + c * points[k, 1]
+        fx, fy = (kx + x - ox) * inverse, (ky + y - oy) * inverse
+        d2 = truncate_m2
+        if (fx >= 0.0) & (fy >= 0.0) & (fx < cols) & (fy < rows):
+            slot = int64(slot_of(nearest[int32(fy), int32(fx)]))
+            if slot > 0:
+                d2 = line_distance2(kx + x, ky + y, truncate_m2, slot, lines)
+        total += d2
+    return total / len(points)
+
+
+@kernel(float64[:, ::1](F64_2D, F64_2D, F64_1D, float64, U32_2D, F64_2D, F64_1D))
+def pose_costs(
+    points: NDArray[np.float64],
+    xy_map_m: NDArray[np.float64],
+    yaws_rad: NDArray[np.float64],
+    truncate_m: float,
+    nearest: NDArray[np.uint32],
+    lines: NDArray[np.float64],
+    geometry: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return the mean truncated squared distance to the map's lines, m2, for all yaws (q) and positions (p): (q, p).
+
+    ``points`` (n, 2) are in the laser frame, m; the map's arrays are described in ``linemap``. Most cells have no wall
+    near. So the cells of one point are first computed for a block of positions, in SIMD lanes, and then read.
+    """
+    (rows, cols), n, m = nearest.shape, len(points), len(xy_map_m)
+    ox, oy, cell_m, _, _, _ = geometry
+    inverse, truncate_m2 = 1.0 / cell_m, truncate_m * truncate_m
+    out, x, y = np.zeros((len(yaws_rad), m)), np.empty(BLOCK), np.empty(BLOCK)
+    row, col = np.empty(BLOCK, np.int32), np.empty(BLOCK, np.int32)
+    for first in range(0, m, BLOCK):
+        some = min(BLOCK, m - first)
+        for p in range(some):
+            x[p], y[p] = xy_map_m[first + p, 0], xy_map_m[first + p, 1]
+        for q in range(len(yaws_rad)):
+            c, s, sums = np.cos(yaws_rad[q]), np.sin(yaws_rad[q]), out[q, first : first + some]
+            for k in range(n):
+                kx, ky = c * points[k, 0] - s * points[k, 1], s * points[k, 0] + c * points[k, 1]
+                for p in range(some):
+                    fx, fy = (kx + x[p] - ox) * inverse, (ky + y[p] - oy) * inverse
+                    inside = (fx >= 0.0) & (fy >= 0.0) & (fx < cols) & (fy < rows)
+                    row[p], col[p] = int32(fy) if inside else int32(-1), int32(fx) if inside else int32(0)
+                for p in range(some):
+                    d2 = truncate_m2
+                    slot = int64(slot_of(nearest[row[p], col[p]])) if row[p] >= 0 else 0
+                    if slot > 0:
+                        d2 = line_distance2(kx + x[p], ky + y[p], truncate_m2, slot, lines)
+                    sums[p] += d2
+            for p in range(some):
+                sums[p] /= n
+    return out
+
+
+@helper
+def is_same(moved_m: tuple[float, float], turned_rad: float, separate: NDArray[np.float64]) -> bool:
+    """Return whether two poses are the same minimum: both distance and rotation are below ``separate`` (m, rad)."""
+    turn = abs((turned_rad + np.pi) % (2 * np.pi) - np.pi)
+    return bool(turn < separate[1] and np.hypot(moved_m[0], moved_m[1]) < separate[0])
+
+
+@kernel(float64[:, ::1](float64[:, ::1], F64_2D, F64_1D, F64_1D, int64))
+def separate_minima(
+    costs_m2: NDArray[np.float64],
+    xy_map_m: NDArray[np.float64],
+    yaws_rad: NDArray[np.float64],
+    separate: NDArray[np.float64],
+    most: int,
+) -> NDArray[np.float64]:
+    """Return the ``most`` lowest separate minima of ``pose_costs``: cost (m2), index of yaw and of position, (m, 3).
+
+    Each is the lowest of the finite costs that is not the same minimum as one before it, by ``separate`` (m, rad); of
+    equal costs the first. The costs around them are overwritten.
+    """
+    (yaws, positions), found, n = costs_m2.shape, np.empty((most, 3)), 0
+    while n < most:
+        best, at_q, at_p = np.inf, 0, 0
+        for q in range(yaws):
+            for p in range(positions):
+                if costs_m2[q, p] < best:
+                    best, at_q, at_p = costs_m2[q, p], q, p
+        if best == np.inf:
+            break
+        found[n, 0], found[n, 1], found[n, 2] = best, at_q, at_p
+        n += 1
+        for q in range(yaws):
+            turned_rad = yaws_rad[q] - yaws_rad[at_q]
+            if not is_same((0.0, 0.0), turned_rad, separate):
+                continue
+            for p in range(positions):
+                moved_m = xy_map_m[p, 0] - xy_map_m[at_p, 0], xy_map_m[p, 1] - xy_map_m[at_p, 1]
+                if is_same(moved_m, 0.0, separate):
+                    costs_m2[q, p] = np.inf
+    return found[:n].copy()

@@ -1,0 +1,187 @@
+"""The quantities by which runs are compared: how they are written, and which run is best."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct
+
+from mavnav.errors import ExitCode, UsageError
+from mavnav.metrics.gates import find
+from mavnav.outputs.documents.schema import described
+from mavnav.slam.findings import HIGH
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    Run = Mapping[str, Any]
+
+LEAST_MAPPED_SHARE: Final = 0.5
+"""Where a run does not say itself whether its map means anything, it does not with fewer of the scans on it."""
+
+
+class Quantity(Struct, frozen=True):
+    """A number of run.json by its name there; title, description, unit and direction are those of the schema.
+
+    It is written times ``factor`` with so many ``digits``, in ``shown_unit`` if that is another; what reads the same
+    counts as the same. ``per_cell`` marks what depends on the cell size of the map, and cannot be compared between
+    maps of different cells. Differences up to the share ``noise`` are none. A ``cost`` is no virtue of the map; what
+    is not ``ranked`` differs from one run to the next, and no run is the best by it. ``otherwise`` is a second name,
+    of runs that do not have the first.
+    """
+
+    name: str
+    digits: int
+    factor: float = 1.0
+    shown_unit: str | None = None
+    per_cell: bool = False
+    noise: float = 0.0
+    cost: bool = False
+    ranked: bool = True
+    otherwise: str = ""
+
+    @property
+    def title(self) -> str:
+        """The heading of its column."""
+        return str(described(self.name)["title"])
+
+    @property
+    def unit(self) -> str:
+        """The unit it is written in; empty for a count or a ratio."""
+        unit = str(described(self.name).get("unit", "1")) if self.shown_unit is None else self.shown_unit
+        return "" if unit == "1" else unit
+
+    @property
+    def better(self) -> int:
+        """-1 where less is better, +1 where more is, 0 where neither."""
+        return {"lower": -1, "higher": 1}.get(described(self.name).get("better", ""), 0)
+
+    @property
+    def about(self) -> str:
+        """What it is."""
+        return str(described(self.name)["description"])
+
+    @property
+    def head(self) -> str:
+        """The title with the unit."""
+        return f"{self.title} {self.unit}".rstrip()
+
+    def of(self, run: Run | None) -> float | None:
+        """Return the number of a run in the unit it is written in, None where there is none."""
+        found = number(run, self.name)
+        if found is None and self.otherwise:
+            found = number(run, self.otherwise)
+        return None if found is None else float(found) * self.factor
+
+    def same(self, a: float, b: float) -> bool:
+        """Return whether two values, in the unit they are written in, do not differ by more than the noise."""
+        a, b = round(a, self.digits), round(b, self.digits)
+        return abs(a - b) <= self.noise * min(abs(a), abs(b))
+
+    def shown(self, run: Run | None) -> str:
+        """Write the number of a run, or a dash where there is none."""
+        value = self.of(run)
+        return "-" if value is None else f"{value:.{self.digits}f}"
+
+
+QUANTITIES: Final = (
+    Quantity("map.accepted_share", 1, 100.0, "%"),
+    Quantity("wall_thickness.spread.median_mm", 0, per_cell=True, noise=0.05),
+    Quantity("wall_thickness.spread.p95_mm", 0, per_cell=True, noise=0.05),
+    Quantity("wall_thickness.paper_cells.max", 1, per_cell=True, noise=0.05),
+    Quantity("map_quality.ghost_walls.length_m", 1),
+    Quantity("map_quality.crispness.occupied_cells_per_m", 1, shown_unit="", per_cell=True, noise=0.02),
+    Quantity("map_quality.crispness.entropy_bits", 3, per_cell=True, noise=0.02),
+    Quantity("map_quality.revisits.nn_l_mm", 1, noise=0.02),
+    Quantity("reference.ate.rmse_m", 0, 1e3, "mm", noise=0.05, otherwise="truth.ate_rmse_m"),
+    Quantity("reference.map_distance.mean_mm", 0, noise=0.05),
+    Quantity("search.evaluations_per_scan.mean", 0, cost=True),
+    Quantity("timing.cpu_s", 2, cost=True, ranked=False),
+)
+"""The columns of a comparison."""
+
+DOUBT: Final = Quantity("tracking.doubt.probability", 2, ranked=False)
+PATH: Final = Quantity("tracking.path_length_m", 1)
+TIME: Final = Quantity("timing.wall_s", 1, cost=True)
+"""Quantities that are reported, but not compared."""
+
+NAMED: Final = {quantity.name: quantity for quantity in QUANTITIES}
+
+
+def number(run: Run | None, name: str) -> float | None:
+    """Return a number of run.json, None where there is no such number."""
+    try:
+        return None if run is None else find(run, name)
+    except UsageError:
+        return None
+
+
+def why_not_meaningful(run: Run) -> str:
+    """Say why the map of a run is not to be compared with others; empty where it is."""
+    quality = run.get("map_quality")
+    if quality:
+        return "" if quality.get("meaningful") else "; ".join(map(str, quality.get("why") or ["no usable map"]))
+    if run.get("exit_code") == ExitCode.TRACKING_LOST or number(run, "tracking.lost"):
+        return "the track was lost for good"
+    share = number(run, "map.accepted_share") or 0.0
+    return "" if share >= LEAST_MAPPED_SHARE else f"only {100 * share:.0f} % of the scans were accepted"
+
+
+def probably_wrong(run: Run) -> bool:
+    """Return whether the track of a run is marked as doubtful."""
+    return (DOUBT.of(run) or 0.0) > HIGH
+
+
+def comparable(quantity: Quantity, runs: Sequence[Run | None]) -> bool:
+    """Return whether a quantity of these runs may be compared: what is ``per_cell``, only if all have one cell size."""
+    return not quantity.per_cell or len(set(map(_cell_mm, runs))) == 1
+
+
+def winners(quantity: Quantity, runs: Sequence[Run | None]) -> list[int]:
+    """Return which runs are best by a quantity, up to differences that do not count.
+
+    Only meaningful maps compete, at least two; where it is ``per_cell``, those of each cell size among themselves.
+    Nobody is best where all are equal.
+    """
+    groups: dict[float, dict[int, float]] = {}
+    for k, value in competing(quantity, runs).items():
+        groups.setdefault(_cell_mm(runs[k]) if quantity.per_cell else 0.0, {})[k] = value
+    return sorted(k for group in groups.values() for k in _best(quantity, group))
+
+
+def competing(quantity: Quantity, runs: Sequence[Run | None]) -> dict[int, float]:
+    """Return the rounded values of the runs that are ranked by a quantity, by their index: those of meaningful maps."""
+    known = {k: quantity.of(run) for k, run in enumerate(runs) if run is not None and not why_not_meaningful(run)}
+    found = {k: round(value, quantity.digits) for k, value in known.items() if value is not None}
+    return found if quantity.ranked else {}
+
+
+def _best(quantity: Quantity, found: dict[int, float]) -> list[int]:
+    top = max(found.values(), key=lambda value: quantity.better * value)
+    best = [k for k, value in found.items() if quantity.same(value, top)]
+    return best if len(best) < len(found) else []
+
+
+def by_cell_mm(runs: Iterable[Run | None]) -> dict[float, list[int]]:
+    """Return the indices of the meaningful maps by their cell size in mm, the largest first."""
+    found: dict[float, list[int]] = {}
+    for k, run in enumerate(runs):
+        if run is not None and not why_not_meaningful(run):
+            found.setdefault(_cell_mm(run), []).append(k)
+    return dict(sorted(found.items(), reverse=True))
+
+
+def not_compared(runs: Iterable[Run | None]) -> str:
+    """Say that the cell sizes of the maps differ, and what is therefore not compared; empty where they do not."""
+    groups = by_cell_mm(runs)
+    if len(groups) < 2:
+        return ""
+    some = max(map(len, groups.values())) > 1
+    how = "compared only among maps of the same cell size" if some else "not compared"
+    sizes = [f"{cell_mm:g}" for cell_mm in groups]
+    because = f"the cell sizes differ ({', '.join(sizes[:-1])} and {sizes[-1]} mm)"
+    return f"wall thickness and crispness are {how}, because {because}"
+
+
+def _cell_mm(run: Run | None) -> float:
+    return float(number(run, "map.cell_mm") or 0.0)

@@ -1,0 +1,354 @@
+"""The model of run.json: its sections and keys in their order, each number with its description.
+
+A new key is a field here, or in the record of its section in `mavnav.metrics`. JSON Schema, names of gates, titles and
+units follow from the fields (`mavnav.outputs.documents.schema`). A field of `absent` is a key that not every run has.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Final
+
+from msgspec import Struct, field
+
+from mavnav.config.models import Config, MethodName
+from mavnav.logs import Damage
+from mavnav.metrics.fields import Measured, absent, number, text
+from mavnav.metrics.map_quality import MapQuality
+from mavnav.metrics.reference import Reference
+from mavnav.metrics.wall_report import WallThicknessReport
+from mavnav.outputs.documents.continued_section import Continued
+from mavnav.outputs.documents.slices_section import AttitudeSource, MapSlice
+from mavnav.outputs.documents.tracking_section import Tracking
+
+
+class LaserPose(Struct, frozen=True):
+    """The pose of the laser on the robot's base."""
+
+    x_m: Annotated[float, number("forward")]
+    y_m: Annotated[float, number("to the left")]
+    yaw_rad: Annotated[float, number("counter-clockwise")]
+
+
+class OdometrySource(Struct, frozen=True):
+    """The odometry of the log: its topic, and whether it is of odometry messages or of transforms."""
+
+    topic: Annotated[str, text("topic of the odometry")]
+    source: Annotated[str, text("odom: odometry messages; tf: transforms")]
+
+
+class ImuSource(Struct, frozen=True):
+    """The inertial sensor of the log: its topic, and its messages."""
+
+    topic: str
+    messages: Annotated[int, number("messages of the sensor")]
+
+
+class RecordedTruthSource(Struct, frozen=True):
+    """The recorded ground truth that the run is compared with; ``body_frame`` is what was tracked, null if unknown."""
+
+    topic: Annotated[str, text("topic of the ground truth")]
+    body_frame: Annotated[str | None, text("frame that was tracked, null if unknown")]
+
+
+class Sensor(Struct, frozen=True):
+    """The laser as it is in the first usable scan."""
+
+    beams: Annotated[int, number("beams of a scan")]
+    field_of_view_deg: Annotated[float, number("angle between the first beam and the last")]
+    range_min_m: Annotated[Measured, number("least range")]
+    range_max_m: Annotated[Measured, number("greatest range, null without a limit")]
+    rate_hz: Annotated[Measured, number("scans per second, by the median period")]
+
+
+class Input(Struct, frozen=True):
+    """The log, or the scenario of a simulated run, and what was read of it."""
+
+    path: Annotated[str, text("the log as it was named, or the scenario")]
+    sha256: Annotated[str, text("SHA-256 of the content")]
+    size_bytes: Annotated[int, number("size of the file, or of all files of a folder")]
+    format: Annotated[str, text("format of the log, with the program that compressed it")]
+    topic: Annotated[str, text("scan topic")]
+    frame_id: Annotated[str, text("frame of the scans")]
+    stamp_source: Annotated[str, text("header: stamps of the messages; log: of the recorder")]
+    first_stamp_s: Annotated[float, number("stamp of the first usable scan")]
+    duration_s: Annotated[float, number("time from the first usable scan to the last")]
+    base_frame: Annotated[str | None, text("frame of the base, null if unknown")]
+    base_T_laser: Annotated[LaserPose | None, text("pose of the laser on the base, null if unknown")]
+    mounting_source: Annotated[str | None, text("tf_static, or option for --extrinsic; null if unknown")]
+    odometry: Annotated[OdometrySource | None, text("odometry in the log, null without")]
+    sensor: Sensor
+    truth: RecordedTruthSource = field(default_factory=absent)
+    imu: ImuSource = field(default_factory=absent)
+    attitude: AttitudeSource = field(default_factory=absent)
+
+
+class Scans(Struct, frozen=True):
+    """What became of the scans."""
+
+    total: Annotated[int, number("scan messages in the log")]
+    usable: Annotated[int, number("scans that can be used")]
+    processed: Annotated[int, number("scans that were given to SLAM")]
+    tracked: Annotated[int, number("scans with a pose")]
+    accepted: Annotated[int, number("scans in the map, the same as tracked")]
+    rejected: Annotated[int, number("processed scans without a pose")]
+    skipped: Annotated[dict[str, int], number("scans that cannot be used, by reason")]
+    suspect: Annotated[int, number("usable scans from where a checksum does not match, or could not be checked")]
+
+
+class Closure(Struct, frozen=True):
+    """A closed loop; times from the first scan."""
+
+    from_scan: Annotated[int, number("index of the earlier scan")]
+    to_scan: Annotated[int, number("index of the later scan")]
+    from_s: Annotated[float, number("time of the earlier scan")]
+    to_s: Annotated[float, number("time of the later scan")]
+    correction_m: Annotated[float, number("distance by which the later scan was off")]
+    correction_deg: Annotated[float, number("angle by which the later scan was off")]
+    inliers: Annotated[float, number("part of the points that agree with the old part of the map")]
+
+
+class LoopClosure(Struct, frozen=True):
+    """The loops that were closed, and whether the trajectory was corrected by them."""
+
+    closures: Annotated[list[Closure], text("closed loops")]
+    rejected: Annotated[int, number("closures that were found and not used")]
+    corrected: Annotated[bool, text("whether the trajectory was corrected")]
+
+
+class StartPose(Struct, frozen=True):
+    """A pose of the laser in the given map."""
+
+    x_m: Annotated[float, number("position in the map frame")]
+    y_m: Annotated[float, number("position in the map frame")]
+    yaw_deg: Annotated[float, number("heading in the map frame, counter-clockwise")]
+
+
+class FoundPose(Struct, frozen=True):
+    """The first accepted pose of the laser in the given map."""
+
+    scan: Annotated[int, number("index of the scan")]
+    x_m: Annotated[float, number("position in the map frame")]
+    y_m: Annotated[float, number("position in the map frame")]
+    yaw_deg: Annotated[float, number("heading in the map frame, counter-clockwise")]
+
+
+class Localisation(Struct, frozen=True):
+    """The map that the laser was localized in, where it was said to begin, and where it was found."""
+
+    map: Annotated[str, text("the given map")]
+    start_pose: Annotated[StartPose | None, text("start pose as given, null without")]
+    found: Annotated[FoundPose | None, text("first accepted pose, null if the laser was found nowhere")]
+
+
+class Spread(Struct, frozen=True):
+    """The distribution of a number over the scans; null without any."""
+
+    mean: Annotated[Measured, number("mean over the scans")]
+    median: Annotated[Measured, number("median over the scans")]
+    min: Annotated[Measured, number("least of the scans")]
+    max: Annotated[Measured, number("greatest of the scans")]
+
+
+class Search(Struct, frozen=True):
+    """The matches of the scans."""
+
+    evaluations_per_scan: Annotated[
+        Spread, number("poses that the search tries for each scan", title="evaluations", better="lower")
+    ]
+    iterations_per_scan: Annotated[Spread, number("grids that the search evaluates for each scan")]
+    converged_share: Annotated[Measured, number("part of the searches that converged")]
+    cost_m2: Annotated[Spread, number("cost of the best pose")]
+    beams_used: Annotated[Spread, number("beams or points that contribute to a match")]
+    inliers: Annotated[Spread, number("part of the contributing points that agree with the map")]
+
+
+class Map(Struct, frozen=True):
+    """The published map."""
+
+    cell_mm: Annotated[float, number("edge of a cell")]
+    rows: Annotated[int, number("cells along y")]
+    cols: Annotated[int, number("cells along x")]
+    cells: Annotated[int, number("cells with a hit")]
+    hits: Annotated[int, number("hits of all cells")]
+    size_m: Annotated[list[float], number("extent along x and y")]
+    origin_xy_m: Annotated[list[float], number("corner of the first cell in the map frame")]
+    accepted_share: Annotated[float, number("share of the scans that were accepted", title="accepted", better="higher")]
+
+
+class MissionResult(Struct, frozen=True):
+    """How a simulated mission ended; lengths of the true path."""
+
+    reached: Annotated[bool, text("whether the goal was reached")]
+    reason: Annotated[str, text("how the mission ended: goal, or what stopped it")]
+    steps: Annotated[int, number("scans taken; a command may take several")]
+    path_length_m: Annotated[float, number("length of the true path")]
+    min_clearance_m: Annotated[Measured, number("least distance from a wall; null if none is at flight height")]
+    goal_distance_m: Annotated[Measured, number("distance from the goal at the end")]
+    flight_height_m: Annotated[float, number("commanded height of the laser")] = field(default_factory=absent)
+    tilt_p95_deg: Annotated[float, number("true tilt of the laser, 95th percentile over the scans")] = field(
+        default_factory=absent
+    )
+    height_error_p95_m: Annotated[
+        float, number("distance from the commanded height, 95th percentile over the scans")
+    ] = field(default_factory=absent)
+    attitude_used: Annotated[bool, text("whether scans were levelled by the measured attitude")] = field(
+        default_factory=absent
+    )
+
+
+class TruthErrors(Struct, frozen=True):
+    """The tracked poses of a simulated run compared with the true ones; with too few poses only their number.
+
+    ``ate_*`` after the best rigid motion, ``unaligned_*`` as they are, from the first laser pose on; ``final_*`` of the
+    last tracked pose. ``wall_*`` compares the distance to the walls, read off the map along all beams, with the true
+    one, where the relative error is the median (paper, "Corner Scenario": about 1 %).
+    """
+
+    ate_poses: Annotated[int, number("tracked poses")]
+    ate_rmse_m: Annotated[Measured, number("root mean square error, aligned")] = field(default_factory=absent)
+    ate_median_m: Annotated[Measured, number("median error, aligned")] = field(default_factory=absent)
+    ate_max_m: Annotated[Measured, number("largest error, aligned")] = field(default_factory=absent)
+    unaligned_rmse_m: Annotated[Measured, number("root mean square error, not aligned")] = field(default_factory=absent)
+    unaligned_median_m: Annotated[Measured, number("median error, not aligned")] = field(default_factory=absent)
+    unaligned_max_m: Annotated[Measured, number("largest error, not aligned")] = field(default_factory=absent)
+    final_error_m: Annotated[float, number("position error of the last pose")] = field(default_factory=absent)
+    final_yaw_error_rad: Annotated[float, number("heading error of the last pose")] = field(default_factory=absent)
+    final_aligned_error_m: Annotated[float, number("position error of the last pose, aligned")] = field(
+        default_factory=absent
+    )
+    map_yaw_error_rad: Annotated[float, number("rotation of the whole map, which the first headings leave")] = field(
+        default_factory=absent
+    )
+    wall_distance_m: Annotated[
+        Measured, number("distance to the walls on the map, along the beam with the median relative error")
+    ] = field(default_factory=absent)
+    true_wall_distance_m: Annotated[Measured, number("true distance along that beam")] = field(default_factory=absent)
+    wall_distance_error_share: Annotated[Measured, number("relative error of the distance along that beam")] = field(
+        default_factory=absent
+    )
+
+
+class TimingReport(Struct, frozen=True):
+    """The time that the run took until the outputs; rates are without compilation, which a second run does not need."""
+
+    wall_s: Annotated[float, number("seconds that the run took", title="time", better="lower")]
+    cpu_s: Annotated[float, number("processor time of the whole run", title="cpu", better="lower")]
+    compile_s: Annotated[float, number("time to load or compile the kernels")]
+    stages: Annotated[dict[str, float], number("time by stage, outputs included", unit="s")]
+    scans_per_s: Annotated[float, number("processed scans per second")]
+    realtime_factor: Annotated[float, number("duration of the log as a multiple of the time that the run took")]
+
+
+class Host(Struct, frozen=True):
+    """The machine: model of the processor, and operating system with its release and architecture."""
+
+    processor: Annotated[str, text("model of the processor")]
+    cores: Annotated[int, number("logical processors")]
+    system: Annotated[str, text("operating system")]
+
+
+class GivenPose(Struct, frozen=True):
+    """A pose of the laser as it was given, on its base or in a map."""
+
+    x_m: Annotated[float, number("position")]
+    y_m: Annotated[float, number("position")]
+    yaw_rad: Annotated[float, number("heading, counter-clockwise")]
+
+
+class Options(Struct, frozen=True):
+    """The options of a replay, null where not given; those that change the configuration are in ``config``.
+
+    ``config`` and ``sets`` are the configuration file or preset and the ``--set`` values. ``truth`` is a file, ``auto``
+    or ``topic:NAME``. Relative paths count from ``folder`` of the provenance.
+    """
+
+    topic: Annotated[str | None, text("--topic")]
+    start_s: Annotated[float | None, number("time after the first usable scan to begin at")]
+    end_s: Annotated[float | None, number("time after the first usable scan to end at")]
+    odom: Annotated[str, text("--odom")]
+    extrinsic: Annotated[GivenPose | None, text("--extrinsic")]
+    strict: Annotated[bool, text("--strict")]
+    map: Annotated[str | None, text("--map")]
+    start_pose: Annotated[GivenPose | None, text("--start-pose")]
+    truth: Annotated[str | None, text("--truth")]
+    truth_map: Annotated[str | None, text("--truth-map")]
+    relations: Annotated[str | None, text("--relations")]
+    config: Annotated[str | None, text("--config as typed")]
+    sets: Annotated[list[str], text("--set as typed")]
+    continue_from: Annotated[str, text("--continue")] = field(default_factory=absent)
+
+
+class Provenance(Struct, frozen=True):
+    """Where the run comes from, without user names, passwords and queries of addresses.
+
+    ``started`` is the time in UTC (ISO 8601), ``command`` the command line as typed, ``again`` one that repeats this
+    run, both quoted for a shell; ``folder`` is the working directory. ``options`` are those of a replay.
+    """
+
+    started: Annotated[str, text("start in UTC, ISO 8601")]
+    command: Annotated[str | None, text("command line as typed, null from Python")]
+    again: Annotated[str, text("command line that repeats the run from any folder")]
+    folder: Annotated[str | None, text("working directory, null from Python")]
+    options: Annotated[Options | None, text("options of a replay that are not in config, null for a mission")]
+    host: Host
+
+
+class RunDocument(Struct, frozen=True, kw_only=True):
+    """A run: input, configuration, results and how it ended.
+
+    ``outputs`` are the files written with their SHA-256. A ``partial`` run was stopped before the log ended. The same
+    log, configuration and version give the same bytes of all sections but ``timing`` and ``provenance``.
+    """
+
+    schema_version: Annotated[int, number("version of this format")]
+    mavnav_version: Annotated[str, text("version of mavnav")]
+    python: Annotated[str, text("version of Python")]
+    libraries: Annotated[dict[str, str], text("version of each library")]
+    input: Input
+    config: Config
+    method: Annotated[MethodName, text("SLAM method")]
+    grid: Annotated[str, text("points of the search grid in x and y")]
+    azimuth: Annotated[int, number("yaw samples of the search")]
+    scenario: Annotated[dict[str, Any], text("the effective scenario; see mavnav simulate --schema")] = field(
+        default_factory=absent
+    )
+    scans: Scans
+    cleaning: Annotated[dict[str, int], number("beams of the usable scans by kind")]
+    tracking: Tracking
+    loop_closure: LoopClosure
+    localisation: Localisation = field(default_factory=absent)
+    continued: Continued = field(default_factory=absent)
+    search: Search
+    wall_thickness: WallThicknessReport
+    map_quality: MapQuality
+    reference: Reference = field(default_factory=absent)
+    map: Map
+    slices: Annotated[list[MapSlice], text("the maps by height, the lowest first")] = field(default_factory=absent)
+    mission: MissionResult = field(default_factory=absent)
+    truth: TruthErrors = field(default_factory=absent)
+    timing: TimingReport
+    provenance: Provenance
+    damage: Annotated[list[Damage], text("what could not be read, or is suspect")]
+    warnings: Annotated[list[str], text("what is odd about the log or the run, a line each")]
+    outputs: Annotated[dict[str, str], text("SHA-256 of each file written, by its name")]
+    partial: Annotated[bool, text("whether tracking, or a pass over the whole log after it, was stopped")]
+    exit_code: Annotated[int, number("exit code of the run, before gates")]
+
+
+METRICS: Final = (
+    "schema_version",
+    "scans",
+    "cleaning",
+    "tracking",
+    "loop_closure",
+    "localisation",
+    "search",
+    "wall_thickness",
+    "map_quality",
+    "reference",
+    "map",
+    "slices",
+    "mission",
+    "truth",
+)
+"""The keys that metrics.json repeats: they depend on log, configuration and version alone, not on clock or machine."""

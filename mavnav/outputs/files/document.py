@@ -1,0 +1,315 @@
+"""The documents that machines read: run.json and metrics.json."""
+
+from __future__ import annotations
+
+import json
+import platform
+import sys
+from functools import cache
+from math import hypot, isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import asdict, astuple
+
+from mavnav.arrays import median
+from mavnav.config.models import Config
+from mavnav.metrics.fields import ABSENT
+from mavnav.outputs.documents import run_json as model
+from mavnav.outputs.documents import tracking_section as tracking
+from mavnav.outputs.documents.addresses import public_address
+from mavnav.outputs.documents.slices_section import attitude_source, map_slices
+from mavnav.outputs.run import base_frame
+from mavnav.units import DEG, MM, NS
+from mavnav.version import __version__
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    from numpy.typing import NDArray
+
+    from mavnav.logs import Log
+    from mavnav.outputs.run import Run
+    from mavnav.slam.findings import Doubt
+
+SCHEMA_VERSION: Final = 1
+LIBRARIES: Final = ("numpy", "numba", "scipy", "mcap", "rosbags", "pillow", "pydantic", "pyyaml")
+
+FAR_FROM_START_M: Final = 3.0
+"""Distance of the pose found from the given start pose above which a run warns; the search near that ends at 1 m."""
+
+MAP_PICTURE: Final = "map.png"
+OTHER_PICTURE: Final = f"{MAP_PICTURE} of a run with --outputs pictures"
+
+
+def run_document(run: Run, outputs: dict[str, str]) -> model.RunDocument:
+    """Describe a run; ``outputs`` maps the files written to their SHA-256."""
+    mission = run.mission
+    return model.RunDocument(
+        schema_version=SCHEMA_VERSION,
+        mavnav_version=__version__,
+        python=platform.python_version(),
+        libraries=_versions(),
+        input=_input(run),
+        config=run.config,
+        method=run.config.method,
+        grid=str(run.config.grid),
+        azimuth=run.config.azimuth,
+        scenario=mission.scenario if mission else ABSENT,
+        scans=_scans(run),
+        cleaning=dict(run.log.cleaning),
+        tracking=_tracking(run),
+        loop_closure=_loop_closure(run),
+        localisation=run.localisation or ABSENT,
+        continued=run.continued or ABSENT,
+        search=_search(run),
+        wall_thickness=run.walls,
+        map_quality=run.measured.quality,
+        reference=run.reference or ABSENT,
+        map=_map(run),
+        slices=map_slices(run.slices.layers) if run.slices else ABSENT,
+        mission=mission.result if mission else ABSENT,
+        truth=mission.errors if mission else ABSENT,
+        timing=_timing(run),
+        provenance=run.provenance,
+        damage=list(run.log.damage),
+        warnings=[*run.log.warnings, *run.slam.warnings, *_doubt_warnings(run), *_start_warnings(run)],
+        outputs=outputs,
+        partial=run.stopped is not None,
+        exit_code=int(run.exit_code),
+    )
+
+
+@cache
+def _versions() -> dict[str, str]:
+    """Return the versions of the libraries: of a loaded one its own attribute, which cannot be that of another copy.
+
+    Of others it is in the names of the folders beside numpy's (PyPA specification "Recording installed projects"),
+    read in a tenth of the time that importlib.metadata takes.
+    """
+    folders = (path.stem for path in Path(np.__file__).parents[1].glob("*.dist-info"))
+    found = {name.lower(): number for name, _, number in (folder.partition("-") for folder in folders)}
+    loaded = {name: getattr(sys.modules.get(name), "__version__", None) for name in LIBRARIES}
+    return {name: loaded[name] or found.get(name) or _searched_version(name) for name in LIBRARIES}
+
+
+def _searched_version(name: str) -> str:
+    from importlib.metadata import version  # noqa: PLC0415  it takes 8 ms to load
+
+    return version(name)
+
+
+def write_metrics(run: Run, path: Path) -> None:
+    """Write metrics.json."""
+    document = run_document(run, {})
+    path.write_text(to_json({name: getattr(document, name) for name in model.METRICS}), encoding="utf-8")
+
+
+def to_json(document: object) -> str:
+    """Write as JSON; numbers that JSON has no word for (NaN, infinities) become null."""
+    return plain_json(plain(document))
+
+
+def plain_json(document: dict[str, Any]) -> str:
+    """Write what `plain` returned as JSON."""
+    return json.dumps(document, indent=2, allow_nan=False) + "\n"
+
+
+def plain(value: Any) -> Any:  # noqa: ANN401  any JSON value
+    """Bring records, numpy's numbers and numbers that JSON lacks to plain ones; what is absent is left out."""
+    if isinstance(value, Config):
+        return value.document()
+    if isinstance(value, Struct):
+        return plain(dict(zip(value.__struct_encode_fields__, astuple(value), strict=True)))
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items() if v is not ABSENT}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float):
+        return value + 0.0 if isfinite(value) else None  # -0.0 becomes 0.0
+    return value
+
+
+def _start_warnings(run: Run) -> list[str]:
+    """Return the line for the user where the laser was found far from the given start pose."""
+    given, found = (run.localisation.start_pose, run.localisation.found) if run.localisation else (None, None)
+    if given is None or found is None:
+        return []
+    distance_m = hypot(found.x_m - given.x_m, found.y_m - given.y_m)
+    if distance_m <= FAR_FROM_START_M:
+        return []
+    return [
+        f"the laser was found {distance_m:.1f} m from --start-pose, at x {found.x_m:z.2f} m, y {found.y_m:z.2f} m "
+        f"(scan {found.scan}); check the pose found; if it is wrong, correct --start-pose"
+    ]
+
+
+def with_picture(text: str, outputs: Collection[str]) -> str:
+    """Return advice to look at ``map.png``; if it is not among the files of the run, with how to get it."""
+    return text if MAP_PICTURE in outputs else text.replace(MAP_PICTURE, OTHER_PICTURE)
+
+
+def _input(run: Run) -> model.Input:
+    log, odometry, mounting = run.log, run.log.odometry, run.log.base_T_laser
+    path, digest, size_bytes, kind = _file(run)
+    return model.Input(
+        path=path,
+        sha256=digest,
+        size_bytes=size_bytes,
+        format=kind,
+        topic=log.topic,
+        frame_id=log.frame_id,
+        stamp_source=log.stamp_source,
+        first_stamp_s=log.first_ns * NS,
+        duration_s=(log.last_ns - log.first_ns) * NS,
+        base_frame=log.base_frame,
+        base_T_laser=None if mounting is None else model.LaserPose(*mounting),
+        mounting_source=log.mounting_source,
+        odometry=None if odometry is None else model.OdometrySource(odometry.topic, odometry.source),
+        sensor=_sensor(log),
+        truth=ABSENT if log.truth is None else model.RecordedTruthSource(log.truth.topic, log.truth.body_frame),
+        attitude=ABSENT if log.attitude is None else attitude_source(log.attitude),
+        imu=ABSENT if log.imu is None else model.ImuSource(log.imu.topic, len(log.imu.rotation.stamps_ns)),
+    )
+
+
+def _sensor(log: Log) -> model.Sensor:
+    spec = log.sensor
+    rate_hz = 1.0 / log.period_s if log.period_s else np.nan
+    return model.Sensor(spec.beams, spec.field_of_view_rad / DEG, spec.range_min_m, spec.range_max_m, rate_hz)
+
+
+def _file(run: Run) -> tuple[str, str, int, str]:
+    """Return path, SHA-256, size in bytes and format of what the user named: a log, or a scenario."""
+    if run.mission is None:
+        path = public_address(run.address) if run.address else str(run.log.path)
+        return path, run.log.sha256, run.log.size_bytes, run.log.format
+    return str(run.mission.path), run.mission.sha256, run.mission.size_bytes, "scenario"
+
+
+def _scans(run: Run) -> model.Scans:
+    steps, counts = run.slam.steps, run.log.counts
+    tracked = len(run.slam.trajectory)
+    return model.Scans(
+        total=counts.total,
+        usable=counts.usable,
+        processed=len(steps),
+        tracked=tracked,
+        accepted=tracked,
+        rejected=len(steps) - tracked,
+        skipped=dict(counts.skipped),
+        suspect=counts.suspect,
+    )
+
+
+def _tracking(run: Run) -> tracking.Tracking:
+    slam, first_ns = run.slam, run.log.first_ns
+    return tracking.Tracking(
+        lost=slam.lost_for_good,
+        intervals=[
+            tracking.Interval((i.start_ns - first_ns) * NS, (i.end_ns - first_ns) * NS, i.scans, i.recovered)
+            for i in slam.lost
+        ],
+        tracked_share=slam.tracked_share,
+        opinions=slam.tracks_compared,
+        path_length_m=slam.trajectory.travelled_m,
+        doubt=_doubt(slam.doubt, first_ns),
+        frames={"trajectory.tum": ["map", run.log.frame_id]}
+        | ({} if run.log.base_T_laser is None else {"trajectory_base.tum": ["map", base_frame(run)]}),
+        parts=[
+            tracking.TrackedPart((p.start_ns - first_ns) * NS, (p.end_ns - first_ns) * NS, p.scans, p.joined)
+            for p in slam.parts
+        ]
+        or ABSENT,
+        remedies=[tracking.Remedy(*remedy) for remedy in slam.remedies] or ABSENT,
+    )
+
+
+def _doubt(doubt: Doubt | None, first_ns: int) -> tracking.Doubt:
+    if doubt is None:
+        return tracking.Doubt(np.nan, [], [])
+    reasons = [
+        tracking.DoubtReason(r.name, (r.start_ns - first_ns) * NS, (r.end_ns - first_ns) * NS, r.value)
+        for r in doubt.reasons
+    ]
+    return tracking.Doubt(doubt.probability, reasons, list(doubt.tried))
+
+
+def _doubt_warnings(run: Run) -> list[str]:
+    """Return the line for the user where the doubt is high."""
+    found = _doubt(run.slam.doubt, run.log.first_ns)
+    if run.slam.doubt is None or not run.slam.doubt.high:
+        return []
+    first = {reason.reason: reason for reason in reversed(found.reasons)}.values()
+    why = ", ".join(f"{r.reason} (from {r.from_s:.1f} to {r.to_s:.1f} s)" for r in reversed(first))
+    return [
+        f"the track may be wrong though the scans fit, with probability {found.probability:.2f}: {why}; "
+        "compare map.png with the place before it is used"
+    ]
+
+
+def _loop_closure(run: Run) -> model.LoopClosure:
+    slam, first_ns = run.slam, run.log.first_ns
+    scans = slam.steps.column("index")[slam.steps.column("tracked")].tolist()
+    stamps_ns = slam.trajectory.stamps_ns
+    return model.LoopClosure(
+        closures=[
+            model.Closure(
+                from_scan=scans[loop.start],
+                to_scan=scans[loop.end],
+                from_s=(int(stamps_ns[loop.start]) - first_ns) * NS,
+                to_s=(int(stamps_ns[loop.end]) - first_ns) * NS,
+                correction_m=loop.correction.distance_m,
+                correction_deg=loop.correction.yaw_rad / DEG,
+                inliers=loop.inliers,
+            )
+            for loop in slam.loops.closed
+        ],
+        rejected=slam.loops.refused,
+        corrected=slam.loops.map_T_laser is not None,
+    )
+
+
+def _search(run: Run) -> model.Search:
+    steps = run.slam.steps
+    costs_m2 = steps.column("cost_m2")
+    return model.Search(
+        evaluations_per_scan=_spread(steps.column("evaluations")),
+        iterations_per_scan=_spread(steps.column("iterations")),
+        converged_share=steps.share("converged"),
+        cost_m2=_spread(costs_m2[np.isfinite(costs_m2)]),
+        beams_used=_spread(steps.column("beams_used")),
+        inliers=_spread(steps.column("inliers")),
+    )
+
+
+def _spread(values: NDArray[Any]) -> model.Spread:
+    if not len(values):
+        return model.Spread(np.nan, np.nan, np.nan, np.nan)
+    return model.Spread(float(np.mean(values)), median(values), values.min().item(), values.max().item())
+
+
+def _map(run: Run) -> model.Map:
+    grid = run.known
+    rows, cols = grid.hits.shape
+    return model.Map(
+        cell_mm=grid.cell_m / MM,
+        rows=rows,
+        cols=cols,
+        cells=int(np.count_nonzero(grid.hits)),
+        hits=int(grid.hits.sum(dtype=np.int64)),
+        size_m=[cols * grid.cell_m, rows * grid.cell_m],
+        origin_xy_m=list(grid.origin_xy_m),
+        accepted_share=run.slam.tracked_share,
+    )
+
+
+def _timing(run: Run) -> model.TimingReport:
+    t, scans = run.timing, len(run.slam.steps)
+    duration_s = (run.log.last_ns - run.log.first_ns) * NS
+    work_s = max(t.wall_s, 1e-9)
+    return model.TimingReport(**asdict(t), scans_per_s=scans / work_s, realtime_factor=duration_s / work_s)

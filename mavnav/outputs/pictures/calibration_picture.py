@@ -1,0 +1,64 @@
+"""The picture of a calibration: turn rates of laser and odometry over time once they are aligned, and what is left."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from mavnav.outputs.pictures.canvas import Canvas, stroke
+from mavnav.outputs.pictures.plot import Axes, Line, labelled, legend, legend_width, ticks
+from mavnav.outputs.pictures.viewport import INK, MEASURED_BLUE, TRUE_ORANGE
+from mavnav.units import DEG, MM
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from mavnav.metrics.calibration.motion import Motions
+    from mavnav.metrics.calibration.solve import Estimate
+
+    Array = NDArray[np.float64]
+
+WIDTH, HEIGHT, LEFT, RIGHT = 1500, 1080, 110, 30
+TOPS: Final = (90, 450, 740)
+HEIGHTS: Final = (310, 220, 220)
+
+_pen = partial(stroke, width_pt=1.0)
+LASER, ODOMETRY = Line(MEASURED_BLUE, "laser", _pen), Line(TRUE_ORANGE, "odometry, calibrated", _pen)
+FORWARD, LATERAL, YAW = Line("#009e73", "x", _pen), Line("#cc79a7", "y", _pen), Line("#666666", "yaw", _pen)
+
+
+def write(motions: Motions, fit: Estimate, title: str, path: Path) -> None:
+    """Draw the turn rates and the errors of the steps; the file is a PNG."""
+    motions = motions.mirrored() if fit.mirrored else motions
+    seconds, elapsed_s = fit.seconds, np.diff(motions.laser_s)
+    laser, odometry = (
+        steps.turned[motions.linked] / elapsed_s[motions.linked] / DEG
+        for steps in (motions.measured(), motions.predicted(fit.values))
+    )
+    errors = fit.errors / (MM, MM, DEG)
+    canvas = Canvas.of(WIDTH, HEIGHT)
+    canvas.text((WIDTH / 2, 24), title, 10.0, INK, bold=True)
+    _chart(canvas, 0, seconds, {LASER: laser, ODOMETRY: odometry}, "turn rate [deg/s]")
+    _chart(canvas, 1, seconds, {FORWARD: errors[:, 0], LATERAL: errors[:, 1]}, "error [mm]")
+    _chart(canvas, 2, seconds, {YAW: errors[:, 2]}, "error [deg]")
+    marks = [LASER, ODOMETRY, FORWARD, LATERAL, YAW]
+    legend(canvas, marks, HEIGHT - 24, (WIDTH - legend_width(marks)) / 2.0)
+    canvas.save(path)
+
+
+def _chart(canvas: Canvas, row: int, seconds: Array, lines: dict[Line, Array], name: str) -> None:
+    """Draw lines over time in a row of the picture."""
+    values = np.concatenate(list(lines.values()))
+    low, high = float(values.min()), float(values.max())
+    margin = 0.05 * (high - low) + 1e-6
+    limits = (float(seconds[0]), float(seconds[-1]), low - margin, high + margin)
+    axes = Axes.chart(canvas, (LEFT, TOPS[row], WIDTH - RIGHT, TOPS[row] + HEIGHTS[row]), limits)
+    for line, data in lines.items():
+        axes.lines(line, [np.column_stack((seconds, data))])
+    axes.borders()
+    axes.ticks(labelled(ticks(*limits[:2])), labelled(ticks(*limits[2:], most=6)))
+    axes.names("time [s]" if row == len(TOPS) - 1 else "", name)

@@ -1,0 +1,174 @@
+"""Maps on axes of one scale: cells, laser hits, and the marks of poses and walls that all pictures share."""
+
+from __future__ import annotations
+
+from functools import partial
+from math import ceil
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from PIL import Image
+
+from mavnav.arrays import quantile
+from mavnav.mapping.occupancy_grid import FREE
+from mavnav.mapping.tiled_arrays import pooled, unchanged, where
+from mavnav.outputs.pictures.canvas import Canvas, dashed, ramp, rgb_of, stroke
+from mavnav.outputs.pictures.plot import (
+    Area,
+    Axes,
+    Line,
+    Mark,
+    circle,
+    colour_bar,
+    cross,
+    crossed_circle,
+    labelled,
+    square,
+    ticks,
+)
+from mavnav.outputs.pictures.viewport import (
+    DOUBT_RED,
+    FREE_GREY,
+    GOAL_RED,
+    INK,
+    MAX_CELLS,
+    MEASURED_BLUE,
+    POSE_MAGENTA,
+    START_BLUE,
+    TRUE_ORANGE,
+    Window,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from numpy.typing import NDArray
+
+    from mavnav.mapping.occupancy_grid import Grid
+    from mavnav.mapping.tiled_arrays import CellFunction
+    from mavnav.outputs.pictures.canvas import Box
+
+VIRIDIS: Final = ("#440154", "#482878", "#3e4989", "#31688e", "#26828e", "#1f9e89", "#35b779", "#6ece58", "#b5de2b")
+HIT_COLOURS: Final = ramp(VIRIDIS[::-1])
+FRAME_GREY: Final = "#cccccc"
+HIT_TICKS: Final = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000)
+
+MARGINS: Final = (100, 110, 130, 120)
+"""Left, top, right and bottom of a map with a scale of hits in its picture, in pixels."""
+
+START: Final = Mark(START_BLUE, "start", partial(cross, size_pt=10.0, width_pt=2.4))
+END: Final = Mark(GOAL_RED, "end", partial(square, size_pt=9.0, width_pt=1.8))
+GOAL: Final = Mark(GOAL_RED, "goal", partial(crossed_circle, size_pt=13.0, width_pt=1.4))
+POSE: Final = Mark(POSE_MAGENTA, "estimated pose", partial(circle, size_pt=4.0, width_pt=0.8))
+TRUE_POSE: Final = Mark("#000000", "true pose", partial(cross, size_pt=3.5, width_pt=0.7))
+LOOP: Final = Line(INK, "closed loop", partial(stroke, width_pt=0.72))
+DOUBTFUL: Final = Line(DOUBT_RED, "doubtful", partial(stroke, width_pt=2.4))
+TRUE_WALL: Final = Line(TRUE_ORANGE, "true wall", dashed)
+KNOWN: Final = (Area(FREE_GREY, "free"), Area("#ffffff", "unknown"))
+MEASURED_WALL: Final = Line(MEASURED_BLUE, "measured by hand", dashed)
+
+
+def map_axes(canvas: Canvas, window: Window, box: Box) -> Axes:
+    """Show a window of the map in a box of its shape; a metre is as long in x as in y."""
+    per_m = (box[2] - box[0]) / window.size_m[0]
+    return Axes(canvas, box, (window.x0_m, window.x1_m, window.y0_m, window.y1_m), (per_m, per_m))
+
+
+def framed_map(window: Window, longest_in: float, margins: Box, least: tuple[int, int] = (0, 0)) -> Axes:
+    """Begin a picture of ``least`` width and height with the map in the middle of what the margins leave."""
+    left, top, right, bottom = margins
+    width, height = window.size_pixels(longest_in)
+    canvas = Canvas.of(max(width + left + right, least[0]), max(height + top + bottom, least[1]))
+    first = (canvas.image.width - width - right + left) // 2
+    return map_axes(canvas, window, (first, top, first + width, top + height))
+
+
+def draw_cells(
+    axes: Axes,
+    grid: Grid,
+    cells: NDArray[Any],
+    colour_of: Callable[[NDArray[Any]], NDArray[np.uint8]],
+    value_of: CellFunction = unchanged,
+) -> None:
+    """Show an array of the grid's shape; zeros are transparent, ``colour_of`` gives (n, 3) or (3,) for the others.
+
+    Where cells are smaller than pixels, the largest ``value_of`` several cells is shown.
+    """
+    window = Window(*axes.limits)
+    first_col, end_col, first_row, end_row = window.cells_of(grid)
+    factor = max(1, ceil(max(window.size_m) / grid.cell_m / MAX_CELLS))
+    shown = pooled(cells[first_row:end_row, first_col:end_col], factor, value_of=value_of)[::-1]
+    some = shown > 0
+    colours = colour_of(shown[some])
+    x0_m = grid.origin_xy_m[0] + first_col * grid.cell_m
+    y0_m = grid.origin_xy_m[1] + first_row * grid.cell_m
+    rows, cols = shown.shape
+    corners = np.array([[x0_m, y0_m + rows * factor * grid.cell_m], [x0_m + cols * factor * grid.cell_m, y0_m]])
+    (x0, y0), (x1, y1) = np.round(axes.to_canvas(corners)).astype(int).tolist()
+    size = max(x1 - x0, 1), max(y1 - y0, 1)
+    _paste_inside(axes, _enlarged(some, size), x0, y0, _ink(some, colours, size))
+
+
+def _ink(some: NDArray[np.bool_], colours: NDArray[np.uint8], size: tuple[int, int]) -> Image.Image | tuple[int, ...]:
+    """Return one colour (3,) as it is, the colours (n, 3) of some pixels (rows, cols) as a picture of a size."""
+    if colours.ndim == 1:
+        return tuple(colours.tolist())
+    pixels = np.zeros((*some.shape, 3), np.uint8)
+    pixels[some] = colours
+    return _enlarged(pixels, size)
+
+
+def _enlarged(pixels: NDArray[Any], size: tuple[int, int]) -> Image.Image:
+    return Image.fromarray(pixels).resize(size, Image.Resampling.NEAREST)
+
+
+def _paste_inside(axes: Axes, mask: Image.Image, x0: int, y0: int, ink: Image.Image | tuple[int, ...]) -> None:
+    """Paste a picture or a colour through a mask with its corner at a pixel of the canvas; outside the axes is cut."""
+    left, top, right, bottom = axes.box
+    part = (max(left - x0, 0), max(top - y0, 0), min(mask.width, right - x0), min(mask.height, bottom - y0))
+    if part[2] > part[0] and part[3] > part[1]:
+        shown = ink if isinstance(ink, tuple) else ink.crop(part)
+        axes.canvas.image.paste(shown, (x0 + part[0], y0 + part[1]), mask.crop(part))
+
+
+def draw_free(axes: Axes, grid: Grid, occupancy: NDArray[np.int8]) -> None:
+    """Shade the cells that are known to be free."""
+    grey = np.array(rgb_of(FREE_GREY), np.uint8)
+    draw_cells(axes, grid, occupancy, lambda _: grey, value_of=lambda cells: cells == FREE)
+
+
+def draw_hits(axes: Axes, grid: Grid, top: float) -> None:
+    """Colour the hit cells on a logarithmic scale from 1 to ``top``."""
+
+    def colour_of(hits: NDArray[Any]) -> NDArray[np.uint8]:
+        share = np.minimum(np.log(hits, dtype=np.float64) / np.log(top), 1.0)
+        return np.asarray(HIT_COLOURS[np.round(share * (len(HIT_COLOURS) - 1)).astype(np.intp)])
+
+    draw_cells(axes, grid, grid.hits, colour_of)
+
+
+def draw_counts(axes: Axes, grid: Grid, occupancy: NDArray[np.int8]) -> None:
+    """Draw free cells and hits of a map, and the scale of its hits at the right."""
+    top = top_of_scale([grid])
+    draw_free(axes, grid, occupancy)
+    draw_hits(axes, grid, top)
+    colour_bar(axes, HIT_COLOURS, hit_ticks(top), "laser hits per cell")
+
+
+def top_of_scale(grids: Iterable[Grid]) -> float:
+    """Return the end of the scale of hits, at least 10: few crowded cells do not change it."""
+    cells = [(grid, *where(grid.hits, lambda hits: hits > 0).T) for grid in grids]
+    counts = np.concatenate([grid.hits[row, col] for grid, row, col in cells])
+    return max(quantile(counts, 0.995) if counts.size else 1.0, 10.0)
+
+
+def hit_ticks(top: float) -> list[tuple[float, str]]:
+    """Return the ticks of the scale of hits, as shares of it."""
+    return [(float(np.log(tick) / np.log(top)), str(tick)) for tick in HIT_TICKS if tick <= top]
+
+
+def draw_axes(axes: Axes, most: tuple[int, int] = (9, 9)) -> None:
+    """Draw border and ticks, at most so many in x and y."""
+    x0, x1, y0, y1 = axes.limits
+    axes.canvas.draw.rectangle(axes.box, outline=FRAME_GREY)
+    axes.ticks(labelled(ticks(x0, x1, most[0])), labelled(ticks(y0, y1, most[1])))

@@ -1,0 +1,125 @@
+"""map.png: hits in colour, the estimated poses, start and end (after the paper's Figure 3).
+
+Where the true walls are known they lie on top (Figure 7); of a mission the true poses too, and its goal takes the place
+of the end.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from itertools import compress
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from mavnav.arrays import contained, distinct
+from mavnav.outputs.pictures import map_axes
+from mavnav.outputs.pictures.canvas import stroke
+from mavnav.outputs.pictures.plot import Line, centred_legend, heading, legend_room
+from mavnav.outputs.pictures.viewport import wall_lines, window_of
+from mavnav.slam.result import doubtful_parts, parts_of_path
+from mavnav.units import MM
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from mavnav.metrics.wall_spread import WallSpread
+    from mavnav.outputs.pictures.plot import Axes, Mark, Sign
+    from mavnav.outputs.run import Run, Truth
+    from mavnav.pose import Trajectory
+
+CIRCLE_SPACING: Final = 0.018
+"""Between two circles along the path, of the picture's longer side: so that they touch at most."""
+
+PATH: Final = Line(map_axes.POSE.colour, "", partial(stroke, width_pt=0.72, opacity=150 / 255))
+
+
+def write(run: Run, path: Path) -> None:
+    """Draw the map of a run."""
+    trajectory = run.slam.trajectory
+    window = window_of(run.known, framed(run))
+    some = thinned(trajectory.xyyaw[:, :2], CIRCLE_SPACING * max(window.size_m))
+    marks = [*path_marks(trajectory, some), *_ends(run, trajectory.stamps_ns[some].tolist())]
+    shown = (run.slam.loops.closed, run.true_walls, doubtful_parts(run.slam))
+    lines = compress((map_axes.LOOP, map_axes.TRUE_WALL, map_axes.DOUBTFUL), shown)
+    named: list[Sign] = [*lines, *(mark for mark, _ in marks), *map_axes.KNOWN]
+    axes = map_axes.framed_map(window, 7.5, map_axes.MARGINS, least=(max(960, legend_room(named)), 420))
+    map_axes.draw_counts(axes, run.known, run.cells)
+    _draw_lines(axes, run)
+    for mark, xy_m in marks:
+        axes.mark(mark, xy_m)
+    map_axes.draw_axes(axes)
+    axes.names("x [m]", "y [m]")
+    centred_legend(axes.canvas, named)
+    heading(axes.canvas, run.name, _subtitle(run))
+    axes.canvas.save(path)
+
+
+def framed(run: Run) -> NDArray[np.float64]:
+    """Return the points (n, 2) that the picture has to show besides the map."""
+    xy_m, truth = run.slam.trajectory.xyyaw[:, :2], run.truth
+    walls = wall_lines(run.true_walls) if run.true_walls else []
+    mission = () if truth is None else (truth.map_T_laser.xyyaw[:, :2], [truth.goal_xy_map_m])
+    return np.vstack((xy_m, *mission, *walls))
+
+
+def _draw_lines(axes: Axes, run: Run) -> None:
+    """Draw the path, fainter than its circles, the closed loops and the true walls."""
+    xy_m = run.slam.trajectory.xyyaw[:, :2]
+    axes.lines(PATH, parts_of_path(run.slam))
+    axes.lines(map_axes.LOOP, [xy_m[[loop.start, loop.end]] for loop in run.slam.loops.closed])
+    axes.lines(map_axes.DOUBTFUL, doubtful_parts(run.slam))
+    if run.true_walls:
+        axes.lines(map_axes.TRUE_WALL, wall_lines(run.true_walls))
+
+
+def path_marks(trajectory: Trajectory, some: NDArray[np.intp]) -> list[tuple[Mark, NDArray[np.float64]]]:
+    """Mark some of the estimated poses."""
+    return [(map_axes.POSE, trajectory.xyyaw[some, :2])] if len(trajectory) else []
+
+
+def _ends(run: Run, stamps_ns: list[int]) -> list[tuple[Mark, NDArray[np.float64]]]:
+    """Mark start and end; where the truth is known the true poses at the stamps of the circles, start and goal."""
+    xy_m = run.slam.trajectory.xyyaw[:, :2]
+    if run.truth is not None:
+        return truth_marks(run.truth, stamps_ns)
+    return [(map_axes.START, xy_m[:1]), (map_axes.END, xy_m[-1:])] if len(xy_m) else []
+
+
+def truth_marks(truth: Truth, stamps_ns: list[int]) -> list[tuple[Mark, NDArray[np.float64]]]:
+    """Mark the true poses at the stamps, the true start and the goal."""
+    xy_m = truth.map_T_laser.xyyaw[:, :2]
+    at = contained(truth.map_T_laser.stamps_ns, stamps_ns)
+    return [
+        (map_axes.TRUE_POSE, xy_m[at]),
+        (map_axes.START, xy_m[:1]),
+        (map_axes.GOAL, np.array([truth.goal_xy_map_m])),
+    ]
+
+
+def thinned(xy_m: NDArray[np.float64], spacing_m: float) -> NDArray[np.intp]:
+    """Choose points of a path (n, 2), evenly spread along its length; the first and the last are among them."""
+    if not len(xy_m):
+        return np.empty(0, np.intp)
+    along = np.concatenate(([0.0], np.hypot(*np.diff(xy_m, axis=0).T).cumsum()))
+    circles = max(2, int(along[-1] / spacing_m) + 1)
+    return distinct(np.searchsorted(along, np.linspace(0.0, along[-1], circles)))
+
+
+def _subtitle(run: Run) -> str:
+    config, slam = run.config, run.slam
+    scans = f"{len(slam.trajectory)} of {len(slam.steps)} scans accepted ({100 * slam.tracked_share:.0f} %)"
+    lost = "   LOST before the end" if run.slam.lost_for_good else ""
+    cell_mm = run.slam.grid.cell_m / MM
+    how = f"method {config.method}, {config.azimuth} yaw samples, search grid {config.grid}, cell {cell_mm:g} mm"
+    walls = "" if run.measured.cuts is None else f", {thickness_text(run.walls.spread)}"
+    return f"{how}\n{scans}{lost}{walls}"
+
+
+def thickness_text(spread: WallSpread) -> str:
+    """Return the wall thickness as text."""
+    if not spread.length_m:
+        return "no straight wall to measure"
+    return f"wall thickness median {spread.median_mm:.0f} mm, p95 {spread.p95_mm:.0f} mm"

@@ -1,0 +1,170 @@
+"""A page of one picture and some tables: for merge, diff and calibrate, whose results are not the run of one log."""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+from mavnav.atomic_files import temporary_folder
+from mavnav.units import counted
+from mavnav.version import __version__
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+    from pathlib import Path
+
+
+class Table(NamedTuple):
+    """A table of the page: heading, names of the columns, and rows of texts; ``prose`` for sentences, not numbers."""
+
+    heading: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    prose: bool = False
+
+
+class Summary(NamedTuple):
+    """The content of the page; ``picture`` is a PNG file, None for none, ``lines`` are commands to copy."""
+
+    title: str
+    headline: str
+    tables: tuple[Table, ...]
+    picture: bytes | None = None
+    lines: tuple[str, ...] = ()
+
+
+def drawn(draw: Callable[[Path], None]) -> bytes:
+    """Return the PNG file that a function writes to a path."""
+    with temporary_folder() as folder:
+        path = folder / "picture.png"
+        draw(path)
+        return path.read_bytes()
+
+
+def write_summary(summary: Summary, path: Path) -> None:
+    """Write the page as one HTML file without links to other files."""
+    from mavnav.outputs.report.html import environment, inlined  # noqa: PLC0415  jinja2 takes long to load
+
+    templates = environment("mavnav.outputs.report")
+    page = templates.get_template("summary.html").render(
+        summary=summary,
+        picture=b64encode(summary.picture).decode() if summary.picture else "",
+        style=inlined(templates, "report.css"),
+        script=None,
+        version=__version__,
+        profile=None,
+    )
+    path.write_text(page, "utf-8", "backslashreplace")  # names need not be UTF-8
+
+
+def merge_summary(document: dict[str, Any], picture: bytes) -> Summary:
+    """Return the page of merge.json and the picture of the map."""
+    sessions = document["sessions"]
+    headline = f"{document['joined']} of {len(sessions)} sessions are in one map, with {document['scans']} scans."
+    head = ("session", "input", "scans", "joined to", "key frames that agree", "residual", "tracked", "doubt", "damage")
+    table = Table("Sessions", head, tuple(_session_row(each) for each in sessions))
+    refused = tuple((each["name"], each["input"], each["why"]) for each in sessions if not each["joined"])
+    others = (Table("Not joined", ("session", "input", "reason"), refused, prose=True),) if refused else ()
+    return Summary(", ".join(each["name"] for each in sessions), headline, (table, *others), picture)
+
+
+def _session_row(session: dict[str, Any]) -> tuple[str, ...]:
+    tracking, damage = session["tracking"] or {}, len(session["damage"])
+    doubt = (tracking.get("doubt") or {}).get("probability")
+    to = ", ".join(f"{other['name']} ({other['closures']})" for other in session["joined_to"])
+    return (
+        session["name"],
+        session["input"],
+        str(session["scans"]),
+        to or ("the first of the group" if session["joined"] else "not joined"),
+        f"{session['closures']} of {session['tested']}" if session["tested"] else "",
+        f"{session['residual_mm']:.0f} mm" if to else "",
+        f"{100 * tracking['tracked_share']:.1f} %" if tracking.get("tracked_share") is not None else "",
+        "" if doubt is None else f"{doubt:.2f}",
+        counted(damage, "place") if damage else "none",
+    )
+
+
+def diff_summary(document: dict[str, Any], picture: bytes | None) -> Summary:
+    """Return the page of the document of ``mavnav diff``; its picture is None if the maps could not be aligned."""
+    title, pose = f"{document['a']} and {document['b']}", document["alignment"]
+    if pose is None:
+        return Summary(title, "The maps cannot be aligned: too few places of one fit the other.", ())
+    headline = (
+        f"{counted(document['gone'], 'place')} gone ({document['gone_m2']:.3f} m²), {document['new']} new "
+        f"({document['new_m2']:.3f} m²), {counted(document['moved'], 'object')} moved; "
+        f"{document['compared_m2']:.1f} m² were compared, and "
+        f"{100 * document['same_share']:.1f} % of the walls are the same."
+    )
+    head = ("change", "kind", "x", "y", "area", "length", "moved with")
+    rows = (
+        (
+            str(change["number"]),
+            change["kind"],
+            f"{change['x_m']:z.2f} m",
+            f"{change['y_m']:z.2f} m",
+            f"{change['m2']:.3f} m²",
+            f"{change['length_m']:.2f} m",
+            str(change["moved_with"] or ""),
+        )
+        for change in document["changes"]
+    )
+    placed = (
+        f"{pose['x_m']:z.3f} m",
+        f"{pose['y_m']:z.3f} m",
+        f"{pose['yaw_deg']:z.2f} deg",
+        f"{pose['rms_mm']:.0f} mm",
+    )
+    alignment = Table("Pose of the second map in the first", ("x", "y", "yaw", "RMS of the walls"), (placed,))
+    return Summary(title, headline, (*_unless_empty("Changes", head, rows), alignment), picture)
+
+
+def calibration_summary(document: dict[str, Any], title: str, picture: bytes | None) -> Summary:
+    """Return the page of the document of ``mavnav calibrate``."""
+    switches = [{"name": name, **document[name]} for name in ("upside_down", "beams_reversed", "range_bias")]
+    every = [*document["quantities"], *switches]
+    measured = [each for each in every if not each["refused"]]
+    headline = document["refused"] or f"{len(measured)} of {len(every)} quantities are determined."
+    found = tuple(_calibrated_row(each) for each in measured)
+    refused = tuple((_quantity_name(each)[0], each["refused"]) for each in every if each["refused"])
+    head = ("quantity", "value", "95 % interval", "log or configuration", "difference")
+    missing = (Table("Not determined", ("quantity", "reason"), refused, prose=True),) if refused else ()
+    tables = _unless_empty("Quantities", head, found) + missing
+    return Summary(title, headline, tables, picture, tuple(filter(None, document["lines"].values())))
+
+
+QUANTITY_NAMES: Final = {
+    "x_m": ("x", 3),
+    "y_m": ("y", 3),
+    "yaw_deg": ("yaw", 2),
+    "offset_s": ("time offset", 3),
+    "distance_scale": ("distance scale", 4),
+    "turn_scale": ("turn scale", 4),
+    "veer_deg_per_m": ("veer", 2),
+}
+"""Calibrated quantity -> its name in tables, and its digits there."""
+
+
+def _quantity_name(row: dict[str, Any]) -> tuple[str, int]:
+    return QUANTITY_NAMES.get(row["name"], (row["name"].replace("_", " "), 0))
+
+
+def _calibrated_row(row: dict[str, Any]) -> tuple[str, ...]:
+    """Return name and unit, value, half-width of the interval, what the log says, and the difference."""
+    name, digits = _quantity_name(row)
+    value, within, in_log, difference = (
+        _text(row.get(key), digits) for key in ("value", "ci95", "in_log", "difference")
+    )
+    unit = f", {row['unit']}" if row.get("unit") else ""
+    return f"{name}{unit}", value, f"± {within}" if within else "", in_log, difference
+
+
+def _unless_empty(heading: str, head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> tuple[Table, ...]:
+    found = tuple(rows)
+    return (Table(heading, head, found),) if found else ()
+
+
+def _text(value: float | None, digits: int) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return "" if value is None else f"{value:z.{digits}f}"

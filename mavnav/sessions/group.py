@@ -1,0 +1,129 @@
+"""Groups of sessions that are joined: their key frames in one frame, and the pose graph over all of them."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
+
+from mavnav.slam.findings import Edge
+from mavnav.slam.loop_closure.closure import SIGMA_M, SIGMA_RAD
+from mavnav.slam.loop_closure.detection import LOOP_M
+from mavnav.slam.loop_closure.key_frames import KEY_M, KEY_RAD, KeyFrame
+from mavnav.slam.loop_closure.path_edges import PATH_SIGMA_M, PATH_SIGMA_RAD
+from mavnav.slam.loop_closure.pose_graph import root_information
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from mavnav.sessions.session import Session
+
+DOUBTFUL = 3.0
+"""The path of a session whose own track is doubtful has standard deviations so many times as large: it is bent to fit
+the others, and does not bend them."""
+
+SHORT = 0.1
+"""The variance of the motion to the next key frame shrinks with it, down to this part."""
+
+NEAR_M = 2.0
+"""Key frames of one session that lie so near, a long path apart, are held together by its finished map."""
+
+APART_M = 1e6
+"""Between the paths of two sessions: nothing of one is near to the other along the path."""
+
+
+class Join(NamedTuple):
+    """How a session was joined to a group, or why not (``why``).
+
+    ``searched`` witnesses, ``found`` of them fit in one place, and ``agreeing`` of those agree. Of ``tested`` key
+    frames ``closures`` agree with the map and ``contradicting`` conflict with it. ``residual_m`` and ``residual_rad``
+    are the RMS of what the pose graph leaves of the closures. ``after`` names the session at whose end it begins, if it
+    was placed there.
+    """
+
+    name: str
+    searched: int = 0
+    found: int = 0
+    agreeing: int = 0
+    tested: int = 0
+    closures: int = 0
+    contradicting: int = 0
+    residual_m: float = 0.0
+    residual_rad: float = 0.0
+    joined_to: tuple[tuple[str, int], ...] = ()
+    why: str = ""
+    after: str = ""
+
+    @property
+    def agreeing_share(self) -> float:
+        """Part of the witnesses that agree."""
+        return self.agreeing / max(self.searched, 1)
+
+
+class Group(Struct, frozen=True):
+    """Sessions in one frame: their key frames, one session after another, what binds them, and how each was joined."""
+
+    sessions: tuple[Session, ...]
+    keys: tuple[KeyFrame, ...]
+    edges: tuple[Edge, ...]
+    joins: tuple[Join, ...]
+
+    def owner(self, key: int) -> int:
+        """Return the number of the session of a key frame."""
+        return int(self.keys[key].path_m // APART_M)
+
+    def keys_of(self, number: int) -> list[KeyFrame]:
+        """Return the key frames of a session, in the frame of the group."""
+        return [key for k, key in enumerate(self.keys) if self.owner(k) == number]
+
+
+def group_of(session: Session) -> Group:
+    """Begin a group with a session."""
+    return Group((session,), session.keys, tuple(own_edges(session, 0)), (Join(session.name),))
+
+
+def group_in_frame(sessions: Sequence[Session]) -> Group:
+    """Return sessions that are in one frame already as a group: each is held where it is by those before it."""
+    keys, edges = list[KeyFrame](), list[Edge]()
+    for number, session in enumerate(sessions):
+        first = len(keys)
+        keys += [replace(key, path_m=key.path_m + number * APART_M) for key in session.keys]
+        edges += own_edges(session, first)
+        if number:
+            pairs = [pair for pair in revisits(keys, first) if pair[0] < first] or [nearest_pair(keys, first)]
+            firm = root_information(SIGMA_M, SIGMA_RAD)
+            edges += [Edge(i, j, keys[i].map_T_laser.between(keys[j].map_T_laser), firm) for i, j in pairs]
+    return Group(tuple(sessions), tuple(keys), tuple(edges), tuple(Join(session.name) for session in sessions))
+
+
+def nearest_pair(keys: Sequence[KeyFrame], first: int) -> tuple[int, int]:
+    """Return the key frame from number ``first`` on, and the one before, that are nearest to each other."""
+    xy_m = np.array([key.map_T_laser[:2] for key in keys])
+    off_m = np.hypot(*(xy_m[first:, None] - xy_m[None, :first]).transpose(2, 0, 1))
+    j, i = np.unravel_index(int(np.argmin(off_m)), off_m.shape)
+    return int(i), first + int(j)
+
+
+def own_edges(session: Session, first: int) -> Iterator[Edge]:
+    """Bind the key frames of a session as its run placed them; ``first`` is the number of its first one."""
+    keys, times = session.keys, DOUBTFUL if session.doubtful else 1.0
+    poses, path = [key.map_T_laser for key in keys], root_information(PATH_SIGMA_M, PATH_SIGMA_RAD) / times
+    for k, (a, b) in enumerate(pairwise(poses)):
+        a_T_b = a.between(b)
+        share = max(a_T_b.distance_m / KEY_M, abs(a_T_b.yaw_rad) / KEY_RAD)
+        yield Edge(first + k, first + k + 1, a_T_b, path / np.sqrt(min(max(share, SHORT), 1.0)))
+    for i, j in revisits(keys, 0):
+        yield Edge(first + i, first + j, poses[i].between(poses[j]), root_information(SIGMA_M, SIGMA_RAD) / times)
+
+
+def revisits(keys: Sequence[KeyFrame], begin: int) -> Iterator[tuple[int, int]]:
+    """Pair key frames from number ``begin`` on with the nearest one of a long path before, if that is near."""
+    xy_m, paths_m = np.array([key.map_T_laser[:2] for key in keys]), np.array([key.path_m for key in keys])
+    for j, key in enumerate(keys[begin:], start=begin):
+        off_m = np.hypot(*(xy_m[: int(np.searchsorted(paths_m, key.path_m - LOOP_M))] - xy_m[j]).T)
+        i = int(np.argmin(off_m)) if len(off_m) else 0
+        if len(off_m) and off_m[i] <= NEAR_M:
+            yield i, j

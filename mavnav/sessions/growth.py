@@ -1,0 +1,132 @@
+"""Groups grow: each session is searched in the map of those that are joined, and joins if the evidence suffices.
+
+A join needs the evidence of a loop. Scans at different places of the session are searched in the whole map of the
+group. At least three, and most of those that fit in one place only, must agree on one transform. Closures are searched
+from there.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mavnav.sessions.closures import continued, joined
+from mavnav.sessions.following import SOON_S, ended_before, follows
+from mavnav.sessions.group import Group, Join, group_of
+from mavnav.sessions.group_map import GroupMap
+from mavnav.sessions.witnesses import sought
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from mavnav.config.models import Config
+    from mavnav.pose import Pose
+    from mavnav.sessions.session import Session
+
+MOST_ALIKE = 0.5
+"""A session with a larger share of the scans of another one is the same recording."""
+
+
+def grown(sessions: Sequence[Session], config: Config, report: Callable[[str], None]) -> tuple[Group, list[Join]]:
+    """Join sessions to groups; return the largest, and for each session outside of it why it is there.
+
+    ``report`` is called with the name of the session that is searched. There must be a session. Those whose track is
+    doubtful come last.
+    """
+    refused = {again: Join(again, why=f"it has the scans of {name}") for again, name in repeated(sessions)}
+    waiting = [session for session in sessions if session.name not in refused]
+    waiting.sort(key=lambda session: (session.doubtful, -len(session.keys)))
+    groups: list[Group] = []
+    while waiting and sum(len(s.keys) for s in waiting) > max((len(group.keys) for group in groups), default=0):
+        first = beginning(waiting[0], waiting)
+        others = [session for session in waiting if session is not first]
+        group, waiting, tried = extended(group_of(first), others, config, report)
+        groups.append(group)
+        refused |= {join.name: join for join in tried}
+    best = max(groups, key=lambda group: len(group.keys))
+    for group in groups:
+        if group is not best:
+            names = [session.name for session in group.sessions]
+            refused |= {name: _left_out(name, names) for name in names}
+    inside = {session.name for session in best.sessions}
+    return best, [refused[session.name] for session in sessions if session.name not in inside]
+
+
+def beginning(session: Session, others: Sequence[Session]) -> Session:
+    """Return the first part of the recording that a session goes on with; itself, if it is not known to."""
+    before = [other for other in others if not other.doubtful and follows(session, other, SOON_S) is not None]
+    return beginning(before[0], others) if before else session
+
+
+def repeated(sessions: Sequence[Session]) -> Iterator[tuple[str, str]]:
+    """Find sessions that have the scans of another one: their names, and those of the others, which are longer."""
+    longest = sorted(sessions, key=lambda session: -len(session.scan_hashes))
+    for k, session in enumerate(longest):
+        for other in longest[:k]:
+            if alike(session, other):
+                yield session.name, other.name
+                break
+
+
+def alike(session: Session, other: Session) -> bool:
+    """Return whether most scans of a session are those of another one."""
+    return len(session.scan_hashes & other.scan_hashes) > MOST_ALIKE * len(session.scan_hashes)
+
+
+def _left_out(name: str, group: list[str]) -> Join:
+    others = ", ".join(other for other in group if other != name)
+    why = f"it joins {others} alone, a smaller group" if others else "too few scans of the others fit in its map"
+    return Join(name, why=why)
+
+
+def extended(
+    group: Group, waiting: Sequence[Session], config: Config, report: Callable[[str], None], pause_s: float = SOON_S
+) -> tuple[Group, list[Session], list[Join]]:
+    """Join sessions to a group until none joins any more, the best witnessed first; return what is left, and why.
+
+    One that begins within ``pause_s`` after one of the group ended is also tried at its end.
+    """
+    here, left = GroupMap(group.keys, config), sorted(waiting, key=lambda session: session.doubtful)
+    while True:
+        before = group
+        group, here = _with_following(group, here, left, config)
+        left = [session for session in left if session not in group.sessions]
+        group, here, tried = _with_found(group, here, left, config, report, pause_s)
+        left = [session for session in left if session not in group.sessions]
+        if not left or group is before:
+            return group, left, tried
+
+
+def _with_following(group: Group, here: GroupMap, waiting: Sequence[Session], config: Config) -> tuple[Group, GroupMap]:
+    """Join the sessions with which a recording goes on."""
+    for session in waiting:
+        cut = ended_before(group, session, SOON_S)
+        larger = continued(group, session, cut, here, Join(session.name), config)[0] if cut else None
+        if larger:
+            group, here = larger, here.grown(larger.keys)
+    return group, here
+
+
+def _with_found(
+    group: Group,
+    here: GroupMap,
+    waiting: Sequence[Session],
+    config: Config,
+    report: Callable[[str], None],
+    pause_s: float,
+) -> tuple[Group, GroupMap, list[Join]]:
+    """Join the sessions that are found in the map, or lie at the end of another; return also why others do not join."""
+    places: list[tuple[Session, Join, Pose | None]] = []
+    for session in waiting:
+        report(session.name)
+        places.append((session, *sought(session, here.part, config)))
+    tried = list[Join]()
+    for session, join, place in sorted(places, key=lambda found: (found[0].doubtful, -found[1].agreeing_share)):
+        larger, result = joined(group, session, place, here, join, config) if place else (None, join)
+        cut = ended_before(group, session, pause_s)
+        if larger is None and cut and not cut.soon:
+            larger, result = continued(group, session, cut, here, result, config)
+        if larger is None:
+            tried.append(result)
+        else:
+            group, here = larger, here.grown(larger.keys)
+    return group, here, tried

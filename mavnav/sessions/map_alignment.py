@@ -1,0 +1,150 @@
+"""Alignment of two maps: virtual scans of one are searched in the other, and must agree."""
+
+from __future__ import annotations
+
+from operator import attrgetter
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from mavnav.mapping.line_map import LineMap
+from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, Grid, GridBuilder, cell_centres, occupancy
+from mavnav.pose import Pose, rigid_fit, transform_points
+from mavnav.slam.matching.relocalization import AMBIGUITY_MARGIN, apart, around, candidates, everywhere, unambiguous
+from mavnav.slam.matching.scan_matching import Schedule, search_lines
+from mavnav.slam.methods.localization import MAP_CANDIDATES
+from mavnav.slam.recovery.parts import consensus
+from mavnav.units import DEG, MM
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mavnav.config.models import Config
+    from mavnav.slam.matching.prior_map import PriorMap
+    from mavnav.slam.matching.relocalization import Region
+
+    Placed = tuple[Pose, Pose]
+    """The pose of a virtual scan in its own map ``b``, and in map ``a``."""
+
+VIEWPOINTS = 12
+"""Number of positions of virtual scans, each as far as possible from the others."""
+
+CLEARANCE_M = 0.3
+"""Minimum distance of these positions from walls and unknown cells."""
+
+MOST_CELLS = 4000
+"""Maximum number of points of a sample: of free cells for the positions, of walls for the refinement."""
+
+BEAMS, FAR_M = 360, 15.0
+"""Number of beams of a virtual scan, over a full turn, and their maximum range, m."""
+
+NEAR_M, NEAR_RAD = 1.0, 15 * DEG
+"""Half-widths of the first search, which assumes that both maps have nearly the same frame."""
+
+LEAST_INLIERS = 0.5
+"""Minimum share of inliers of a virtual scan; the others may lie on changes, or beyond the other map."""
+
+REFINED_M, REFINED_RAD = 0.2, 2 * DEG
+"""Half-widths of the search that refines the alignment."""
+
+
+class Alignment(NamedTuple):
+    """The pose of map ``b`` in map ``a``, the number of virtual scans, and how many of them agree on it.
+
+    ``cost_m2`` is the mean squared distance of the walls of ``b`` from those of ``a``, truncated.
+    """
+
+    a_T_b: Pose
+    taken: int
+    agreeing: int
+    cost_m2: float
+
+
+def align(a: PriorMap, b: PriorMap, config: Config) -> Alignment | None:
+    """Find map ``b`` in map ``a``, near the same frame and anywhere; return the better alignment.
+
+    None unless at least three virtual scans of ``b``, and most of those that are found in ``a``, agree.
+    """
+    target, scans = _Target(a, config), virtual_scans(b, config)
+    found = [_alignment(target, target.placed(scans, anywhere=anywhere), b, len(scans)) for anywhere in (False, True)]
+    return min((alignment for alignment in found if alignment), key=attrgetter("cost_m2"), default=None)
+
+
+def _alignment(target: _Target, found: list[Placed], b: PriorMap, taken: int) -> Alignment | None:
+    """Return the refined alignment on which the virtual scans agree; None if too few agree."""
+    a_T_b = consensus(found)
+    if a_T_b is None:
+        return None
+    agreeing = [pair for pair in found if not apart(a_T_b @ pair[0], pair[1])]
+    refined, cost_m2 = target.refined(fitted(agreeing), b)
+    return Alignment(refined, taken, len(agreeing), cost_m2)
+
+
+class _Target:
+    """The map in which another map is searched."""
+
+    def __init__(self, known: PriorMap, config: Config) -> None:
+        robust, cell_m = config.robust, known.grid.cell_m
+        self.config, self.grid = config, GridBuilder.of(known.grid)
+        self.lines = LineMap(cell_m, robust.line_sigma_mm * MM, robust.line_noise_mm * MM)
+        self.lines.insert(known.walls_xy_m)
+
+    def placed(self, scans: list[tuple[Pose, NDArray[np.float64]]], *, anywhere: bool) -> list[Placed]:
+        """Return the poses of those scans that fit the map at exactly one pose."""
+        all_over = everywhere(self.grid) if anywhere else None
+        found = ((pose, self._place(points, all_over or around(pose, NEAR_M, NEAR_RAD))) for pose, points in scans)
+        return [(pose, place) for pose, place in found if place]
+
+    def _place(self, points: NDArray[np.float64], region: Region) -> Pose | None:
+        found = candidates(points, self.lines, self.grid, region, self.config, MAP_CANDIDATES)
+        best = unambiguous(found, AMBIGUITY_MARGIN, self.config)
+        return best.map_T_laser if best and best.inliers >= LEAST_INLIERS else None
+
+    def refined(self, a_T_b: Pose, b: PriorMap) -> tuple[Pose, float]:
+        """Refine an alignment by the least distance of the walls of ``b``; return it with its cost, m2."""
+        walls_xy_m = _sample(b.walls_xy_m)
+        x_m, y_m = walls_xy_m.mean(axis=0).tolist()
+        middle = Pose(x_m, y_m)
+        schedule = Schedule.of(self.config, self.lines, (REFINED_M, REFINED_RAD))
+        points = transform_points(middle.inverse(), walls_xy_m)
+        match = search_lines(points, self.lines, a_T_b @ middle, schedule)
+        return match.map_T_laser @ middle.inverse(), match.cost_m2
+
+
+def fitted(pairs: list[Placed]) -> Pose:
+    """Return the transform from the positions of the first poses to those of the second, by least squares."""
+    return rigid_fit(*(np.array([pair[k][:2] for pair in pairs]) for k in (0, 1)))
+
+
+def virtual_scans(known: PriorMap, config: Config) -> list[tuple[Pose, NDArray[np.float64]]]:
+    """Return virtual scans of a map: poses, and points (n, 2) in their frames, m, in shuffled order."""
+    cells, angles_rad = occupancy(known.grid), np.arange(BEAMS) * (2 * np.pi / BEAMS)
+    walls = Grid(known.grid.cell_m, known.grid.origin_xy_m, (cells == OCCUPIED).astype(np.uint16), known.grid.passes)
+    directions, seen = np.column_stack((np.cos(angles_rad), np.sin(angles_rad))), GridBuilder.of(walls)
+    scans = []
+    for x_m, y_m in viewpoints(walls, cells == FREE).tolist():
+        pose = Pose(x_m, y_m, 0.0)
+        points = seen.virtual_scan(pose, directions, FAR_M, 0)[:, None] * directions
+        points = _sample(points[np.isfinite(points).all(axis=1)])
+        if len(points) >= config.robust.min_points:
+            scans.append((pose, points))
+    return scans
+
+
+def viewpoints(grid: Grid, free: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Choose up to ``VIEWPOINTS`` positions (n, 2), m, in free space, each as far as possible from those before it."""
+    from scipy.ndimage import distance_transform_edt  # noqa: PLC0415  takes 0.1 s to load
+
+    row, col = np.nonzero(distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1] * grid.cell_m >= CLEARANCE_M)
+    xy_m = _sample(cell_centres(grid, row, col))
+    chosen, away_m = list[int](), np.full(len(xy_m), np.inf)
+    for _ in range(min(VIEWPOINTS, len(xy_m))):
+        chosen.append(int(np.argmax(away_m)))
+        away_m = np.minimum(away_m, np.hypot(*(xy_m - xy_m[chosen[-1]]).T))
+    return xy_m[chosen]
+
+
+def _sample(xy_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return up to ``MOST_CELLS`` of the points (n, 2), shuffled, so that any prefix is a fair sample."""
+    mixed: NDArray[np.float64] = np.random.default_rng(0).permutation(xy_m)[:MOST_CELLS]
+    return mixed

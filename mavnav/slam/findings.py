@@ -1,0 +1,121 @@
+"""What the passes after tracking find out about a track: its closed loops and its doubt."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+from msgspec import Struct
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mavnav.pose import Pose, Trajectory
+
+HIGH: Final = 0.5
+"""Probability above which a track is marked as doubtful."""
+
+NOT_PLANAR: Final = "not planar"
+"""The reason with which a map of the plane is meaningless."""
+
+SECOND_MOTION: Final = "another motion fits as well"
+"""The reason that something large moves with the laser, or past it."""
+
+
+class Edge(Struct, frozen=True):
+    """Pose ``end`` was measured from pose ``start`` (numbers of poses).
+
+    ``sqrt_information`` (3, 3) is the square root of the information matrix of x, y (m) and yaw (rad) in the frame of
+    ``start``: a diagonal of inverse standard deviations, or a row of zeros for an unconstrained direction.
+    """
+
+    start: int
+    end: int
+    start_T_end: Pose
+    sqrt_information: NDArray[np.float64]
+
+
+class Loop(Struct, frozen=True):
+    """A closed loop: the scan of row ``end`` of the trajectory lies at ``start_T_end`` from that of row ``start``.
+
+    ``correction`` is the corrected pose of the later scan in its tracked frame, without the direction that is not
+    observable. ``inliers`` is the share of its points that agree.
+    """
+
+    start: int
+    end: int
+    start_T_end: Pose
+    correction: Pose
+    inliers: float
+
+
+class Graph(Struct, frozen=True):
+    """The pose graph of a track: the rows of the key frames in the trajectory, and the edges between key frames."""
+
+    rows: tuple[int, ...]
+    edges: tuple[Edge, ...]
+
+
+class Loops(Struct, frozen=True):
+    """The closed loops, the number of refused candidates, and the corrected poses.
+
+    ``map_T_laser`` is None if the track does not change, ``graph`` is None if no loop was searched.
+    """
+
+    closed: tuple[Loop, ...] = ()
+    refused: int = 0
+    map_T_laser: Trajectory | None = None
+    graph: Graph | None = None
+
+    def dropped(self) -> Loops:
+        """Return the loops with every one refused."""
+        return Loops(refused=self.refused + len(self.closed), graph=self.graph)
+
+
+class Reason(NamedTuple):
+    """A reason to doubt a track: its stretch from and to a scan, stamps in ns, and its largest value there."""
+
+    name: str
+    start_ns: int
+    end_ns: int
+    value: float
+
+
+class Remedy(NamedTuple):
+    """Another track, made because the first was lost or doubtful: the doubt of both, and whether it is used.
+
+    ``doubt_after`` is NaN where the other track was given up.
+    """
+
+    name: str
+    doubt_before: float
+    doubt_after: float
+    used: bool
+
+
+class Doubt(Struct, frozen=True):
+    """The probability that an accepted track is wrong somewhere, and the reasons, the strongest first.
+
+    ``tried`` names what was done because of it.
+    """
+
+    probability: float
+    reasons: tuple[Reason, ...] = ()
+    tried: tuple[str, ...] = ()
+
+    @property
+    def high(self) -> bool:
+        """Whether the track is marked as doubtful."""
+        return self.probability > HIGH
+
+    def marks(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return which of the scans (n,) are doubtful: those of the reasons, if the doubt is high.
+
+        A reason that holds for all scans marks them only if there is no other reason.
+        """
+        found = [(stamps_ns >= r.start_ns) & (stamps_ns <= r.end_ns) for r in self.reasons if self.high]
+        local = [some for some in found if not some.all()]
+        marked = np.zeros(len(stamps_ns), np.bool_)
+        for some in local or found:
+            marked |= some
+        return marked

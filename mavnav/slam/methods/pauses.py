@@ -1,0 +1,138 @@
+"""Pauses in the scans: how far the laser can have moved meanwhile, and whether it was found late after one."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from itertools import pairwise
+from math import hypot
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavnav.arrays import quantile
+from mavnav.slam.matching.motion_model import GAP_S
+from mavnav.units import NS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from mavnav.pose import Pose
+    from mavnav.slam.matching.motion_model import Motion
+    from mavnav.slam.matching.steps import Step, Steps
+
+PAUSE_S, PAUSE_PERIODS = 2.5, 2.5
+"""Time between two scans from which it is a pause, and in periods; with odometry it is one from ``GAP_S`` on."""
+
+LEAST_SPEED_M_S, FASTER, SLACK_M = 0.3, 1.2, 0.5
+"""Speed that every vehicle reaches, largest ratio of the mean speed in a pause to the highest before, and slack."""
+
+ODOMETRY_SHARE = 0.3
+"""Largest error of odometry across a pause, as a share of the motion, besides the slack."""
+
+LATE_SCANS = 32
+"""Number of scans after a pause without a pose from which the next pose is doubtful: the laser moved on to new area."""
+
+
+class Pauses:
+    """The last pause in the scans that were matched, and the highest speed of the path."""
+
+    def __init__(self) -> None:
+        """Begin without a scan."""
+        self._seen_ns: int | None = None
+        self._end_ns: int | None = None
+        self._fastest_m_s = LEAST_SPEED_M_S
+
+    def note(self, stamp_ns: int, motion: Motion) -> None:
+        """Take note of a scan and of the motion before it."""
+        shortest_s = shortest_pause_s(motion.period_s, PAUSE_S if motion.odometry is None else GAP_S)
+        if self._seen_ns is not None and (stamp_ns - self._seen_ns) * NS > shortest_s:
+            self._end_ns = stamp_ns
+        elif motion.stamp_ns == self._seen_ns:
+            self._fastest_m_s = max(self._fastest_m_s, hypot(*motion.twist[:2]))
+        self._seen_ns = stamp_ns
+
+    def exclude(self, map_T_laser: Pose, motion: Motion, stamp_ns: int) -> bool:
+        """Return whether a pose after a pause is not where odometry leads, or without it too far for the laser.
+
+        A laser that is lost while its scans go on may have been carried; one whose scans pause has moved as before.
+        """
+        if self._end_ns is None or not motion.stamp_ns < self._end_ns <= stamp_ns:
+            return False
+        ahead = motion.by_odometry(stamp_ns)
+        if ahead is not None:
+            return ahead.gap(map_T_laser)[0] > ODOMETRY_SHARE * ahead.gap(motion.map_T_laser)[0] + SLACK_M
+        return is_too_far(motion.map_T_laser, map_T_laser, motion.elapsed_s(stamp_ns), self._fastest_m_s)
+
+
+def is_too_far(a: Pose, b: Pose, elapsed_s: float, fastest_m_s: float) -> bool:
+    """Return whether a laser of this highest speed cannot have moved so far in a pause."""
+    return a.gap(b)[0] > FASTER * fastest_m_s * elapsed_s + SLACK_M
+
+
+def highest_speed(steps: Sequence[Step]) -> float:
+    """Return the highest usual speed (0.99 quantile) between successive accepted poses, m/s."""
+    pairs = [(a, b, (b.stamp_ns - a.stamp_ns) * NS) for a, b in pairwise(steps)]
+    speeds = [a.match.map_T_laser.gap(b.match.map_T_laser)[0] / s for a, b, s in pairs if 0.0 < s <= PAUSE_S]
+    return max(quantile(speeds, 0.99) if speeds else 0.0, LEAST_SPEED_M_S)
+
+
+def shortest_pause_s(period_s: float, least_s: float = PAUSE_S) -> float:
+    """Return the time between two scans from which it is a pause."""
+    return max(least_s, PAUSE_PERIODS * period_s)
+
+
+def pauses(steps: Steps, period_s: float) -> list[int]:
+    """Return the numbers of the scans before the pauses of a log."""
+    found: list[int] = np.flatnonzero(np.diff(steps.column("stamp_ns")) * NS > shortest_pause_s(period_s)).tolist()
+    return found
+
+
+def first_found_late(steps: Steps, period_s: float) -> int | None:
+    """Return the number of the first scan after the first pause after which the laser was found late; None without."""
+    accepted = np.flatnonzero(steps.column("tracked")).tolist()
+    for pause in pauses(steps, period_s):
+        later = bisect_right(accepted, pause)
+        if 0 < later < len(accepted) and accepted[later] - pause > LATE_SCANS:
+            return pause + 1
+    return None
+
+
+def pause_warnings(steps: Steps, motion: Motion) -> Iterator[str]:
+    """Yield a warning if the scans pause between two poses of a log without odometry."""
+    tracked, stamps_ns = steps.column("tracked"), steps.column("stamp_ns")
+    found = [k for k in pauses(steps, motion.period_s) if tracked[: k + 1].any() and tracked[k + 1 :].any()]
+    if not found or motion.has_odometry:
+        return
+    longest = max(found, key=lambda k: stamps_ns[k + 1] - stamps_ns[k])
+    at_s, until_s = (float(stamps_ns[k] - stamps_ns[0]) * NS for k in (longest, longest + 1))
+    more = f", and {len(found) - 1} more" if len(found) > 1 else ""
+    yield (
+        f"the scans pause for {until_s - at_s:.1f} s ({at_s:.1f} s after the first{more}): without odometry, where the "
+        "laser is afterwards is known from the scans alone; check the map there"
+    )
+
+
+def blind_warnings(steps: Steps, motion: Motion) -> Iterator[str]:
+    """Yield a warning if a log without odometry goes on for longer than a pause, and its scans match nowhere meanwhile.
+
+    The laser may have been carried, to a place that looks like an earlier one.
+    """
+    if motion.odometry is not None:
+        return
+    stamps_ns, tracked = steps.column("stamp_ns"), np.flatnonzero(steps.column("tracked"))
+    gaps_s = np.diff(stamps_ns[tracked]) * NS
+    paused = {k + 1 for k in pauses(steps, motion.period_s)}
+    found = [
+        k
+        for k in np.flatnonzero(gaps_s > shortest_pause_s(motion.period_s)).tolist()
+        if not paused.intersection(range(tracked[k] + 1, tracked[k + 1] + 1))
+    ]
+    if not found:
+        return
+    longest = max(found, key=lambda k: gaps_s[k])
+    at_s = float(stamps_ns[tracked[longest]] - stamps_ns[0]) * NS
+    more = f", and {len(found) - 1} more" if len(found) > 1 else ""
+    yield (
+        f"no scan matches for {gaps_s[longest]:.1f} s ({at_s:.1f} s after the first{more}): without odometry, whether "
+        "the laser was carried meanwhile is known from the scans alone; check the map there"
+    )

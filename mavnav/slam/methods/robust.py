@@ -1,0 +1,360 @@
+"""The robust method: point-to-line matching against the whole map, and a correlative search where that fails."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavnav.kernels.scans.observability import observability
+from mavnav.kernels.scans.points import placed, scan_points
+from mavnav.mapping.line_map import LineMap
+from mavnav.mapping.occupancy_grid import GridBuilder
+from mavnav.pose import Pose
+from mavnav.profiling import timed
+from mavnav.scan import LONGEST_SWEEP
+from mavnav.slam.matching.budget import WHOLE_EACH, WHOLE_FIRST, WIDE_EACH, WIDE_FIRST, WIDE_MOST, Budget, search_work
+from mavnav.slam.matching.degeneracy import LEAST_OBSERVABILITY
+from mavnav.slam.matching.relocalization import (
+    CANDIDATES,
+    around,
+    best_of,
+    candidates,
+    everywhere,
+    heading_margin,
+    reached_by,
+    with_conflicts,
+    within_reach,
+    within_reach_of,
+)
+from mavnav.slam.matching.scan_matching import (
+    Match,
+    Schedule,
+    first_match,
+    no_match,
+    search_lines,
+    with_effort,
+)
+from mavnav.slam.matching.track_state import Verdict
+from mavnav.slam.methods.acceptance import FOUND_CONFLICTS, Acceptance
+from mavnav.slam.methods.pauses import Pauses
+from mavnav.units import DEG, MM
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mavnav.config.models import Config
+    from mavnav.mapping.occupancy_grid import Grid
+    from mavnav.mapping.tiled_arrays import Extent
+    from mavnav.scan import Scan
+    from mavnav.slam.matching.motion_model import Motion
+    from mavnav.slam.matching.relocalization import Region
+
+    Points = tuple[NDArray[np.float64], NDArray[np.float64]]
+    """The valid end points (n, 2) of a scan and their voxel means (m, 2), m, laser frame."""
+
+NEAR_MINIMA = 3
+"""Number of separate minima near the prediction that are refined: the lowest one of a coarse grid may be wrong."""
+
+LOST_PERIODS = 8
+"""Number of periods without an accepted pose after which the laser is lost.
+
+Then wide regions are searched as far as their budget allows. Once the laser is found, the scans between are rematched.
+"""
+
+RARELY_SCANS = 64
+"""Number of scans without an accepted pose from which, without odometry, a scan is searched only in wide regions."""
+
+FOUND_PERIODS = 1.5
+"""Time since the last accepted pose, in periods, below which the previous scan was accepted.
+
+Its refundable work is then returned: each scan of a sparse log may need a wide search.
+"""
+
+FOUND_COST, FOUND_ANYWHERE_COST = 0.4, 0.25
+"""Maximum cost of a minimum that is refined when the laser is lost, in a wide region and in the whole map.
+
+It is a share of the worst cost. Poses at which a lost laser was found cost up to 0.1 at 10 scans a second.
+"""
+
+AT_REST = np.zeros(3)
+"""Twist of a laser at rest, for scans that are not de-skewed."""
+
+
+def _expected(scan: Scan, predicted: Pose, motion: Motion) -> tuple[Pose, ...]:
+    """Return the expected poses of a scan: as predicted, by constant velocity, and at rest."""
+    return tuple(dict.fromkeys((predicted, motion.by_velocity(scan.stamp_ns), motion.map_T_laser)))
+
+
+def _is_lost(motion: Motion, elapsed_s: float) -> bool:
+    return elapsed_s > LOST_PERIODS * motion.period_s
+
+
+class Robust:
+    """Point-to-line matching against the whole map; hit counts are kept in ``grid`` for the outputs.
+
+    ``known`` is the grid for visibility conflicts.
+    """
+
+    expects_rest = False
+    uses_odometry = True
+    builds_map = True
+    own_kernels = (
+        *("line_search.search", "maps.conflicts", "maps.linemap"),
+        *("scans.correlative_search", "scans.observability", "scans.rts_smoother"),
+    )
+    """The modules of kernels that no other method needs."""
+    found_conflicts = FOUND_CONFLICTS
+
+    def __init__(self, config: Config) -> None:
+        """Start with an empty map."""
+        robust = config.robust
+        self.config, self.acceptance = config, Acceptance(robust, self.found_conflicts)
+        self._begin()
+        self._limits_m = np.array([robust.near_mm * MM, robust.far_mm * MM, robust.voxel_mm * MM])
+        self._deskewed: tuple[Scan, Motion, Points] | None = None
+        self._free: Region | None = None  # the free area of the whole map, until it grows
+        self._bounded = False  # whether cost bounds were computed since the map last grew
+        self._wide_budget = Budget(WIDE_EACH, WIDE_FIRST, WIDE_MOST)
+        self._whole_budget = Budget(WHOLE_EACH, WHOLE_FIRST)
+        self._pauses = Pauses()
+        self._missed = 0, 0  # stamp of the last accepted pose, and number of scans matched since
+
+    @property
+    def refiner(self) -> Robust:
+        """The method itself, which has all parts of the refiner."""
+        return self
+
+    @cached_property
+    def _near(self) -> tuple[Schedule, Schedule]:
+        """Schedules of the search close to the prediction: without odometry, and with it."""
+        robust = self.config.robust
+        window = (robust.near_window_mm * MM, robust.near_window_deg * DEG)
+        return Schedule.of(self.config, self.lines, window), Schedule.of(
+            self.config, self.lines, window, prior=robust.prior
+        )
+
+    @cached_property
+    def _final(self) -> Schedule:
+        """Schedule of the search of the final pass."""
+        window = (self.config.robust.final_window_mm * MM, self.config.robust.final_window_deg * DEG)
+        return Schedule.of(self.config, self.lines, window, final=True)
+
+    def _begin(self) -> None:
+        """Start an empty map."""
+        robust = self.config.robust
+        self.known = self.grid = GridBuilder(robust.cell_mm * MM)
+        self.lines = LineMap(
+            robust.cell_mm * MM,
+            robust.line_sigma_mm * MM,
+            robust.line_noise_mm * MM,
+            robust.overlap_points,
+            robust.waiting_share,
+        )
+
+    def first(self, scan: Scan) -> Match:
+        """Begin the map with any scan of enough points."""
+        n = len(self._points(scan)[0])
+        return first_match(n) if n >= self.config.robust.min_points else no_match(Pose(), n)
+
+    def match(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
+        """Match the de-skewed scan close to the prediction; search wider regions unless that match is acceptable."""
+        points, elapsed_s = self.match_points(scan, motion), motion.elapsed_s(scan.stamp_ns)
+        self._pauses.note(scan.stamp_ns, motion)
+        if len(points) < self.config.robust.min_points:
+            return no_match(predicted, len(points))
+        self._wide_budget.earn(found=elapsed_s < FOUND_PERIODS * motion.period_s)
+        self._whole_budget.earn()
+        if self._missed_before(motion) >= RARELY_SCANS and motion.odometry is None:
+            return self._search_rarely(points, predicted, motion, _expected(scan, predicted, motion), elapsed_s)
+        tried = self._search_near(points, predicted, motion)
+        if self._is_found_near(tried, predicted, motion, elapsed_s):
+            return tried[0]
+        expected, lost = _expected(scan, predicted, motion), _is_lost(motion, elapsed_s)
+        regions = self._lost_region(points, expected, elapsed_s) if lost else []
+        given_up = lost and not regions
+        if given_up and tried and motion.odometry is None:
+            return tried[0]
+        tried += self._search_around(points, predicted)
+        best = self._of_least_cost(tried, points, predicted, motion)
+        if given_up or self.acceptance.is_acceptable(best, motion, elapsed_s):
+            return with_effort(best, *tried)
+        for region in regions or [within_reach(pose, elapsed_s) for pose in expected]:
+            if lost or self._wide_budget.spend(self._work(points, region), refundable=True):
+                tried += self._search_wide(points, region, FOUND_COST if lost else np.inf)
+        return best_of(tried, expected, elapsed_s, self.config)
+
+    def _missed_before(self, motion: Motion) -> int:
+        """Return how many scans before this one had the same last accepted pose."""
+        last_ns, missed = self._missed
+        self._missed = motion.stamp_ns, missed + 1 if last_ns == motion.stamp_ns else 0
+        return self._missed[1]
+
+    def _search_rarely(
+        self, points: NDArray[np.float64], predicted: Pose, motion: Motion, expected: tuple[Pose, ...], elapsed_s: float
+    ) -> Match:
+        """Search for a laser that has been lost for long, if the budget covers a wide region."""
+        regions = self._lost_region(points, expected, elapsed_s)
+        if not regions:
+            return no_match(predicted, len(points))
+        tried = self._search_near(points, predicted, motion)
+        if self._is_found_near(tried, predicted, motion, elapsed_s):
+            return tried[0]
+        tried += self._search_wide(points, regions[0], FOUND_COST)
+        return best_of(tried, expected, elapsed_s, self.config) if tried else no_match(predicted, len(points))
+
+    def _lost_region(self, points: NDArray[np.float64], expected: tuple[Pose, ...], elapsed_s: float) -> list[Region]:
+        """Return the region of a lost laser, around all expected poses; none if the budget does not cover a search."""
+        if not self._wide_budget.is_ready:
+            return []
+        region = within_reach_of(expected, elapsed_s)
+        return [region] if self._wide_budget.spend(self._work(points, region)) else []
+
+    def match_between(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
+        """Match a scan between two accepted ones: close to the prediction, or within the second window."""
+        points, elapsed_s = self.match_points(scan, motion), motion.elapsed_s(scan.stamp_ns)
+        if len(points) < self.config.robust.min_points:
+            return no_match(predicted, len(points))
+        tried = self._search_near(points, predicted, motion)
+        if self._is_found_near(tried, predicted, motion, elapsed_s):
+            return tried[0]
+        tried += self._search_around(points, predicted)
+        return with_effort(self._of_least_cost(tried, points, predicted, motion), *tried)
+
+    def _of_least_cost(self, tried: list[Match], points: NDArray[np.float64], predicted: Pose, motion: Motion) -> Match:
+        """Return the match of least cost; distance from the odometry adds to it if the best match is not observable."""
+        best = min(tried, key=lambda match: match.cost_m2)
+        if motion.odometry is None or self.observability(points, best)[0] >= LEAST_OBSERVABILITY:
+            return best
+        prior = self.config.robust.prior
+        return min(tried, key=lambda match: match.cost_m2 + prior * predicted.gap(match.map_T_laser)[0] ** 2)
+
+    def _search_around(self, points: NDArray[np.float64], predicted: Pose) -> list[Match]:
+        """Search the second window around the prediction."""
+        region = around(predicted, self.config.robust.window_mm * MM, self.config.robust.window_deg * DEG)
+        return candidates(points, self.lines, self.known, region, self.config, most=NEAR_MINIMA)
+
+    def _search_near(self, points: NDArray[np.float64], predicted: Pose, motion: Motion) -> list[Match]:
+        """Search close to the prediction, unless the configuration disables that."""
+        if not self.config.robust.near_window_mm:
+            return []
+        found = search_lines(points, self.lines, predicted, self._near[motion.odometry is not None])
+        return [with_conflicts(found, points, self.lines, self.known)]
+
+    def _is_found_near(self, tried: list[Match], predicted: Pose, motion: Motion, elapsed_s: float) -> bool:
+        """Return whether the search close to the prediction was made and its match is acceptable."""
+        if not tried:
+            return False
+        near, rules = tried[0], self.acceptance
+        return rules.is_inside(near, predicted) and rules.is_acceptable(near, motion, elapsed_s)
+
+    def _work(self, points: NDArray[np.float64], region: Region) -> float:
+        """Return the work of a search of a region; that of cost bounds counts once until the map grows."""
+        (xy_m, yaws_rad), some = region, points[: self.config.robust.first_level_points]
+        cells = 0.0 if self._bounded or not len(xy_m) else self.lines.cells_within(reached_by(some, xy_m))
+        return search_work(len(xy_m) * len(yaws_rad), cells, CANDIDATES)
+
+    def _search_wide(self, points: NDArray[np.float64], region: Region, limit: float) -> list[Match]:
+        """Search a region that the laser can have reached."""
+        self._bounded = True
+        return candidates(points, self.lines, self.known, region, self.config, limit=limit)
+
+    @timed("gate")
+    def gate(self, match: Match, scan: Scan, motion: Motion) -> Verdict:
+        """Decide whether to accept the match."""
+        elapsed_s = motion.elapsed_s(scan.stamp_ns)
+        if self._pauses.exclude(match.map_T_laser, motion, scan.stamp_ns):
+            return Verdict.REFUSED
+        return self.acceptance.verdict(match, motion, elapsed_s)
+
+    def reserve_whole_map_search(self, scan: Scan) -> bool:
+        """Spend the work of a search of the whole map if the budget covers it."""
+        points = self.match_points(scan)
+        if not self._whole_budget.is_ready or len(points) < self.config.robust.min_points:
+            return False
+        self._free = self._free or everywhere(self.known)
+        return self._whole_budget.spend(self._work(points, self._free))
+
+    def relocalize(self, scan: Scan, match: Match, motion: Motion) -> Match | None:
+        """Find the scan anywhere in the map; None unless exactly one pose fits."""
+        points = self.match_points(scan)
+        if len(points) < self.config.robust.min_points:
+            return None
+        elapsed_s = motion.elapsed_s(scan.stamp_ns)
+        self._free, self._bounded = self._free or everywhere(self.known), True
+        limit = FOUND_ANYWHERE_COST if _is_lost(motion, elapsed_s) else np.inf
+        found = [match, *candidates(points, self.lines, self.known, self._free, self.config, limit=limit)]
+        expected = _expected(scan, motion.predict(scan.stamp_ns), motion)
+        best = best_of(found, expected, elapsed_s, self.config)
+        rules = self.acceptance
+        refused = best.ambiguous or rules.conflicts_after_gap(best, motion, elapsed_s)
+        refused = refused or self._pauses.exclude(best.map_T_laser, motion, scan.stamp_ns)
+        return best if rules.is_good(best) and not refused else None
+
+    def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
+        """Insert every valid point of the de-skewed scan into lines and grid."""
+        self._bounded, self._free = False, None
+        xy_map_m, extent_m = self.placed_points(scan, map_T_laser, motion)
+        self.grid.insert(map_T_laser, xy_map_m, extent_m)  # first: it refuses maps that are too large
+        self.lines.insert(xy_map_m, extent_m)
+
+    def placed_points(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> tuple[NDArray[np.float64], Extent]:
+        """Return every valid point (n, 2) of the de-skewed scan, m, map frame, and their extent."""
+        points = self._points(scan, motion)[0]
+        xy_map_m = np.empty_like(points)
+        return xy_map_m, placed(points, map_T_laser.as_array(), xy_map_m)
+
+    def remove_dynamic_cells(self) -> None:
+        """Remove the hits of people and other moving things from grid and lines."""
+        self.lines.remove(self.grid.remove_dynamic_cells())
+
+    def refine(self, points: NDArray[np.float64], match: Match) -> Match:
+        """Match points of a scan as recorded, not de-skewed, so that the pose fits the raw ranges."""
+        return search_lines(points, self.lines, match.map_T_laser, self._final, match)
+
+    def observability(self, points: NDArray[np.float64], match: Match) -> tuple[float, NDArray[np.float64]]:
+        """Return the observability by the lines at the points, and the Hessian."""
+        lines, information = self.lines, np.empty(6)
+        pose = match.map_T_laser.as_array()
+        return observability(points, pose, lines.nearest, lines.lines, lines.geometry, information), information
+
+    def conflicts(self, points: NDArray[np.float64], match: Match) -> float:
+        """Return the share of visibility conflicts of a sample of the points."""
+        return with_conflicts(match, points, self.lines, self.known).conflicts
+
+    def heading_margin(self, points: NDArray[np.float64], match: Match) -> float:
+        """Return the additional cost of the best other heading near the pose."""
+        return heading_margin(points, match.map_T_laser, self.lines, self.config)
+
+    def finished(self) -> Grid:
+        """Return the map, and free its working copy and its lines: a large map may not fit into memory twice."""
+        counts = self.grid
+        self._begin()
+        return counts.by_rows()
+
+    @timed("cleaning")
+    def match_points(self, scan: Scan, motion: Motion | None = None) -> NDArray[np.float64]:
+        """Return the points (n, 2) that are matched, m, laser frame; de-skewed if the motion is given."""
+        return self._points(scan, motion)[1]
+
+    def _points(self, scan: Scan, motion: Motion | None = None) -> Points:
+        """Return the valid points (n, 2), laser frame, m, and their voxel means; at mid-sweep if the motion is given.
+
+        The result of the last motion is kept: the scan that is inserted was matched just before.
+        """
+        last = self._deskewed
+        if last and last[0] is scan and last[1] is motion:
+            return last[2]
+        spec, twist, increment_s = scan.spec, AT_REST, 0.0
+        # One of several merged lasers may start half a period later.
+        longest = LONGEST_SWEEP if scan.times_s is None else LONGEST_SWEEP + 1.0
+        if self.config.robust.deskew != "off" and motion and scan.sweep_s <= longest * motion.period_s:
+            twist, increment_s = np.array(motion.twist_at(scan.stamp_ns)), spec.time_increment_s
+        seen = (scan.ranges_m, spec.directions) if scan.times_s is None else scan.seen_at_mid_sweep(twist)
+        ends, means = np.empty((spec.beams, 2)), np.empty((spec.beams, 2))
+        n, m = scan_points(*seen, twist, increment_s, self._limits_m, ends, means)
+        points = ends[:n], means[:m]
+        if motion:
+            self._deskewed = scan, motion, points
+        return points

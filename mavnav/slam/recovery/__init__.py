@@ -1,0 +1,1 @@
+"""Passes that match lost scans once more."""

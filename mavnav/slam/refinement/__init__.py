@@ -1,0 +1,1 @@
+"""Passes that correct the finished track and draw its map again."""

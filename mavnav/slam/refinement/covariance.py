@@ -1,0 +1,48 @@
+"""The covariance of a matched pose, from the Hessian of the matching at its solution."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavnav.units import MM
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mavnav.slam.matching.steps import Steps
+
+LEAST_SIGMA_M = 1 * MM
+"""Lower bound of the standard deviation of points from their walls."""
+
+SINGULAR = 1e-9
+"""Ratio of the least to the largest eigenvalue of a Hessian below which a direction is not observable."""
+
+_ROWS, _COLS = (0, 0, 1, 0, 1, 2), (0, 1, 1, 2, 2, 2)
+
+
+def covariances_of(steps: Steps, hessians: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the covariances of the poses of steps in the map frame, (n, 6): xx, xy, yy, x yaw, y yaw, yaw yaw; m, rad.
+
+    They are those of least squares: the mean squared distance of the points from their lines times the inverse Hessian.
+    ``hessians`` (m, 6) are those of the first m steps. NaN without a Hessian, or if a direction is not observable.
+    Points are taken as independent and the map as exact, so this is a lower bound.
+    """
+    out, n = np.full((len(steps), 6), np.nan), len(hessians)
+    full = np.empty((n, 3, 3))
+    full[:, _ROWS, _COLS] = full[:, _COLS, _ROWS] = hessians
+    eigenvalues = np.linalg.eigvalsh(full)
+    known = eigenvalues[:, 0] > SINGULAR * np.maximum(eigenvalues[:, 2], 1e-300)
+    variance_m2 = np.maximum(steps.column("cost_m2")[:n][known], LEAST_SIGMA_M**2)
+    out[:n][known] = variance_m2[:, None] * np.linalg.inv(full[known])[:, _ROWS, _COLS]
+    return out
+
+
+def turned(covariances: NDArray[np.float64], yaw_rad: float) -> NDArray[np.float64]:
+    """Return covariances (n, 6), in the order of `covariances_of`, seen in a frame that is turned back by an angle."""
+    full, c, s = np.empty((len(covariances), 3, 3)), np.cos(yaw_rad), np.sin(yaw_rad)
+    full[:, _ROWS, _COLS] = full[:, _COLS, _ROWS] = covariances
+    turn = np.array([(c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)])
+    seen: NDArray[np.float64] = (turn @ full @ turn.T)[:, _ROWS, _COLS]
+    return seen

@@ -1,0 +1,71 @@
+"""The poses of a finished track, from scans that are de-skewed by it: the final pass takes scans as they are.
+
+A turn of 1 rad/s moves the poses of a scan of 240 degrees by up to 20 mm, which no map shows and a calibration does.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from itertools import islice
+from typing import TYPE_CHECKING, Final
+
+from msgspec.structs import replace
+
+from mavnav.slam.matching.motion_model import motions_along
+from mavnav.slam.matching.steps import Steps, tracked_trajectory
+from mavnav.slam.retries.beam_order import WARNING, is_costlier, reversed_scan, reversed_scans
+from mavnav.units import DEG
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mavnav.scan import Scan
+    from mavnav.slam.matching.motion_model import Motion
+    from mavnav.slam.matching.steps import Step
+    from mavnav.slam.track import Track
+
+TURNING_RAD_S: Final = 15 * DEG
+"""At this rate and above a scan shows in which order its beams were fired."""
+
+COMPARED_EVERY, MOST_COMPARED = 4, 100
+"""Step between the scans in turns that are matched in both orders, and their maximum number."""
+
+
+def match_deskewed(track: Track) -> Track:
+    """Match every tracked scan once more against the finished map, de-skewed by the motion along the track.
+
+    In turns both beam orders are compared, now that the motion is known. Where the run is being stopped, the later
+    steps stay as they are.
+    """
+    refiner = track.refiner
+    if refiner is None:
+        return track
+    if WARNING not in track.warnings and _fits_backwards(track):
+        track = replace(track.with_warning(WARNING), log_scans=partial(reversed_scans, track.log_scans))
+    steps = Steps(track.steps)
+    for step, scan, motion in _along(track):
+        match = refiner.refine(refiner.match_points(scan, motion), step.match)
+        steps[step.index] = step._replace(match=match)
+    return replace(track, steps=steps)
+
+
+def _along(track: Track) -> Iterator[tuple[Step, Scan, Motion]]:
+    """Give the tracked steps with their scans, and the motion there."""
+    tracked = ((step, scan) for step, scan in zip(track.steps, track.log_scans(), strict=False) if step.tracked)
+    motions = motions_along(tracked_trajectory(track.steps), track.motion)
+    for (step, scan), motion in zip(tracked, motions, strict=False):
+        yield step, scan, motion
+
+
+def _fits_backwards(track: Track) -> bool:
+    """Return whether the scans in turns fit the map better with their last beam fired first."""
+    refiner = track.refiner
+    if refiner is None or track.config.robust.deskew != "auto":
+        return False
+    turning = (each for each in _along(track) if each[1].sweep_s and abs(each[2].twist[2]) >= TURNING_RAD_S)
+    some = list(islice(turning, 0, COMPARED_EVERY * MOST_COMPARED, COMPARED_EVERY))
+    listed = [refiner.refine(refiner.match_points(scan, motion), step.match) for step, scan, motion in some]
+    other = [
+        refiner.refine(refiner.match_points(reversed_scan(scan), motion), step.match) for step, scan, motion in some
+    ]
+    return is_costlier(listed, other)

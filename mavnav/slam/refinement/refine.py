@@ -1,0 +1,95 @@
+"""Step 13: match every tracked scan once more, against the finished map."""
+
+from __future__ import annotations
+
+from array import array
+from itertools import islice
+from typing import TYPE_CHECKING
+
+import numpy as np
+from msgspec.structs import replace
+
+from mavnav.slam.matching.degeneracy import UNMEASURED, degeneracy_warning
+from mavnav.slam.matching.motion_model import motions_along
+from mavnav.slam.matching.steps import Step, tracked_trajectory
+from mavnav.units import DEG
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from mavnav.scan import Scan
+    from mavnav.slam.matching.motion_model import Motion
+    from mavnav.slam.matching.scan_matching import Match
+    from mavnav.slam.methods.method import Refiner
+    from mavnav.slam.track import Track
+
+NO_EVIDENCE = (UNMEASURED, *(0.0,) * 7)
+"""Observability, visibility conflicts and Hessian of a scan without a pose."""
+
+NOTABLE_CONFLICTS, SKEWED_RAD = 0.01, 2 * DEG
+"""Visibility conflicts that raise doubt, and turn during a sweep from which they may be due to the turn alone."""
+
+BATCH_SCANS = 16
+"""Number of scans for which each operation runs in turn: its code and data stay in the processor's caches."""
+
+
+def refine_against_final_map(track: Track) -> Track:
+    """Match every tracked scan against the finished map; without odometry, warn where its geometry is degenerate.
+
+    The steps are changed in place, because there may be many. Observability, visibility conflicts and Hessians of the
+    scans are stored in the track.
+    """
+    if track.refiner is None:
+        return track
+    evidence = array("d")
+    motions = motions_along(tracked_trajectory(track.steps), track.motion)
+    coming = refined(track.log_scans(), track.steps, track.refiner, evidence, motions)
+    for step in track.reported(coming, "final pass"):
+        track.steps[step.index] = step
+    columns = np.array(evidence).reshape(-1, 8)
+    observed = columns[:, 0]
+    track = replace(track, observed=observed, conflicts=columns[:, 1], hessians=columns[:, 2:])
+    if not len(observed):
+        return track
+    stamps_ns = track.steps.column("stamp_ns")[: len(observed)]  # fewer where the run is stopped
+    alone = np.where(track.motion.odometry_at(stamps_ns), UNMEASURED, observed)
+    warning = degeneracy_warning(track.steps, alone, contradicted=track.odometry_contradicts)
+    return track.with_warning(warning) if warning else track
+
+
+def refined(
+    scans: Iterable[Scan],
+    steps: Iterable[Step],
+    refiner: Refiner,
+    evidence: array[float],
+    motions: Iterable[Motion] = (),
+) -> Iterator[Step]:
+    """Match every tracked scan once more against the finished map, close to its pose; yield the steps.
+
+    If the run is stopped and the scans end early, the remaining steps are yielded unchanged. Observability, visibility
+    conflicts and Hessian of each of the others are appended to ``evidence``. ``motions`` are those at the tracked
+    scans: the map is made of de-skewed scans, with which a scan as recorded conflicts in a turn.
+    """
+    moving = iter(motions)
+    waiting, coming = iter(steps), iter(scans)
+    while some := list(islice(waiting, BATCH_SCANS)):
+        batch = list(islice(coming, len(some)))
+        points = [refiner.match_points(scan) for scan in batch]
+        matches = [refiner.refine(p, s.match) if s.tracked else s.match for p, s in zip(points, some, strict=False)]
+        for scan, p, step, match in zip(batch, points, some, matches, strict=False):
+            if not step.tracked:
+                evidence.extend(NO_EVIDENCE)
+                continue
+            observed, hessian = refiner.observability(p, match)
+            conflicts, motion = refiner.conflicts(p, match), next(moving, None)
+            if motion and conflicts >= NOTABLE_CONFLICTS and abs(motion.twist[2]) * scan.sweep_s >= SKEWED_RAD:
+                conflicts = min(conflicts, conflicts_deskewed(scan, match, motion, refiner))
+            evidence.extend((observed, conflicts, *hessian.tolist()))
+        yield from (Step(*step[:2], match, *step[3:]) for step, match in zip(some, matches, strict=False))
+        yield from some[len(matches) :]
+
+
+def conflicts_deskewed(scan: Scan, match: Match, motion: Motion, refiner: Refiner) -> float:
+    """Return the visibility conflicts of a scan that is de-skewed by its motion, with the finished map."""
+    points = refiner.match_points(scan, motion)
+    return refiner.conflicts(points, refiner.refine(points, match))

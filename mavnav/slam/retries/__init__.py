@@ -1,0 +1,1 @@
+"""Passes that track a log again with one thing changed, and keep the better track."""

@@ -1,0 +1,154 @@
+"""The beginning of the map: a later one if the first scans do not fit those that follow.
+
+A partial sweep while the laser spins up, a blocked laser or a fast turn can make a map that no later scan matches.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from msgspec.structs import replace
+
+from mavnav.slam.matching.motion_model import LONGEST_S
+from mavnav.slam.matching.scan_matching import with_effort
+from mavnav.slam.matching.steps import LOST_SCANS, Step, Steps
+from mavnav.slam.matching.track_state import Verdict
+from mavnav.slam.retries.odometry_check import while_odometry_fits
+from mavnav.units import NS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from mavnav.scan import Scan
+    from mavnav.slam.matching.motion_model import Motion
+    from mavnav.slam.track import Track, Until
+
+EARLY_SCANS, MISSED_SCANS, MISSED_LATER = 30, 16, 8
+"""Largest number of scans of a map that is given up, and number of successive usable scans that do not match it.
+
+The third number is that of a map with a later beginning.
+"""
+
+MOST_TRIES, EACH_TRIES = 10, 2
+"""Maximum number of beginnings that are tried, and number after which their distance doubles each time.
+
+They span 260 scans in all.
+"""
+
+MOST_SHARE = 0.5
+"""Share of the scans after a beginning that must have a pose for it to be taken at once."""
+
+
+def with_good_beginning(track: Track, limit: Until = iter) -> Track:
+    """Track the log, from a later scan on if the next scans do not match the map of the first ones.
+
+    A beginning with poses for most of the scans after it is taken at once; otherwise that with most poses when its map
+    was given up is tracked to the end. ``limit`` may end each of the tracks.
+    """
+    refiner, least_points = track.method.refiner, track.config.robust.min_points
+    if refiner is None or not refiner.builds_map:
+        return while_odometry_fits(track, until=limit)
+
+    def until(most_missed: int) -> Until:
+        return lambda steps: limit(until_missing(steps, least_points, most_missed))
+
+    first = best = while_odometry_fits(track, "track", until(MISSED_SCANS))
+    begin = early_loss(first.steps, least_points)
+    if begin is None:
+        return first
+    for tried in range(MOST_TRIES):
+        other = while_odometry_fits(replace(track, begin=begin), "track again", until(MISSED_LATER))
+        lost = early_loss(other.steps, least_points, MISSED_LATER)
+        enough = max(MOST_SHARE * (len(other.steps) - begin), accepted(first) + 1)
+        if lost is None and accepted(other) >= enough:
+            return after_another(other, first)
+        if accepted(other) > accepted(best):
+            best = other
+        if lost is None:
+            break
+        begin = max(lost, begin + (1 << max(tried - EACH_TRIES, 0)))
+    if early_loss(best.steps, least_points, MISSED_LATER if best.begin else MISSED_SCANS) is not None:
+        best = while_odometry_fits(best, "track again", limit)
+    return after_another(best, first) if best.begin else best
+
+
+def after_another(track: Track, first: Track) -> Track:
+    """Return a track with the scans that a first track has before its beginning as a separate part."""
+    before = tuple(step for step in first.steps[: track.begin] if step.tracked)
+    return replace(track, parts=(before,) if before else ())
+
+
+def accepted(track: Track) -> int:
+    """Return the number of scans with a pose."""
+    return int(np.count_nonzero(track.steps.column("tracked")))
+
+
+def early_loss(steps: Iterable[Step], least_points: int, most_missed: int = MISSED_SCANS) -> int | None:
+    """Return the first of the scans that do not match a map of few scans; None if the map is kept.
+
+    Scans of fewer than ``least_points`` points do not count. At the end of a log ``LOST_SCANS`` in a row are enough.
+    """
+    held, first, missed = 0, 0, 0
+    for step in steps:
+        if step.tracked:
+            held, missed = held + 1, 0
+        elif held and step.match.beams_used >= least_points:
+            first, missed = first if missed else step.index, missed + 1
+        if held > EARLY_SCANS:
+            return None
+        if missed >= most_missed:
+            return first
+    return first if missed >= LOST_SCANS else None
+
+
+def until_missing(
+    steps: Iterable[Step], least_points: int, most_missed: int = MISSED_SCANS, most_held: float = EARLY_SCANS
+) -> Iterator[Step]:
+    """Yield the steps of a track until ``most_missed`` usable scans in a row do not match its map.
+
+    Only a map of at most ``most_held`` scans ends the track.
+    """
+    held, missed = 0, 0
+    for step in steps:
+        yield step
+        if step.tracked:
+            held, missed = held + 1, 0
+        elif held and step.match.beams_used >= least_points:
+            missed += 1
+        if held <= most_held and missed >= most_missed:
+            return
+
+
+def rematch_beginning(track: Track) -> Track:
+    """Match the scans before the beginning of the map against it, backwards from the first accepted pose."""
+    tracked = np.flatnonzero(track.steps.column("tracked"))
+    if track.refiner is None or not track.begin or len(tracked) < 2:
+        return track
+    steps, (first, second) = Steps(track.steps), tracked[:2].tolist()
+    scans = [scan for scan, _ in zip(track.log_scans(), range(first), strict=False)]
+    after, later = steps[first], steps[second]
+    for scan, step in zip(reversed(scans), reversed(steps[: len(scans)]), strict=True):
+        if (after.stamp_ns - step.stamp_ns) * NS > LONGEST_S:
+            break
+        found = before_the_map(scan, step, moving_back(track.motion, after, later), track)
+        if not found.tracked:  # farther back the search would be so wide that a blocked scan fits somewhere
+            break
+        steps[step.index], after, later = found, found, after
+    return replace(track, steps=steps)
+
+
+def moving_back(motion: Motion, after: Step, later: Step) -> Motion:
+    """Return the motion at an accepted step, with the velocity from it to the next one."""
+    here = motion.started_at(later.match.map_T_laser, later.stamp_ns)
+    here = here.coming_from(after.match.map_T_laser, after.stamp_ns)
+    return here._replace(map_T_laser=after.match.map_T_laser, stamp_ns=after.stamp_ns)
+
+
+def before_the_map(scan: Scan, step: Step, here: Motion, track: Track) -> Step:
+    """Match a scan that is earlier than the map; return its step, tracked and inserted if the match is accepted."""
+    match = track.method.match(scan, here.predict(scan.stamp_ns), here)
+    if track.method.gate(match, scan, here) is not Verdict.SURE:
+        return step
+    track.method.insert(scan, match.map_T_laser, here)
+    return step._replace(match=with_effort(match, step.match, match), tracked=True)

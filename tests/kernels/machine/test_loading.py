@@ -1,0 +1,309 @@
+"""Kernels come from the disk without the compiler, and are compiled again when what they are made of has changed."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+import sys
+from hashlib import sha256
+from shutil import copytree
+from typing import TYPE_CHECKING, Any
+
+import llvmlite.binding as llvm
+import numpy as np
+import pytest
+
+from mavnav.kernels.machine import loader
+from mavnav.kernels.machine.cache import VERSIONS_KEPT
+from mavnav.kernels.scans.points import extent, placed
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+
+HAS_IMAGES = sys.platform == "linux" and platform.machine() == "x86_64"
+"""Whether machine code is loaded without LLVM here."""
+
+
+@pytest.fixture(autouse=True, scope="module")
+def compiled() -> None:
+    """Have the kernels on disk that these tests load."""
+    assert extent(np.ones((3, 2))) == (1.0, 1.0, 1.0, 1.0)
+
+
+def test_machine_code_is_loaded_without_numba() -> None:
+    code = (
+        "import sys, numpy as np\nfrom mavnav.kernels.scans.points import extent\n"
+        "assert not extent.loaded\nextent(np.ones((3, 2)))\n"
+        "assert extent.loaded and not extent.compiled and 'numba' not in sys.modules\n"
+        "print('llvmlite' in sys.modules)\n"
+        "import numba\nassert numba.njit(lambda x: x + 1)(1) == 2"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert done.stdout.split() == [str(not HAS_IMAGES)]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        np.ones((3, 2), np.float32),
+        np.ones(6),
+        np.ones((3, 4))[:, ::2],
+        [[1.0, 1.0]],
+        np.ones((3, 2)).astype(">f8"),
+    ],
+    ids=["kind", "dimensions", "order", "list", "byte order"],
+)
+def test_arguments_of_other_types_are_refused(wrong: Any) -> None:
+    with pytest.raises(TypeError, match="extent takes other arguments"):
+        extent(wrong)
+
+
+def test_arrays_that_a_kernel_writes_must_be_writable() -> None:
+    out = np.ones((3, 2))
+    out.flags.writeable = False
+    with pytest.raises(TypeError, match="placed takes other arguments"):
+        placed(np.ones((3, 2)), np.zeros(3), out)
+
+
+def test_kernels_are_plain_functions_where_nothing_is_compiled() -> None:
+    code = (
+        "import numpy as np\nfrom mavnav.kernels.scans.points import extent\n"
+        "assert extent(np.ones((3, 2))) == (1.0, 1.0, 1.0, 1.0)\nassert not hasattr(extent, 'loaded')"
+    )
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}
+    subprocess.run([sys.executable, "-c", code], check=True, env=environment)
+
+
+JIT = "from mavnav.kernels.machine.jit import helper, kernel\nfrom mavnav.kernels.machine.types import float64\n"
+SOURCES = {
+    "constants": "FACTOR = 2.0\n",
+    "helping": JIT + "from trial.constants import FACTOR\n\n@helper\ndef scaled(x):\n    return FACTOR * x\n",
+    "calling": JIT + "from trial.helping import scaled\n\n@kernel(float64(float64))\ndef f(x):\n    return scaled(x)\n",
+    "apart": JIT + "\n@kernel(float64(float64))\ndef g(x):\n    return x + 1.0\n",
+}
+CALL = (
+    "from trial.apart import g\nfrom trial.calling import f\nprint(f(21.0), g(1.0), int(f.compiled), int(g.compiled))"
+)
+
+
+@pytest.fixture
+def trial(tmp_path: Path) -> Path:
+    """Return the folder of a package of two kernels, of which one calls a helper of another file."""
+    folder = tmp_path / "trial"
+    folder.mkdir()
+    for name, source in SOURCES.items():
+        (folder / f"{name}.py").write_text(source)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def compiled_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a cache that holds both kernels."""
+    folder = tmp_path_factory.mktemp("compiled") / "trial"
+    folder.mkdir()
+    for name, source in SOURCES.items():
+        (folder / f"{name}.py").write_text(source)
+    assert called(folder) == [42.0, 2.0, 1, 1]
+    return folder.parent / "cache"
+
+
+@pytest.fixture
+def compiled_trial(trial: Path, compiled_cache: Path) -> Path:
+    """Return the folder of the package, with its kernels in the cache."""
+    copytree(compiled_cache, trial.parent / "cache")
+    return trial
+
+
+def called(trial: Path, before: str = "") -> list[float]:
+    """Run both kernels in a process of its own; returns their results, and how often each was compiled."""
+    return [float(word) for word in output(trial, before).split()]
+
+
+def output(trial: Path, before: str) -> str:
+    """Run both kernels in a process of its own, after other statements; returns what it prints."""
+    environment = os.environ | {"PYTHONDONTWRITEBYTECODE": "1", "MAVNAV_CACHE_DIR": str(trial.parent / "cache")}
+    command = [sys.executable, "-c", before + CALL]
+    done = subprocess.run(command, cwd=trial.parent, env=environment, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    return done.stdout
+
+
+@pytest.mark.parametrize(
+    ("edited", "old", "new"), [("helping", "FACTOR * x", "100.0 * FACTOR * x"), ("constants", "2.0", "200.0")]
+)
+def test_a_kernel_is_compiled_again_where_a_file_that_it_imports_was_edited(
+    compiled_trial: Path, edited: str, old: str, new: str
+) -> None:
+    assert called(compiled_trial) == [42.0, 2.0, 0, 0]
+    path = compiled_trial / f"{edited}.py"
+    path.write_text(path.read_text().replace(old, new))
+    assert called(compiled_trial) == [4200.0, 2.0, 1, 0]
+    assert called(compiled_trial) == [4200.0, 2.0, 0, 0]
+
+
+def entries(trial: Path) -> list[Path]:
+    """Return the files of the trial's cache."""
+    return sorted((trial.parent / "cache").glob("*/trial.*"))
+
+
+MOVED = {
+    "packing": "from numba.core import compiler\ndel compiler.CompileResult._reduce\n",
+    "loading": "from mavnav.kernels.machine import loader\nloader._extension = None\n"
+    "from numba.core import compiler\ndel compiler.CompileResult._rebuild\n",
+    "runtime": "from mavnav.kernels.machine import loader\nloader._extension = None\n",
+    "libraries": "import numba.core.codegen as c\ndel c.JITCodeLibrary\n",
+}
+"""What numba might look like in another version."""
+
+
+@pytest.mark.parametrize("moved", MOVED)
+def test_a_numba_without_these_parts_still_works(compiled_trial: Path, moved: str) -> None:
+    path = compiled_trial / "helping.py"
+    path.write_text(path.read_text().replace("FACTOR * x", "FACTOR * x + 1.0"))
+    assert called(compiled_trial, MOVED[moved])[:2] == [43.0, 2.0]
+    assert not list(compiled_trial.parent.glob("cache/*/.*"))
+
+
+NO_IMAGES = "from mavnav.kernels.machine import compiler, jit, loader\nloader.placed = None\n"
+"""What it looks like where memory cannot be made executable by this process itself."""
+LOADED = "import atexit, sys\natexit.register(lambda: print(*({'numba', 'llvmlite'} & sys.modules.keys())))\n"
+
+
+def test_code_without_an_image_is_loaded_by_llvm_else_by_numba(trial: Path) -> None:
+    assert called(trial, NO_IMAGES) == [42.0, 2.0, 1, 1]
+    library = "from mavnav.kernels.machine import loader\n"
+    for before, loaders in {
+        library: {"llvmlite"},
+        library + "loader._address = None\n": {"llvmlite", "numba"},
+        library + "loader._extension = None\n": {"llvmlite", "numba"},
+    }.items():
+        *numbers, names = output(trial, before + LOADED).splitlines()
+        assert numbers == ["42.0 2.0 0 0"]
+        assert set(names.split()) == loaders
+
+
+@pytest.mark.skipif(not HAS_IMAGES, reason="images are made for Linux on x86-64 alone")
+def test_an_image_that_cannot_be_placed_is_compiled_again(compiled_trial: Path) -> None:
+    assert called(compiled_trial, NO_IMAGES) == [42.0, 2.0, 1, 1]
+    assert called(compiled_trial, NO_IMAGES) == [42.0, 2.0, 0, 0]
+    assert called(compiled_trial) == [42.0, 2.0, 0, 0]
+
+
+@pytest.mark.parametrize("damage", [lambda code: code[: len(code) // 2], lambda _: b"", lambda code: code[:-1] + b"x"])
+def test_a_damaged_entry_is_made_anew(compiled_trial: Path, damage: Callable[[bytes], bytes]) -> None:
+    path = entries(compiled_trial)[-1]
+    whole = path.read_bytes()
+    path.write_bytes(damage(whole))
+    assert sum(called(compiled_trial)[2:]) == 1
+    assert called(compiled_trial)[2:] == [0, 0]
+
+
+def test_an_entry_that_numba_cannot_read_is_made_anew(compiled_trial: Path) -> None:
+    code = b"not what numba wrote"
+    for path in entries(compiled_trial):
+        path.write_bytes(sha256(code).digest() + code)
+    assert called(compiled_trial) == [42.0, 2.0, 1, 1]
+    assert called(compiled_trial) == [42.0, 2.0, 0, 0]
+
+
+def test_what_cannot_be_written_goes_to_a_private_directory(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It ends with the process that made it."""
+    (trial.parent / "cache").write_text("a file where the directory should be")
+    temporary = trial.parent / "temporary"
+    temporary.mkdir()
+    monkeypatch.setenv("TMPDIR", str(temporary))
+    look = "import os, tempfile\nfrom mavnav.kernels.machine import cache\ncache.write_code('key', 'name-1', b'code')\n"
+    look += "assert cache.read_code('key', 'name-1') == b'code'\n(made,) = os.scandir(tempfile.gettempdir())\n"
+    assert called(trial, look + "assert made.stat().st_mode & 0o777 == 0o700\n") == [42.0, 2.0, 1, 1]
+    assert list(temporary.iterdir()) == []
+
+
+def test_a_cache_that_can_only_be_read_serves(compiled_trial: Path) -> None:
+    (folder,) = (compiled_trial.parent / "cache").iterdir()
+    folder.chmod(0o555)
+    try:
+        assert called(compiled_trial) == [42.0, 2.0, 0, 0]
+    finally:
+        folder.chmod(0o755)
+
+
+def test_old_versions_of_a_kernel_are_removed(compiled_trial: Path) -> None:
+    (first,) = (entry for entry in entries(compiled_trial) if "calling" in entry.name)
+    kernel = first.name.rpartition("-")[0]
+    for age in range(1, VERSIONS_KEPT + 1):
+        older = first.with_name(f"{kernel}-{age:024x}")
+        older.write_bytes(first.read_bytes())
+        os.utime(older, (1e9 - age, 1e9 - age))
+    (compiled_trial / "constants.py").write_text("FACTOR = 3.0\n")
+    assert called(compiled_trial) == [63.0, 2.0, 1, 0]
+    kept = {entry.name for entry in entries(compiled_trial) if "calling" in entry.name}
+    assert len(kept) == VERSIONS_KEPT
+    assert first.name in kept
+    assert kept > {f"{kernel}-{age:024x}" for age in range(1, VERSIONS_KEPT - 1)}
+
+
+BUILD = (
+    "import trial.apart, trial.calling\nfrom mavnav.kernels.machine.jit import KERNELS\n"
+    "from mavnav.kernels.machine.building import prepare\nprepare(lambda *told: print(told[0]))\n"
+    "print(all(made.code for made in KERNELS), *(int(made.loaded) for made in KERNELS))\n"
+)
+
+
+def built(trial: Path) -> subprocess.Popen[str]:
+    environment = os.environ | {"MAVNAV_CACHE_DIR": str(trial.parent / "cache")}
+    return subprocess.Popen(
+        [sys.executable, "-c", BUILD], cwd=trial.parent, env=environment, stdout=subprocess.PIPE, text=True
+    )
+
+
+def test_kernels_compile_in_other_processes_and_say_so_once(trial: Path) -> None:
+    told = [f"compiling kernels (first run only): {done} of 2" for done in range(3)]
+    assert built(trial).communicate(timeout=120)[0].splitlines() == [*told, "True 0 0"]
+    assert built(trial).communicate(timeout=120)[0].splitlines() == ["True 0 0"]
+
+
+def test_two_processes_may_fill_an_empty_cache(trial: Path) -> None:
+    both = [built(trial) for _ in range(2)]
+    assert [process.communicate(timeout=120)[0].splitlines()[-1] for process in both] == ["True 0 0"] * 2
+    assert called(trial) == [42.0, 2.0, 0, 0]
+
+
+def test_kernels_that_are_not_used_are_left_out(tmp_path: Path) -> None:
+    code = (
+        "from mavnav.kernels.maps import regions\nfrom mavnav.kernels.scans import points\n"
+        "from mavnav.kernels.machine.building import prepare\n"
+        "prepare(lambda *_: None, {'scans.points'})"
+    )
+    environment = os.environ | {"MAVNAV_CACHE_DIR": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True)
+    (entry,) = tmp_path.glob("*/*")
+    assert entry.name.startswith("mavnav.kernels.maps.regions.region_sizes-")
+
+
+CPUINFO = "processor\t: 0\nvendor_id\t: Maker\nmodel\t\t: {}\nflags\t\t: fpu {}\n\nprocessor\t: 1\nmodel\t\t: 9\n"
+
+
+def test_the_key_of_a_processor_is_made_of_its_model_and_its_instructions(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def key(model: str, flags: str) -> str:
+        (tmp_path / "cpuinfo").write_text(CPUINFO.format(model, flags))
+        return loader.cache_key.__wrapped__()
+
+    monkeypatch.setattr(loader, "_CPUINFO", tmp_path / "cpuinfo")
+    one = key("85", "sse2 avx2")
+    assert one == key("85", "sse2 avx2 md_clear user_shstk")  # what a newer kernel of the system adds
+    assert len({one, key("85", "sse2 avx2 avx512f"), key("86", "sse2 avx2"), key("85", "sse2")}) == 4
+    monkeypatch.setenv("NUMBA_BOUNDSCHECK", "1" if os.environ.get("NUMBA_BOUNDSCHECK") != "1" else "0")
+    assert key("85", "sse2 avx2") != one
+
+
+def test_llvm_names_a_processor_of_which_the_system_says_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(loader, "_CPUINFO", tmp_path / "none")
+    name, features = loader._processor()
+    assert (name, features) == (llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten())

@@ -1,0 +1,173 @@
+"""run.json: everything promised, nothing that JSON lacks."""
+
+import json
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from mavnav.commands.quality_rows import doubt_rows, remedy_rows
+from mavnav.logs import Damage
+from mavnav.metrics.gates import judge, parse_gate
+from mavnav.metrics.wall_thickness import wall_sections
+from mavnav.outputs.files.document import plain, run_document, to_json
+from mavnav.outputs.report.markdown import inert
+from mavnav.pose import Pose, Trajectory
+from mavnav.slam.findings import Doubt, Loop, Loops, Reason, Remedy
+from mavnav.slam.matching.steps import LostInterval, Steps
+
+KEYS = {
+    "schema_version", "mavnav_version", "input", "config", "method", "grid", "azimuth", "scans", "cleaning", "tracking",
+    "timing", "search", "wall_thickness", "map", "damage", "warnings", "outputs", "partial", "exit_code", "python",
+    "provenance", "libraries",
+    "map_quality", "loop_closure",
+}  # fmt: skip
+
+
+def strict(document):
+    """Write and read back, refusing NaN and infinities."""
+
+    def refuse(word):
+        raise AssertionError(word)
+
+    return json.loads(to_json(document), parse_constant=refuse)
+
+
+def test_the_promised_names_are_there(run):
+    document = strict(run_document(run, {"map.pgm": "abc"}))
+    assert set(document) == KEYS
+    assert {"path", "sha256", "format", "topic"} <= set(document["input"])
+    assert set(document["wall_thickness"]) == {"spread", "paper_cells", "1", "2", "5", "published_map"}
+    assert set(document["wall_thickness"]["spread"]) >= {"median_mm", "p95_mm", "length_m", "measured_share"}
+    assert {"max_cells", "p95_cells", "median_cells", "sections", "length_m"} <= set(document["wall_thickness"]["2"])
+    assert {"wall_s", "cpu_s", "compile_s", "stages", "scans_per_s", "realtime_factor"} == set(document["timing"])
+    assert document["outputs"] == {"map.pgm": "abc"}
+    assert (document["grid"], document["config"]["grid"]) == ("10x10", "10x10")
+
+
+def test_scans_are_accounted_for(run):
+    scans = plain(run_document(run, {}))["scans"]
+    assert (scans["total"], scans["usable"], scans["skipped"]) == (22, 20, {"stamp repeats": 2})
+    assert (scans["processed"], scans["tracked"], scans["accepted"], scans["rejected"]) == (20, 18, 18, 2)
+
+
+def test_a_closed_loop_is_told_by_both_its_scans(run):
+    assert plain(run_document(run, {}))["loop_closure"] == {"closures": [], "rejected": 0, "corrected": False}
+    loop = Loop(2, 16, Pose(0.1, 0.0, 0.0), Pose(0.3, -0.4, np.pi / 60), 0.8)
+    closed = replace(run, slam=replace(run.slam, loops=Loops((loop,), 5, run.slam.trajectory)))
+    told = strict(run_document(closed, {}))["loop_closure"]
+    assert (told["rejected"], told["corrected"]) == (5, True)
+    (closure,) = told["closures"]
+    indices = [step.index for step in run.slam.steps if step.tracked]
+    assert (closure["from_scan"], closure["to_scan"]) == (indices[2], indices[16])
+    stamps_ns = run.slam.trajectory.stamps_ns
+    assert closure["to_s"] - closure["from_s"] == pytest.approx((stamps_ns[16] - stamps_ns[2]) * 1e-9)
+    assert closure["correction_m"] == pytest.approx(0.5)
+    assert closure["correction_deg"] == pytest.approx(3.0)
+
+
+def test_a_lost_stretch_is_told_in_seconds_from_the_first_scan(run):
+    tracking = plain(run_document(run, {}))["tracking"]
+    assert tracking["lost"] is False
+    (interval,) = tracking["intervals"]
+    assert interval["start_s"] == pytest.approx(5.0, abs=1e-6)
+    assert interval["end_s"] == pytest.approx(5.5, abs=1e-6)
+    assert (interval["scans"], interval["recovered"]) == (2, True)
+    assert tracking["tracked_share"] == 0.9
+    assert tracking["frames"] == {
+        "trajectory.tum": ["map", "/laser"], "trajectory_base.tum": ["map", "base_footprint"]
+    }  # fmt: skip
+
+
+def doubtful(run, probability):
+    stamps_ns = run.slam.trajectory.stamps_ns
+    slip = Reason("slip", int(stamps_ns[2]), int(stamps_ns[4]), 3.0)
+    return replace(run, slam=replace(run.slam, doubt=Doubt(probability, (slip,), ("resampled track",))))
+
+
+def test_doubt_is_reported_with_its_reasons(run):
+    document = strict(run_document(doubtful(run, 0.75), {}))
+    doubt = document["tracking"]["doubt"]
+    assert set(doubt) == {"probability", "reasons", "tried"}
+    assert doubt["probability"] == 0.75
+    assert doubt["tried"] == ["resampled track"]
+    assert doubt["reasons"] == [
+        {"reason": "slip", "from_s": pytest.approx(1.0), "to_s": pytest.approx(2.0), "value": 3.0}
+    ]
+    assert any("probability 0.75: slip (from 1.0 to 2.0 s)" in line for line in document["warnings"])
+    (held, failed) = judge([parse_gate(f"tracking.doubt.probability<={p}") for p in (0.8, 0.5)], document)
+    assert held.passed
+    assert not failed.passed
+    assert doubt_rows(doubt) == [("doubtful", "75 %: slip")]
+
+
+def test_remedies_are_reported_where_one_was_tried(run):
+    assert "remedies" not in strict(run_document(run, {}))["tracking"]
+    tried = replace(run, slam=replace(run.slam, remedies=(Remedy("finer voxels", 0.9, 0.1, used=True),)))
+    remedies = strict(run_document(tried, {}))["tracking"]["remedies"]
+    assert remedies == [{"remedy": "finer voxels", "doubt_before": 0.9, "doubt_after": 0.1, "used": True}]
+    assert remedy_rows(remedies) == [("tracked again", "with finer voxels: doubt 90 %, then 10 %, used")]
+
+
+def test_a_remedy_that_was_given_up_has_no_doubt(run):
+    tried = replace(run, slam=replace(run.slam, remedies=(Remedy("finer voxels", 0.9, np.nan, used=False),)))
+    remedies = strict(run_document(tried, {}))["tracking"]["remedies"]
+    assert remedies[0]["doubt_after"] is None
+    assert remedy_rows(remedies) == [("tracked again", "with finer voxels: doubt 90 %, given up")]
+
+
+def test_little_doubt_is_no_warning_and_no_row(run):
+    document = strict(run_document(doubtful(run, 0.3), {}))
+    assert document["warnings"] == strict(run_document(run, {}))["warnings"]
+    assert doubt_rows(document["tracking"]["doubt"]) == []
+
+
+def test_a_run_that_was_not_judged_has_no_probability(run):
+    doubt = strict(run_document(run, {}))["tracking"]["doubt"]
+    assert doubt == {"probability": None, "reasons": [], "tried": []}
+    assert doubt_rows(doubt) == []
+
+
+def lost_for_good(run):
+    last = LostInterval(run.log.last_ns, run.log.last_ns, 1, recovered=False)
+    return replace(run, slam=replace(run.slam, lost=(*run.slam.lost, last)))
+
+
+def test_exit_codes(run, change):
+    damaged = change(run, damage=(Damage("chunk cut short", "byte 7"),))
+    assert run_document(run, {}).exit_code == 0
+    assert run_document(damaged, {}).exit_code == 3
+    assert run_document(damaged, {}).damage == [Damage("chunk cut short", "byte 7")]
+    assert run_document(lost_for_good(run), {}).exit_code == 5
+    assert run_document(lost_for_good(damaged), {}).exit_code == 5
+    assert run_document(lost_for_good(run), {}).tracking.lost is True
+
+
+def test_no_wall_is_null(run):
+    empty = wall_sections(np.zeros((3, 3), np.int32), 0.02, 5)
+    measured = replace(run.measured, sections={5: empty})
+    document = strict(run_document(replace(run, measured=measured), {}))
+    assert document["wall_thickness"]["5"]["max_cells"] is None
+    assert document["wall_thickness"]["5"]["sections"] == 0
+
+
+def test_a_run_of_no_steps_has_a_document(run):
+    nothing = replace(run, slam=replace(run.slam, steps=Steps(), trajectory=Trajectory.of([], [])))
+    document = strict(run_document(nothing, {}))
+    assert document["search"]["evaluations_per_scan"] == {"mean": None, "median": None, "min": None, "max": None}
+    assert document["map"]["accepted_share"] == 0
+
+
+def test_plain_values():
+    value = {"a": np.float32(1.5), "b": [np.int64(2), float("inf"), np.nan], 3: (True, np.bool_(False), None)}
+    assert plain(value) == {"a": 1.5, "b": [2, None, None], "3": [True, False, None]}
+
+
+@pytest.mark.parametrize("text", ["=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "\r=1"])
+def test_no_cell_of_a_csv_file_is_a_formula(text: str) -> None:
+    assert inert(text) == f"'{text}"
+    assert [inert(value) for value in ("a=1", "", -1.5, None)] == ["a=1", "", -1.5, None]
+
+
+def test_negative_zeros_lose_their_sign():
+    assert to_json([-0.0, np.float64(-0.0), -0.5]).split() == ["[", "0.0,", "0.0,", "-0.5", "]"]

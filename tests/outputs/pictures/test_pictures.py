@@ -1,0 +1,255 @@
+"""Pictures: there, of a sane size, and drawn from any map."""
+
+from io import BytesIO
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from msgspec.structs import replace
+from PIL import Image
+
+from mavnav.mapping.occupancy_grid import Grid
+from mavnav.mapping.tiled_arrays import pooled
+from mavnav.metrics.map_quality import measure_map
+from mavnav.metrics.wall_spread import WallCuts
+from mavnav.outputs.pictures import map_axes, map_picture, merged_picture, wall_picture
+from mavnav.outputs.pictures.canvas import Canvas, font, png, rgb_of
+from mavnav.outputs.pictures.plot import Axes, legend_room, legend_width, ticks
+from mavnav.outputs.pictures.viewport import Window, window_of
+from mavnav.pose import Pose, Trajectory
+from mavnav.slam.findings import Doubt, Loop, Loops, Reason
+
+FULL = "m" * int(wall_picture.HISTOGRAM[0] / font(wall_picture.TITLE_PT).getlength("m") + 1)
+"""A title a little longer than its chart, which fits without a margin."""
+
+WRITERS = pytest.mark.parametrize("write", [map_picture.write, wall_picture.write], ids=["map", "walls"])
+
+
+def with_map(run, hits, trajectory=None, cell_m=0.02):
+    grid = Grid(cell_m, (0.0, 0.0), hits.astype(np.int32), np.zeros(hits.shape, np.int32))
+    slam = replace(run.slam, grid=grid, trajectory=trajectory or run.slam.trajectory)
+    return replace(run, slam=slam, measured=measure_map(grid))
+
+
+def size_of(path):
+    with Image.open(path) as image:
+        image.verify()
+        return image.size
+
+
+@WRITERS
+@pytest.mark.parametrize("shape", [(80, 80), (40, 3000), (3000, 40), (1800, 3300)])
+def test_any_shape_of_map_gives_a_picture_that_fits_a_screen(run, write, shape, tmp_path):
+    hits = np.zeros(shape)
+    hits[5:-5, 5] = hits[5:-5, -5] = hits[5, 5:-5] = hits[-5, 5:-5] = 7
+    write(with_map(run, hits), tmp_path / "p.png")
+    width, height = size_of(tmp_path / "p.png")
+    assert 600 < width < 2400
+    assert 400 < height < 2000
+
+
+@WRITERS
+def test_an_empty_map_without_a_pose_is_drawn(run, write, tmp_path):
+    write(with_map(run, np.zeros((0, 0)), Trajectory.of([], [])), tmp_path / "p.png")
+    assert size_of(tmp_path / "p.png")[0] > 400
+
+
+def test_the_colours_of_the_legend_are_in_the_map(run, tmp_path):
+    map_picture.write(run, tmp_path / "map.png")
+    with Image.open(tmp_path / "map.png") as image:
+        pixels = np.asarray(image.convert("RGB")).reshape(-1, 3).astype(int)
+
+    def near(colour):
+        return (np.abs(pixels - colour).sum(axis=1) < 60).sum()
+
+    assert near((0xD6, 0x00, 0x9A)) > 200  # poses
+    assert near((0x00, 0x33, 0xFF)) > 50  # start
+    assert near((0xE0, 0x00, 0x00)) > 50  # end
+
+
+def test_the_legend_of_the_map_names_its_areas_and_is_whole(run, tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(Canvas, "text", lambda _, xy, text, *args, **options: drawn.append(text))
+    map_picture.write(run, tmp_path / "map.png")
+    assert {"start", "end", "free", "unknown"} <= set(drawn)
+    assert any("20 yaw samples, search grid 10x10" in text for text in drawn)
+    marks = [map_axes.LOOP, map_axes.TRUE_WALL, map_axes.DOUBTFUL, map_axes.POSE, map_axes.TRUE_POSE, *map_axes.KNOWN]
+    assert legend_room(marks) > legend_width(marks)
+
+
+def test_no_line_is_drawn_where_the_track_was_lost(run):
+    (lost,) = run.slam.lost
+    before, after = map_picture.parts_of_path(run.slam)
+    assert len(before) == np.count_nonzero(run.slam.trajectory.stamps_ns < lost.start_ns)
+    assert len(before) + len(after) == len(run.slam.trajectory)
+    leap = replace(lost, start_ns=int(run.slam.trajectory.stamps_ns[3]), scans=0)  # between two poses that there are
+    assert len(map_picture.parts_of_path(replace(run.slam, lost=(leap,)))[0]) == 4
+
+
+def test_closed_loops_are_joined_and_named(run, tmp_path):
+    loop = Loop(0, len(run.slam.trajectory) - 1, Pose(), Pose(), 0.9)
+    closed = replace(run, slam=replace(run.slam, loops=Loops((loop,))))
+
+    def ink(a_run):
+        map_picture.write(a_run, tmp_path / "map.png")
+        with Image.open(tmp_path / "map.png") as image:
+            pixels = np.asarray(image.convert("RGB")).reshape(-1, 3).astype(int)
+        return (np.abs(pixels - rgb_of(map_axes.LOOP.colour)).sum(axis=1) < 30).sum()
+
+    assert ink(closed) > ink(run) + 100
+
+
+def test_the_doubtful_part_of_the_path_is_marked(run, tmp_path):
+    stamps_ns = run.slam.trajectory.stamps_ns
+    slip = Reason("slip", int(stamps_ns[2]), int(stamps_ns[6]), 3.0)
+
+    def red(probability):
+        slam = replace(run.slam, doubt=Doubt(probability, (slip,)))
+        map_picture.write(replace(run, slam=slam), tmp_path / "map.png")
+        with Image.open(tmp_path / "map.png") as image:
+            pixels = np.asarray(image.convert("RGB")).reshape(-1, 3).astype(int)
+        return (np.abs(pixels - rgb_of(map_axes.DOUBTFUL.colour)).sum(axis=1) < 20).sum()
+
+    assert red(0.9) > red(0.4) + 200
+    (part,) = map_picture.doubtful_parts(replace(run.slam, doubt=Doubt(0.9, (slip,))))
+    np.testing.assert_array_equal(part, run.slam.trajectory.xyyaw[2:7, :2])
+
+
+def test_a_wall_of_one_cell_survives_the_shrinking():
+    hits = np.zeros((1000, 1003), np.int32)
+    hits[500] = 3
+    small = pooled(hits, 7)
+    assert small.shape == (143, 144)
+    assert (small.max(axis=0) == 3).all()
+
+
+def test_a_single_far_return_does_not_shrink_the_room(run):
+    hits = np.zeros((4000, 4000), np.int32)
+    hits[100, 100:2000] = hits[100:2000, 100] = 5
+    hits[3990, 3990] = 1
+    grid = Grid(0.02, (0.0, 0.0), hits, np.zeros_like(hits))
+    window = window_of(grid, np.zeros((1, 2)))
+    assert window.x1_m < 45
+    assert window.x0_m < 0
+
+
+def test_long_paths_are_thinned_evenly_along_their_length():
+    xy = np.column_stack((np.concatenate((np.zeros(500), np.linspace(0, 10, 500))), np.zeros(1000)))
+    some = map_picture.thinned(xy, 0.2)
+    assert 45 <= len(some) <= 51
+    assert (some[0], some[-1]) == (0, 999)
+    assert np.diff(xy[some, 0]).max() < 0.3
+
+
+@pytest.mark.parametrize(("title", "wider"), [("a title that fits", False), (FULL, True), ("a long title " * 10, True)])
+def test_a_picture_is_as_wide_as_the_titles_of_its_charts(run, tmp_path, monkeypatch, title, wider):
+    for name, longest in (("p.png", "short"), ("q.png", title)):
+        chart = wall_picture._Chart(f"short\n{longest}", "x", np.ones(6), 1.0, np.nan)
+        monkeypatch.setattr(wall_picture, "_charts", lambda _, chart=chart: [chart])
+        wall_picture.write(run, tmp_path / name)
+    assert (size_of(tmp_path / "q.png")[0] > size_of(tmp_path / "p.png")[0]) == wider
+    with Image.open(tmp_path / "q.png") as image:
+        assert np.asarray(image)[:, -wall_picture.EDGE + 5 :].min() == 255
+
+
+def test_the_legend_of_a_narrow_map_of_walls_is_whole(run, tmp_path):
+    hits = np.zeros((1500, 20))
+    hits[:, 5] = 7
+    wall_picture.write(with_map(run, hits), tmp_path / "p.png")
+    with Image.open(tmp_path / "p.png") as image:
+        legend = np.asarray(image.convert("L"))[45 : wall_picture.TOP - 2]
+    assert legend[:, : wall_picture.EDGE - 2].min() == 255
+    assert np.flatnonzero(legend.min(axis=0) < 255)[0] < wall_picture.EDGE + 5
+
+
+def test_a_chart_without_a_wall_has_no_ticks_in_y(monkeypatch):
+    drawn = []
+    monkeypatch.setattr(Canvas, "text", lambda _, xy, text, *args, **options: drawn.append(text))
+    for metres in (np.zeros(4), np.ones(4)):
+        chart = wall_picture._Chart("no straight wall", "thickness [cells]", metres, 1.0, np.nan)
+        wall_picture._draw_bars(Canvas.of(400, 300), (100, 50, 350, 250), chart)
+    names = ["thickness [cells]", "wall [m]"]
+    in_x = ["0", "1", "2", "3"]
+    assert drawn[: len(in_x) + 2] == [*in_x, *names]
+    assert drawn[len(in_x) + 2 :] == [*in_x, "0", "0.5", "1", *names]
+
+
+@pytest.mark.parametrize(("names", "title"), [("a", "1 session"), ("ab", "2 sessions")])
+def test_the_title_of_a_merged_map_counts_its_sessions(run, tmp_path, monkeypatch, names, title):
+    drawn = []
+    monkeypatch.setattr(Canvas, "text", lambda _, xy, text, *args, **options: drawn.append(text))
+    merged_picture.write(run, dict.fromkeys(names, run.slam.trajectory), tmp_path / "map.png")
+    assert title in drawn
+
+
+def test_cut_lines_lie_across_their_walls():
+    cuts = WallCuts(np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([0.0, np.pi / 2]), np.array([0.2, np.nan]), np.ones(2))
+    lines = wall_picture.cut_lines(cuts, 0.1)
+    np.testing.assert_allclose(lines, [[(1.0, 1.9), (1.0, 2.1)], [(3.05, 4.0), (2.95, 4.0)]], atol=1e-12)
+
+
+def test_marks_lie_where_their_points_are_and_y_grows_upwards():
+    picture = Canvas.of(300, 200)
+    axes = map_axes.map_axes(picture, Window(-1.0, 1.0, 0.0, 1.0), (50, 40, 250, 140))
+    axes.mark(map_axes.START, np.array([[0.5, 0.25]]))
+    pixels = np.asarray(picture.image).astype(int)
+    row, col = np.argwhere(np.abs(pixels - (0x00, 0x33, 0xFF)).sum(axis=2) < 60).mean(axis=0)
+    assert (col, row) == pytest.approx((50 + 150, 40 + 75), abs=1.0)
+
+
+def test_cells_fill_their_squares():
+    picture = Canvas.of(300, 200)
+    hits = np.zeros((10, 20), np.int32)
+    hits[9, 0] = hits[0, 19] = 1
+    grid = Grid(0.1, (-1.0, 0.0), hits, np.zeros_like(hits))
+    axes = map_axes.map_axes(picture, Window(-1.0, 1.0, 0.0, 1.0), (50, 40, 250, 140))
+    map_axes.draw_cells(axes, grid, hits, lambda _: np.array((0, 0, 0), np.uint8))
+    dark = np.asarray(picture.image).sum(axis=2) == 0
+    expected = np.zeros((200, 300), bool)
+    expected[40:50, 50:60] = expected[130:140, 240:250] = True
+    np.testing.assert_array_equal(dark, expected)
+
+
+@given(low=st.floats(-1e4, 1e4), span=st.floats(1e-3, 1e4))
+def test_ticks_are_few_round_and_inside(low, span):
+    found = ticks(low, low + span)
+    assert 2 <= len(found) <= 10
+    assert all(low - 1e-9 * span <= tick <= low + span + 1e-9 * span for tick in found)
+    np.testing.assert_allclose(np.diff(found), found[1] - found[0], rtol=1e-6)
+
+
+@WRITERS
+def test_pictures_repeat_to_the_byte(run, write, tmp_path):
+    for name in ("a.png", "b.png"):
+        write(run, tmp_path / name)
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+@given(arrays(np.uint8, st.tuples(st.sampled_from([1, 2, 5, 63, 64, 65, 130]), st.integers(1, 5), st.just(3))))
+def test_a_png_holds_every_pixel(pixels):
+    with Image.open(BytesIO(png(Image.fromarray(pixels)))) as image:
+        np.testing.assert_array_equal(np.asarray(image), pixels)
+
+
+def test_a_line_is_broken_where_a_point_is_missing():
+    picture = Canvas.of(120, 60)
+    axes = Axes.chart(picture, (10, 10, 110, 50), (0.0, 10.0, 0.0, 4.0))
+    axes.lines(map_axes.LOOP, [np.array([(0.0, 2.0), (3.0, 2.0), (np.nan, 2.0), (7.0, 2.0), (10.0, 2.0)])])
+    dark = (np.asarray(picture.image).sum(axis=2) < 300).any(axis=0)
+    assert dark[12:38].all() and dark[82:108].all()
+    assert not dark[44:76].any()
+
+
+def test_nothing_is_drawn_outside_the_axes():
+    picture = Canvas.of(120, 60)
+    axes = Axes.chart(picture, (10, 10, 110, 50), (0.0, 10.0, 0.0, 4.0))
+    far = np.array([(-100.0, -100.0), (100.0, 100.0)])
+    axes.lines(map_axes.LOOP, [far])
+    axes.lines(map_axes.TRUE_WALL, [far / (10, -10)])
+    axes.mark(map_axes.START, np.array([(0.0, 0.0)]))
+    pixels = np.asarray(picture.image).astype(int).sum(axis=2)
+    assert (pixels[10:50, 10:110] < 700).any()
+    pixels[10:50, 10:110] = 765
+    assert (pixels == 765).all()

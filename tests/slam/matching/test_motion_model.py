@@ -1,0 +1,160 @@
+"""Predictions: constant velocity in whole periods, odometry where it covers the time."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pytest
+
+from mavnav.pose import Pose, Rotation, Trajectory
+from mavnav.slam.matching.motion_model import Motion
+from mavnav.slam.matching.scan_matching import first_match
+from mavnav.slam.matching.steps import Step, Steps, tracked_trajectory
+from mavnav.slam.retries.odometry_check import EARLY_STEPS, misleads, until_misled
+
+MS = 1_000_000
+STEP = Pose(0.1, 0.02, 0.05)
+
+
+def after_two_steps(odometry: Trajectory | None = None) -> Motion:
+    motion = Motion(0.1, odometry and partial(odometry.at, max_gap_ns=500 * MS)).started_at(Pose(), 0)
+    motion = motion.moved_to(STEP, 100 * MS)
+    return motion.moved_to(STEP @ STEP, 200 * MS)
+
+
+def close(a: Pose, b: Pose, tolerance: float = 1e-9) -> bool:
+    return bool(np.allclose(a.between(b).as_array(), 0.0, atol=tolerance))
+
+
+def test_constant_velocity_goes_on() -> None:
+    motion = Motion(0.1).started_at(Pose(), 0)
+    pose = Pose()
+    for k in range(1, 9):
+        pose = pose @ STEP
+        motion = motion.moved_to(pose, k * 100 * MS)
+    assert close(motion.predict(900 * MS), pose @ STEP, 1e-4)
+
+
+def test_jitter_of_reception_times_is_not_speed() -> None:
+    assert after_two_steps().elapsed_s(205 * MS) == 0.1
+    assert after_two_steps().elapsed_s(270 * MS) == 0.1
+    assert after_two_steps().elapsed_s(420 * MS) == 0.2
+
+
+def test_velocity_is_trusted_for_a_while_only() -> None:
+    motion = after_two_steps()
+    assert close(motion.predict(10_000 * MS), motion.predict(1_400 * MS))
+
+
+def test_after_a_long_gap_the_old_velocity_is_forgotten() -> None:
+    motion = after_two_steps()
+    rested = motion.moved_to(motion.map_T_laser, 2_000 * MS)
+    assert np.allclose(rested.twist, 0.0)
+    assert not np.allclose(motion.moved_to(motion.map_T_laser, 300 * MS).twist, 0.0)
+
+
+def test_a_motion_backwards_comes_from_a_pose_that_is_not_too_long_ago() -> None:
+    here = Motion(0.1).started_at(Pose(0.2), 1400 * MS)
+    assert close(here.coming_from(Pose(), 1200 * MS).predict(1300 * MS), Pose(0.1))
+    assert here.coming_from(Pose(), 100 * MS) == here
+
+
+def test_odometry_moves_the_last_pose() -> None:
+    stamps = np.arange(5) * 100 * MS
+    odometry = Trajectory.of(stamps.tolist(), [Pose(5.0 + 0.3 * k, 1.0, 0.0) for k in range(5)])
+    motion = after_two_steps(odometry)
+    assert close(motion.predict(300 * MS), motion.map_T_laser @ Pose(0.3, 0.0, 0.0))
+    assert close(motion.predict(250 * MS), motion.map_T_laser @ Pose(0.15, 0.0, 0.0))
+    assert np.allclose(motion.twist_at(300 * MS), (3.0, 0.0, 0.0))
+    assert np.allclose(motion.twist_at(100 * MS), (3.0, 0.0, 0.0))  # a scan that is matched backwards
+
+
+@pytest.mark.parametrize("stamp_ms", [600, 5_000])
+def test_without_odometry_at_the_time_velocity_takes_over(stamp_ms: int) -> None:
+    odometry = Trajectory.of([0, 100 * MS, 400 * MS], [Pose()] * 3)
+    motion = after_two_steps(odometry)
+    assert motion.by_odometry(stamp_ms * MS) is None
+    assert close(motion.predict(stamp_ms * MS), motion.by_velocity(stamp_ms * MS))
+    gap = Trajectory.of([0, 100 * MS, 900 * MS], [Pose()] * 3)
+    assert after_two_steps(gap).by_odometry(300 * MS) is None
+
+
+# ---- odometry that contradicts the scans ---------------------------------------------------------------------------
+
+
+def swerving(steps: int = 60) -> Trajectory:
+    """Return a way whose speed and turns change all the time, so that constant velocity predicts it badly."""
+    poses = [Pose()]
+    for k in range(steps):
+        poses.append(poses[-1] @ Pose(0.05 + 0.04 * np.sin(0.5 * k), 0.0, 0.1 * np.cos(0.8 * k)))
+    return Trajectory.of([100 * MS * k for k in range(steps + 1)], poses)
+
+
+def seen_by_wheels(way: Trajectory, scale: float = 1.0, side: float = 1.0, late_ns: int = 0) -> Trajectory:
+    xyyaw = way.xyyaw * np.array([scale, scale * side, side])
+    return Trajectory(way.stamps_ns + late_ns, xyyaw)
+
+
+@pytest.mark.parametrize(
+    ("fault", "expected"),
+    [
+        ({}, False),
+        ({"scale": 1.05}, False),
+        ({"scale": 0.0, "side": 0.0}, True),
+        ({"side": -1.0}, True),
+        ({"scale": 4.0}, True),
+        ({"late_ns": 250 * MS}, True),
+    ],
+    ids=str,
+)
+def test_odometry_that_contradicts_the_track_misleads(fault: dict[str, float], *, expected: bool) -> None:
+    odometry = seen_by_wheels(swerving(), **fault)  # type: ignore[arg-type]
+    assert misleads(partial(odometry.at, max_gap_ns=500 * MS), swerving()) is expected
+
+
+def test_few_steps_do_not_convict_odometry() -> None:
+    way = swerving()
+    short = Trajectory(way.stamps_ns[:15].copy(), way.xyyaw[:15].copy())
+    assert not misleads(lambda _: Pose(), short)
+
+
+def steps_of(way: Trajectory) -> list[Step]:
+    matches = [first_match(300)._replace(map_T_laser=way[k]) for k in range(len(way))]
+    return [Step(k, int(way.stamps_ns[k]), match, tracked=True) for k, match in enumerate(matches)]
+
+
+@pytest.mark.parametrize(("side", "ends"), [(1.0, False), (-1.0, True)])
+def test_a_track_ends_early_once_its_odometry_plainly_misleads_it(side: float, *, ends: bool) -> None:
+    way = swerving(240)
+    odometry = partial(seen_by_wheels(way, side=side).at, max_gap_ns=500 * MS)
+    passed = list(until_misled(steps_of(way), odometry))
+    assert len(passed) == (EARLY_STEPS + 2 if ends else len(way))
+    assert misleads(odometry, tracked_trajectory(Steps(passed))) is ends
+
+
+def swaying(sign: float, steps: int = 30) -> tuple[Motion, Pose]:
+    """Return the motion after steps of changing turns, with a sensor that measured them, and the next pose."""
+    stamps_ns = np.arange(-1, 400, dtype=np.int64) * 10 * MS
+    yaws_rad = np.sin(stamps_ns * 4e-9)
+    motion = Motion(0.1, rotation=Rotation(stamps_ns, sign * yaws_rad, np.zeros(len(stamps_ns))))
+    motion = motion.started_at(Pose(), 0)
+    poses = [Pose(0.0, 0.0, float(np.sin(0.4 * k))) for k in range(steps + 1)]
+    for k in range(1, steps):
+        motion = motion.moved_to(poses[k], k * 100 * MS)
+    return motion, poses[steps]
+
+
+def test_a_measured_yaw_rate_that_fits_predicts_the_turn() -> None:
+    motion, there = swaying(1.0)
+    assert motion.yaw_rate_fit.fits
+    assert close(motion.predict(3000 * MS), there, 1e-3)
+    turn_rad = motion.map_T_laser.between(there).yaw_rad
+    assert motion.twist_at(3000 * MS)[2] == pytest.approx(turn_rad / 0.1, abs=0.02)
+    assert not swaying(1.0, 8)[0].yaw_rate_fit.fits
+
+
+def test_a_measured_yaw_rate_of_the_wrong_sign_is_not_used() -> None:
+    motion, _ = swaying(-1.0)
+    assert not motion.yaw_rate_fit.fits
+    assert motion.predict(3000 * MS) == motion._replace(rotation=None).predict(3000 * MS)

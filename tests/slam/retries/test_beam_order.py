@@ -1,0 +1,119 @@
+"""The order in which beams are fired: found out by the turns, kept where nothing speaks against it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from mavnav.config.models import Config, RobustConfig
+from mavnav.pose import Pose
+from mavnav.scan import Scan
+from mavnav.slam.matching.scan_matching import Match, no_match
+from mavnav.slam.pipeline import run_slam
+from mavnav.slam.retries import beam_order
+from mavnav.slam.retries.beam_order import (
+    STRETCH_SCANS,
+    cost_ratio,
+    reversed_scan,
+    turning_stretch,
+)
+from mavnav.slam.track import Track
+from support.synthetic import URG_04LX, along, furnished_rooms, scan_at
+
+SLOW = replace(URG_04LX, beams=171, angle_step_rad=4 * URG_04LX.angle_step_rad, time_increment_s=0.095 / 171)
+"""A sweep that takes all the time between two scans, so that a turn shears it."""
+
+
+def at(cost_m2: float, yaw_rad: float = 0.0) -> Match:
+    return no_match(Pose(0.0, 0.0, yaw_rad))._replace(cost_m2=cost_m2)
+
+
+def _counted(function: Callable[..., Any], calls: list[object]) -> Callable[..., Any]:
+    def counting(*args: Any, **options: Any) -> Any:
+        calls.append(args)
+        return function(*args, **options)
+
+    return counting
+
+
+@pytest.fixture(scope="module")
+def sweeps() -> list[Scan]:
+    """Return sweeps of a laser that turns on its way: every beam is cast from where the laser is by then."""
+    path = along([(1.0, 0.8), (4.9, 0.8), (4.6, 2.9), (4.6, 1.2)], speed_m_s=0.6, turn_rad_s=2.0)
+    rng = np.random.default_rng(0)
+    scans = []
+    for k in range(1, len(path)):
+        step = path[k - 1].between(path[k])
+        ranges = np.empty(SLOW.beams)
+        for i in range(SLOW.beams):
+            late = (i - (SLOW.beams - 1) / 2) * SLOW.time_increment_s / 0.1
+            here = path[k] @ Pose(late * step.x_m, late * step.y_m, late * step.yaw_rad)
+            beam = replace(SLOW, beams=1, angle_min_rad=float(SLOW.angles_rad[i]))
+            ranges[i] = scan_at(furnished_rooms(), here, beam).ranges_m[0]
+        ranges *= 1.0 + 0.005 * rng.standard_normal(len(ranges))
+        scans.append(Scan(int(path.stamps_ns[k]), ranges, SLOW))
+    return scans
+
+
+def test_the_right_order_is_kept(sweeps: list[Scan]) -> None:
+    assert run_slam(lambda: sweeps, Config(), 0.1).warnings == ()
+
+
+def test_a_wrong_order_is_found_out_and_said(sweeps: list[Scan]) -> None:
+    wrong = [reversed_scan(scan) for scan in sweeps]
+    (warning,) = run_slam(lambda: wrong, Config(), 0.1).warnings
+    assert "reverse" in warning
+    right = run_slam(lambda: sweeps, Config(), 0.1)
+    np.testing.assert_array_equal(run_slam(lambda: wrong, Config(), 0.1).trajectory.xyyaw, right.trajectory.xyyaw)
+
+
+@pytest.mark.parametrize(
+    "config",
+    [Config(robust=RobustConfig(deskew="on")), Config(robust=RobustConfig(deskew="off")), Config(method="paper")],
+)
+def test_only_auto_tries_both_orders(sweeps: list[Scan], config: Config, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(beam_order, "turning_stretch", lambda _: pytest.fail("it was looked for"))
+    run_slam(lambda: sweeps[:9], config, 0.1)
+
+
+def test_the_stretch_is_where_the_laser_turns() -> None:
+    turning = 0.1 * np.arange(STRETCH_SCANS)
+    stretch = turning_stretch(np.pad(turning, (100, 50), "edge"))
+    assert len(stretch) == STRETCH_SCANS
+    assert set(range(102, 175)) <= set(stretch)
+
+
+@pytest.mark.parametrize("yaws", [[], [0.0], [0.0] * 200, [0.01 * k for k in range(100)]], ids=len)
+def test_a_laser_that_hardly_turns_tells_nothing(yaws: list[float]) -> None:
+    assert len(turning_stretch(np.array(yaws))) == 0
+
+
+def test_only_scans_that_match_in_both_orders_are_compared() -> None:
+    assert cost_ratio([at(1.0), at(3.0), at(np.inf)], [at(2.0), at(4.0), at(0.1)]) == 1.5
+    assert np.isnan(cost_ratio([at(np.inf)] * 5, [at(0.8)] * 5))
+
+
+def test_no_turn_across_a_gap_is_compared() -> None:
+    apart_s = np.full(99, 0.1)
+    yaws = 0.02 * np.arange(100)
+    yaws[60:] += 2.0
+    assert 59 in turning_stretch(yaws, 20, 0.0)
+    apart_s[59] = 0.6
+    assert list(turning_stretch(yaws, 20, 0.0, apart_s)) == list(range(20))
+    apart_s[[9, 59]] = 2.0
+    assert list(turning_stretch(yaws, 20, 0.0, apart_s)) == list(range(10, 30))
+
+
+def test_the_right_order_is_tracked_once_and_a_wrong_one_tried(
+    sweeps: list[Scan], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    maps: list[object] = []
+    monkeypatch.setattr(Track, "over", _counted(Track.over, maps))
+    run_slam(lambda: sweeps, Config(), 0.1)
+    assert len(maps) == 1
+    run_slam(lambda: [reversed_scan(scan) for scan in sweeps], Config(), 0.1)
+    assert len(maps) == 1 + 6  # as listed, both in a short and in a long trial, and the whole log again
