@@ -210,6 +210,12 @@ def test_settings_on_the_pages_exist() -> None:
         assert named <= known
 
 
+def test_files_and_folders_on_the_page_of_the_architecture_exist() -> None:
+    named = re.findall(r"`([a-z_]+/(?:[a-z_/]+(?:\.py)?)?)`", (DOCS / "architecture.md").read_text())
+    assert len(named) > 40
+    assert [name for name in named if not (ROOT / "mavnav" / name).exists() and not (ROOT / name).exists()] == []
+
+
 def pages(nav: object) -> set[str]:
     if isinstance(nav, str):
         return {nav}

@@ -1,4 +1,4 @@
-"""Walls drawn twice by disagreeing poses are found, what only looks so is not. docs/metrics.md has the larger table."""
+"""Walls drawn twice by disagreeing poses are found. docs/notes/metrics-evidence.md has more."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ghost walls: planted duplicates are found, real walls are not reported. docs/metrics.md has the larger table."""
+"""Ghost walls: planted duplicates are found, real walls are not reported. docs/notes/metrics-evidence.md has more."""
 
 from __future__ import annotations
 
