@@ -1,6 +1,6 @@
 """Runs with known ghost walls, and runs without ghosts but with similar structures: scans and poses, from seeds.
 
-``python -m support.ghost_scenes FIRST LAST`` (in tests/) prints the results that docs/notes/metrics-evidence.md sums up.
+``python -m support.ghost_scenes FIRST LAST`` (in tests/) prints what docs/notes/metrics-evidence.md sums up.
 """
 
 from __future__ import annotations
