@@ -81,18 +81,6 @@ class Reason(NamedTuple):
     value: float
 
 
-class Remedy(NamedTuple):
-    """Another track, made because the first was lost or doubtful: the doubt of both, and whether it is used.
-
-    ``doubt_after`` is NaN where the other track was given up.
-    """
-
-    name: str
-    doubt_before: float
-    doubt_after: float
-    used: bool
-
-
 class Doubt(Struct, frozen=True):
     """The probability that an accepted track is wrong somewhere, and the reasons, the strongest first.
 

@@ -20,7 +20,6 @@ from mavnav.slam.result import summarize
 from mavnav.slam.retries.beam_order import with_reversed_beams
 from mavnav.slam.retries.beginning import rematch_beginning, with_good_beginning
 from mavnav.slam.retries.odometry_check import without_misleading_odometry
-from mavnav.slam.retries.remedy import with_remedy
 from mavnav.slam.retries.resampled_track import with_coarser_voxels
 from mavnav.slam.track import Track
 
@@ -100,19 +99,8 @@ def run_slam(
     method = make_method(config, prior_map)
     motion = Motion(max(period_s, SHORTEST_PERIOD_S), odometry, method.expects_rest, rotation=rotation)
     start = Track(log_scans, config, motion, method, prior_map=prior_map, on_step=on_step)
-    track = judged(recovered(after(with_good_beginning(start), RETRIES)))  # steps 1 to 8 first
-    track = with_remedy(track, start, recovered, judged)  # "Remedies"
-    return summarize(after(track, last))
-
-
-def recovered(track: Track) -> Track:
-    """Look for the lost scans of a track."""
-    return after(track, RECOVERING)
-
-
-def judged(track: Track) -> Track:
-    """Correct and judge a track."""
-    return after(track, CHECKING)
+    track = with_good_beginning(start)  # steps 1 to 8
+    return summarize(after(track, (*RETRIES, *RECOVERING, *CHECKING, *last)))
 
 
 def finish(track: Track) -> SlamResult:

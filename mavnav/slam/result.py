@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.pose import Trajectory
-    from mavnav.slam.findings import Doubt, Remedy
+    from mavnav.slam.findings import Doubt
     from mavnav.slam.track import Track
 
 MOST_SCATTERED = 0.2
@@ -40,7 +40,7 @@ class SlamResult(Struct, frozen=True):
     used as recorded. ``tracks_compared`` counts the tracks of which the sharpest was kept. ``parts`` are the stretches
     of a log that was not tracked as a whole, each on a separate map at first; else empty. ``doubt`` is None where it
     was not judged. ``begin_ns`` is the stamp of the scan that begins the map and defines the map frame; None where
-    nothing was tracked. ``remedies`` are other tracks that were made because of the doubt.
+    nothing was tracked.
     """
 
     steps: Steps
@@ -54,7 +54,6 @@ class SlamResult(Struct, frozen=True):
     doubt: Doubt | None = None
     covariances: NDArray[np.float64] | None = None
     begin_ns: int | None = None
-    remedies: tuple[Remedy, ...] = ()
 
     @property
     def tracked_share(self) -> float:
@@ -91,7 +90,6 @@ def summarize(track: Track) -> SlamResult:
         track.doubt,
         covariances_of(steps, track.hessians) if len(track.hessians) else None,
         beginning_ns(steps, track.begin),
-        track.remedies,
     )
 
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from mavnav.config.models import Config
     from mavnav.scan import Scan
-    from mavnav.slam.findings import Doubt, Remedy
+    from mavnav.slam.findings import Doubt
     from mavnav.slam.matching.motion_model import Motion
     from mavnav.slam.matching.prior_map import PriorMap
     from mavnav.slam.methods.method import Method, Refiner
@@ -47,10 +47,8 @@ class Track(Struct, frozen=True):
     scan from number ``begin`` on. ``parts`` are the accepted steps of each stretch that was tracked on a separate map.
     ``odometry_contradicts``: the log has odometry, but it contradicts the scans and is not used. ``observed`` and
     ``conflicts`` (n,) are the observability and the visibility conflicts of the steps in the finished map, ``hessians``
-    (n, 6) their Hessians, from which covariances are computed; empty before the final pass. ``resampled`` (n, 3) are
-    the poses of the steps in a track with coarser voxels, NaN for scans without a pose there; empty without such a
-    track. ``by_odometry_m`` (n,) is the error to be expected of the steps that are placed by odometry alone, 0 for the
-    others; empty without parts. ``remedies`` are other tracks that were made because of the doubt.
+    (n, 6) their Hessians, from which covariances are computed; empty before the final pass. ``by_odometry_m`` (n,) is
+    the error to be expected of the steps that are placed by odometry alone, 0 for the others; empty without parts.
     """
 
     log_scans: LogScans
@@ -70,9 +68,7 @@ class Track(Struct, frozen=True):
     conflicts: NDArray[np.float64] = field(default_factory=partial(np.zeros, 0))
     hessians: NDArray[np.float64] = field(default_factory=partial(np.zeros, (0, 6)))
     doubt: Doubt | None = None
-    resampled: NDArray[np.float64] = field(default_factory=partial(np.zeros, (0, 3)))
     by_odometry_m: NDArray[np.float64] = field(default_factory=partial(np.zeros, 0))
-    remedies: tuple[Remedy, ...] = ()
 
     @property
     def refiner(self) -> Refiner | None:

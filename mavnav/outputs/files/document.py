@@ -225,7 +225,6 @@ def _tracking(run: Run) -> tracking.Tracking:
             for p in slam.parts
         ]
         or ABSENT,
-        remedies=[tracking.Remedy(*remedy) for remedy in slam.remedies] or ABSENT,
     )
 
 

@@ -79,7 +79,7 @@ def evidence_of(track: Track, refiner: Refiner) -> Evidence:
         observed=track.observed[tracked],
         conflicts=track.conflicts[tracked],
         heading_margins=heading_margins(track, refiner, xyyaw[:, 2]),
-        resampled=track.resampled[tracked] if len(track.resampled) else np.full(xyyaw.shape, np.nan),
+        resampled=np.full(xyyaw.shape, np.nan),
         tilt_rad=np.zeros(len(stamps_ns)) if rotation is None else rotation.tilts_rad(stamps_ns),
         second_motion=second_motion(track, refiner, track.conflicts[tracked]),
         by_odometry_m=track.by_odometry_m[tracked] if len(track.by_odometry_m) else np.zeros(len(stamps_ns)),
@@ -109,8 +109,11 @@ def heading_margins(track: Track, refiner: Refiner, yaws_rad: Floats) -> Floats:
     return out
 
 
-def with_resampled_track(track: Track) -> Track:
-    """Track the same scans with coarser voxels, and add those poses; not if the run is stopped early."""
+def resampled_poses(track: Track) -> Floats | None:
+    """Track the tracked scans with coarser voxels; return those poses (n, 3), NaN for scans without a pose there.
+
+    None if the run is stopped early.
+    """
     tracked = track.steps.column("tracked")
     some = partial(tracked_scans, track.log_scans, tracked)
     again = replace(
@@ -118,10 +121,8 @@ def with_resampled_track(track: Track) -> Track:
     )
     other = again.over(some(), "track again")
     if len(other.steps) < np.count_nonzero(tracked):
-        return track
-    poses = np.full((len(tracked), 3), np.nan)
-    poses[tracked] = np.where(other.steps.column("tracked")[:, None], other.steps.column("map_T_laser"), np.nan)
-    return replace(track, resampled=poses)
+        return None
+    return np.where(other.steps.column("tracked")[:, None], other.steps.column("map_T_laser"), np.nan)
 
 
 def tracked_scans(log_scans: LogScans, tracked: NDArray[np.bool_]) -> Iterable[Scan]:

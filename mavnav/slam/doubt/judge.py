@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace
 
 from mavnav.profiling import timed
-from mavnav.slam.doubt.evidence import evidence_of, with_resampled_track
+from mavnav.slam.doubt.evidence import evidence_of, resampled_poses
 from mavnav.slam.doubt.model import doubt_of
 
 if TYPE_CHECKING:
@@ -38,13 +38,11 @@ def judge_track(track: Track) -> Track:
 
 @timed("doubt")
 def judged(track: Track, refiner: Refiner) -> Track:
-    """Judge a track by its features; compare it with a resampled track if these raise doubt, or if one exists."""
+    """Judge a track by its features; compare it with a resampled track if these raise doubt."""
     evidence = evidence_of(track, refiner)
     doubt = doubt_of(evidence)
     worthwhile = doubt.probability >= WORTH_A_TRACK and track.steps.share("tracked") >= LEAST_SHARE
-    if not len(track.resampled) and worthwhile:
-        track = with_resampled_track(track)
-    if len(track.resampled):
-        resampled = track.resampled[track.steps.column("tracked")]
+    resampled = resampled_poses(track) if worthwhile else None
+    if resampled is not None:
         doubt = doubt_of(replace(evidence, resampled=resampled), (RESAMPLED,))
     return replace(track, doubt=doubt)

@@ -5,6 +5,7 @@ A partial sweep while the laser spins up, a blocked laser or a fast turn can mak
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -40,18 +41,18 @@ MOST_SHARE = 0.5
 """Share of the scans after a beginning that must have a pose for it to be taken at once."""
 
 
-def with_good_beginning(track: Track, limit: Until = iter) -> Track:
+def with_good_beginning(track: Track) -> Track:
     """Track the log, from a later scan on if the next scans do not match the map of the first ones.
 
     A beginning with poses for most of the scans after it is taken at once; otherwise that with most poses when its map
-    was given up is tracked to the end. ``limit`` may end each of the tracks.
+    was given up is tracked to the end.
     """
     refiner, least_points = track.method.refiner, track.config.robust.min_points
     if refiner is None or not refiner.builds_map:
-        return while_odometry_fits(track, until=limit)
+        return while_odometry_fits(track)
 
     def until(most_missed: int) -> Until:
-        return lambda steps: limit(until_missing(steps, least_points, most_missed))
+        return partial(until_missing, least_points=least_points, most_missed=most_missed)
 
     first = best = while_odometry_fits(track, "track", until(MISSED_SCANS))
     begin = early_loss(first.steps, least_points)
@@ -69,7 +70,7 @@ def with_good_beginning(track: Track, limit: Until = iter) -> Track:
             break
         begin = max(lost, begin + (1 << max(tried - EACH_TRIES, 0)))
     if early_loss(best.steps, least_points, MISSED_LATER if best.begin else MISSED_SCANS) is not None:
-        best = while_odometry_fits(best, "track again", limit)
+        best = while_odometry_fits(best, "track again")
     return after_another(best, first) if best.begin else best
 
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from mavnav.commands.quality_rows import doubt_rows, remedy_rows
+from mavnav.commands.quality_rows import doubt_rows
 from mavnav.logs import Damage
 from mavnav.metrics.gates import judge, parse_gate
 from mavnav.metrics.wall_thickness import wall_sections
 from mavnav.outputs.files.document import plain, run_document, to_json
 from mavnav.outputs.report.markdown import inert
 from mavnav.pose import Pose, Trajectory
-from mavnav.slam.findings import Doubt, Loop, Loops, Reason, Remedy
+from mavnav.slam.findings import Doubt, Loop, Loops, Reason
 from mavnav.slam.matching.steps import LostInterval, Steps
 
 KEYS = {
@@ -99,21 +99,6 @@ def test_doubt_is_reported_with_its_reasons(run):
     assert held.passed
     assert not failed.passed
     assert doubt_rows(doubt) == [("doubtful", "75 %: slip")]
-
-
-def test_remedies_are_reported_where_one_was_tried(run):
-    assert "remedies" not in strict(run_document(run, {}))["tracking"]
-    tried = replace(run, slam=replace(run.slam, remedies=(Remedy("finer voxels", 0.9, 0.1, used=True),)))
-    remedies = strict(run_document(tried, {}))["tracking"]["remedies"]
-    assert remedies == [{"remedy": "finer voxels", "doubt_before": 0.9, "doubt_after": 0.1, "used": True}]
-    assert remedy_rows(remedies) == [("tracked again", "with finer voxels: doubt 90 %, then 10 %, used")]
-
-
-def test_a_remedy_that_was_given_up_has_no_doubt(run):
-    tried = replace(run, slam=replace(run.slam, remedies=(Remedy("finer voxels", 0.9, np.nan, used=False),)))
-    remedies = strict(run_document(tried, {}))["tracking"]["remedies"]
-    assert remedies[0]["doubt_after"] is None
-    assert remedy_rows(remedies) == [("tracked again", "with finer voxels: doubt 90 %, given up")]
 
 
 def test_little_doubt_is_no_warning_and_no_row(run):
