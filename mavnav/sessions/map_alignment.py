@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mavnav.mapping.line_map import LineMap
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, Grid, GridBuilder, cell_centres, occupancy
 from mavnav.pose import Pose, rigid_fit, transform_points
 from mavnav.slam.matching.relocalization import AMBIGUITY_MARGIN, apart, around, candidates, everywhere, unambiguous
-from mavnav.slam.matching.scan_matching import Schedule, search_lines
+from mavnav.slam.matching.scan_matching import Schedule, empty_line_map, search_lines
 from mavnav.slam.methods.localization import MAP_CANDIDATES
 from mavnav.slam.recovery.parts import consensus
-from mavnav.units import DEG, MM
+from mavnav.units import DEG
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -84,9 +83,8 @@ class _Target:
     """The map in which another map is searched."""
 
     def __init__(self, known: PriorMap, config: Config) -> None:
-        robust, cell_m = config.robust, known.grid.cell_m
         self.config, self.grid = config, GridBuilder.of(known.grid)
-        self.lines = LineMap(cell_m, robust.line_sigma_mm * MM, robust.line_noise_mm * MM)
+        self.lines = empty_line_map(config, known.grid.cell_m)
         self.lines.insert(known.walls_xy_m)
 
     def placed(self, scans: list[tuple[Pose, NDArray[np.float64]]], *, anywhere: bool) -> list[Placed]:

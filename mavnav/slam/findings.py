@@ -1,16 +1,18 @@
-"""What the passes after tracking find out about a track: its closed loops and its doubt."""
+"""What is found out about a track after its first pass: attempts, loops, parts, evidence and doubt."""
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Struct, field
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.pose import Pose, Trajectory
+    from mavnav.slam.matching.steps import Step
 
 HIGH: Final = 0.5
 """Probability above which a track is marked as doubtful."""
@@ -107,3 +109,31 @@ class Doubt(Struct, frozen=True):
         for some in local or found:
             marked |= some
         return marked
+
+
+class TrackedAgain(NamedTuple):
+    """An attempt to track a log again with one thing changed, and whether its track was kept."""
+
+    name: str
+    kept: bool
+
+
+class Findings(Struct, frozen=True):
+    """What is found out about a track.
+
+    ``warnings`` are lines for the user. ``parts`` are the accepted steps of each stretch that was tracked on a separate
+    map. ``by_odometry_m`` (n,) is the error to be expected of the steps that are placed by odometry alone, 0 for the
+    others; empty without parts. ``observed`` and ``conflicts`` (n,) are the observability and the visibility conflicts
+    of the steps in the finished map, ``hessians`` (n, 6) their Hessians, from which covariances are computed; empty
+    before the final pass. ``doubt`` is None where it was not judged.
+    """
+
+    warnings: tuple[str, ...] = ()
+    attempts: tuple[TrackedAgain, ...] = ()
+    parts: tuple[tuple[Step, ...], ...] = ()
+    by_odometry_m: NDArray[np.float64] = field(default_factory=partial(np.zeros, 0))
+    loops: Loops = Loops()
+    observed: NDArray[np.float64] = field(default_factory=partial(np.zeros, 0))
+    conflicts: NDArray[np.float64] = field(default_factory=partial(np.zeros, 0))
+    hessians: NDArray[np.float64] = field(default_factory=partial(np.zeros, (0, 6)))
+    doubt: Doubt | None = None

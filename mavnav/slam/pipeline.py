@@ -17,10 +17,11 @@ from mavnav.slam.refinement.redraw import redraw_map
 from mavnav.slam.refinement.refine import refine_against_final_map
 from mavnav.slam.refinement.smoothing import smooth_jitter
 from mavnav.slam.result import summarize
-from mavnav.slam.retries.beam_order import with_reversed_beams
+from mavnav.slam.retries.attempt import try_again
+from mavnav.slam.retries.beam_order import REVERSED_BEAMS
 from mavnav.slam.retries.beginning import rematch_beginning, with_good_beginning
-from mavnav.slam.retries.odometry_check import without_misleading_odometry
-from mavnav.slam.retries.resampled_track import with_coarser_voxels
+from mavnav.slam.retries.odometry_check import ODOMETRY_AFTER_GAPS, WITHOUT_ODOMETRY
+from mavnav.slam.retries.resampled_track import COARSER_VOXELS
 from mavnav.slam.track import Track
 
 if TYPE_CHECKING:
@@ -36,12 +37,13 @@ ODOMETRY_GAP_NS = 500_000_000
 SHORTEST_PERIOD_S = 1e-3
 """Minimum scan period, s, also that of a log of one scan, whose period is unknown."""
 
-RETRIES: Final[tuple[Pass, ...]] = (
-    without_misleading_odometry,  # "Input checks"
-    with_reversed_beams,  # "Input checks"
-    with_coarser_voxels,  # step 10
+ATTEMPTS: Final = (
+    WITHOUT_ODOMETRY,  # "Input checks"
+    ODOMETRY_AFTER_GAPS,  # "Input checks"
+    REVERSED_BEAMS,  # "Input checks"
+    COARSER_VOXELS,  # step 10
 )
-"""Passes that track the log again where an input check fails or scans are sparse, and keep the better track."""
+"""Attempts to track the log again, where an input check fails or scans are sparse."""
 
 RECOVERING: Final[tuple[Pass, ...]] = (
     rematch_beginning,
@@ -98,9 +100,9 @@ def run_slam(
     odometry = None if odom_T_laser is None else partial(odom_T_laser.at, max_gap_ns=ODOMETRY_GAP_NS)
     method = make_method(config, prior_map)
     motion = Motion(max(period_s, SHORTEST_PERIOD_S), odometry, method.expects_rest, rotation=rotation)
-    start = Track(log_scans, config, motion, method, prior_map=prior_map, on_step=on_step)
-    track = with_good_beginning(start)  # steps 1 to 8
-    return summarize(after(track, (*RETRIES, *RECOVERING, *CHECKING, *last)))
+    start = Track(log_scans, config, motion, method, prior_map=prior_map, on_step=on_step, log_odometry=odometry)
+    track = try_again(with_good_beginning(start), ATTEMPTS)  # steps 1 to 8 first
+    return summarize(after(track, (*RECOVERING, *CHECKING, *last)))
 
 
 def finish(track: Track) -> SlamResult:

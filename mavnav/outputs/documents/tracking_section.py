@@ -41,6 +41,13 @@ class Doubt(Struct, frozen=True):
     tried: Annotated[list[str], text("what was done because of the doubt")]
 
 
+class OtherTrack(Struct, frozen=True):
+    """Another track of the log, with one thing changed. ``kept``: it replaced the track before it."""
+
+    name: Annotated[str, text("what was changed")]
+    kept: Annotated[bool, text("whether the other track was kept")]
+
+
 class TrackedPart(Struct, frozen=True):
     """A stretch of scans with a map of its own at first; times from the first scan.
 
@@ -56,7 +63,8 @@ class TrackedPart(Struct, frozen=True):
 class Tracking(Struct, frozen=True):
     """Where the track was lost; ``lost`` means for good. ``frames`` are parent and child of each trajectory file.
 
-    ``parts`` is absent where one map holds all tracked scans from the first usable one on.
+    ``parts`` is absent where one map holds all tracked scans from the first usable one on, ``attempts`` where the log
+    was tracked once.
     """
 
     lost: Annotated[bool, text("whether tracking was lost for good")]
@@ -67,5 +75,8 @@ class Tracking(Struct, frozen=True):
     doubt: Doubt
     frames: Annotated[dict[str, list[str]], text("parent and child frame of each trajectory file")]
     parts: Annotated[list[TrackedPart], text("stretches with maps of their own, joined or not")] = field(
+        default_factory=absent
+    )
+    attempts: Annotated[list[OtherTrack], text("other tracks of the log, each with one thing changed")] = field(
         default_factory=absent
     )

@@ -225,6 +225,7 @@ def _tracking(run: Run) -> tracking.Tracking:
             for p in slam.parts
         ]
         or ABSENT,
+        attempts=[tracking.OtherTrack(*attempt) for attempt in slam.attempts] or ABSENT,
     )
 
 

@@ -64,25 +64,25 @@ class Evidence(Struct, frozen=True):
 
 def evidence_of(track: Track, refiner: Refiner) -> Evidence:
     """Return the evidence of a finished track, without that of other tracks."""
-    tracked = track.steps.column("tracked")
+    tracked, findings = track.steps.column("tracked"), track.findings
     xyyaw = track.steps.column("map_T_laser")[tracked]
     stamps_ns, rotation = track.steps.column("stamp_ns")[tracked], track.motion.rotation
     return Evidence(
         period_s=track.motion.period_s,
         odometry=track.motion.odometry_at(stamps_ns),
         contradicted=track.odometry_contradicts,
-        refused=track.loops.refused,
-        closed=len(track.loops.closed),
+        refused=findings.loops.refused,
+        closed=len(findings.loops.closed),
         stamps_ns=stamps_ns,
         xyyaw=xyyaw,
         points=track.steps.column("beams_used")[tracked],
-        observed=track.observed[tracked],
-        conflicts=track.conflicts[tracked],
+        observed=findings.observed[tracked],
+        conflicts=findings.conflicts[tracked],
         heading_margins=heading_margins(track, refiner, xyyaw[:, 2]),
         resampled=np.full(xyyaw.shape, np.nan),
         tilt_rad=np.zeros(len(stamps_ns)) if rotation is None else rotation.tilts_rad(stamps_ns),
-        second_motion=second_motion(track, refiner, track.conflicts[tracked]),
-        by_odometry_m=track.by_odometry_m[tracked] if len(track.by_odometry_m) else np.zeros(len(stamps_ns)),
+        second_motion=second_motion(track, refiner, findings.conflicts[tracked]),
+        by_odometry_m=findings.by_odometry_m[tracked] if len(findings.by_odometry_m) else np.zeros(len(stamps_ns)),
     )
 
 

@@ -29,7 +29,7 @@ RESAMPLED = "resampled track"
 def judge_track(track: Track) -> Track:
     """Add the probability that a track is wrong; not in causal mode, in a given map, or if nothing was tracked."""
     refiner = track.refiner
-    if refiner is None or not refiner.builds_map or len(track.observed) < len(track.steps):
+    if refiner is None or not refiner.builds_map or len(track.findings.observed) < len(track.steps):
         return track
     if track.steps.column("tracked").sum() < FEWEST:
         return track
@@ -45,4 +45,4 @@ def judged(track: Track, refiner: Refiner) -> Track:
     resampled = resampled_poses(track) if worthwhile else None
     if resampled is not None:
         doubt = doubt_of(replace(evidence, resampled=resampled), (RESAMPLED,))
-    return replace(track, doubt=doubt)
+    return track.with_findings(doubt=doubt)

@@ -13,11 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.arrays import distinct
-from mavnav.kernels.scans.correlative_search import pose_costs
 from mavnav.kernels.scans.points import extent
-from mavnav.mapping.line_map import LineMap
 from mavnav.pose import Pose
-from mavnav.slam.matching.motion_model import motions_along
+from mavnav.slam.matching.scan_matching import empty_line_map
 from mavnav.slam.matching.steps import tracked_trajectory
 from mavnav.units import MM, NS
 
@@ -109,14 +107,12 @@ def points_of_rows(track: Track, refiner: Refiner, rows: set[int]) -> dict[int, 
 
     Without those within ``NEAREST_M``.
     """
-    tracked = ((s, scan) for s, scan in zip(track.steps, track.log_scans(), strict=False) if s.tracked)
-    motions = motions_along(tracked_trajectory(track.steps), track.motion)
-    found = {}
-    for row, ((_, scan), motion) in enumerate(zip(tracked, motions, strict=False)):
+    points_of_row = {}
+    for row, (_, scan, motion) in enumerate(track.placed_scans()):
         if row in rows:
             points = refiner.match_points(scan, motion)
-            found[row] = points[np.hypot(*points.T) > NEAREST_M]
-    return found
+            points_of_row[row] = points[np.hypot(*points.T) > NEAREST_M]
+    return points_of_row
 
 
 def rival(
@@ -127,7 +123,7 @@ def rival(
     truncate_m, least = robust.truncate_mm * MM, robust.min_points
     if min(len(points[row]) for row in rows) < least:
         return None
-    lines = LineMap(robust.cell_mm * MM, robust.line_sigma_mm * MM, robust.line_noise_mm * MM)
+    lines = empty_line_map(track.config)
     lines.insert(points[first], extent(points[first]))
     n = len(SPEEDS_M_S)
     tried = np.column_stack([axis.ravel() for axis in np.meshgrid(SPEEDS_M_S, SPEEDS_M_S, indexing="ij")])
@@ -135,7 +131,7 @@ def rival(
     for row in later:
         moved, elapsed_s = here.between(Pose(*xyyaw[row].tolist())), float(stamps_ns[row] - stamps_ns[first]) * NS
         xy_m, yaw_rad = moved.as_array()[:2] + elapsed_s * tried, np.array([moved.yaw_rad])
-        costs = pose_costs(points[row][:POINTS], xy_m, yaw_rad, truncate_m, lines.nearest, lines.lines, lines.geometry)
+        costs = lines.costs(points[row][:POINTS], xy_m, yaw_rad, truncate_m)
         shares += costs[0] / (truncate_m**2 * len(later))
     own_m_s = moved.as_array()[:2] / elapsed_s
     found = second_minimum(shares.reshape(n, n))

@@ -39,13 +39,13 @@ def close_loops(track: Track) -> Track:
     points = partial(points_of, track.log_scans, steps, refiner)
     loops = find_loops(tracked_trajectory(steps), points, partial(information_of, refiner), config)
     if loops.map_T_laser is None:
-        return replace(track, loops=loops)
+        return track.with_findings(loops=loops)
     fresh = make_method(config)
     rebuilt = Steps(rebuild(track.log_scans(), steps, loops.map_T_laser, fresh, track.motion))
     hits, hits_before = (np.count_nonzero(method.grid.hits) for method in (fresh, track.method))
     if len(rebuilt) < len(steps) or hits >= hits_before:
-        return replace(track, loops=loops.dropped())
-    return replace(track, steps=rebuilt, method=fresh, loops=loops)
+        return track.with_findings(loops=loops.dropped())
+    return replace(track.with_findings(loops=loops), steps=rebuilt, method=fresh)
 
 
 def points_of(log_scans: LogScans, steps: Steps, refiner: Refiner, rows: list[int]) -> Iterator[NDArray[np.float64]]:

@@ -12,7 +12,7 @@ import numpy as np
 from mavnav.arrays import distinct
 from mavnav.kernels.maps.conflicts import conflicts
 from mavnav.kernels.maps.free_cells import free_positions
-from mavnav.kernels.scans.correlative_search import pose_costs, separate_minima
+from mavnav.kernels.scans.correlative_search import separate_minima
 from mavnav.kernels.scans.lowest_poses import lowest_poses
 from mavnav.kernels.scans.points import extent
 from mavnav.pose import Pose, wrap_angle
@@ -85,7 +85,7 @@ def with_conflicts(match: Match, points: NDArray[np.float64], line_map: LineMap,
     """Return the match with the visibility conflicts of its points (n, 2), laser frame."""
     pose, counts, some = match.map_T_laser.as_array(), (grid.lattice, grid.hits, grid.passes), points[:CONFLICT_POINTS]
     count = conflicts(some, pose, *counts, line_map.nearest, line_map.geometry)
-    return Match(*match[:7], count / max(len(some), 1), *match[8:])  # in a third of the time of ``_replace``
+    return match._replace(conflicts=count / max(len(some), 1))
 
 
 def misfit(match: Match, config: Config) -> float:
@@ -223,7 +223,7 @@ def lowest_exhaustive(
     starts: list[Start] = []
     for first in range(0, len(xy_m), AT_ONCE):
         some = xy_m[first : first + AT_ONCE]
-        costs = pose_costs(points, some, yaws_rad, truncate_m, line_map.nearest, line_map.lines, line_map.geometry)
+        costs = line_map.costs(points, some, yaws_rad, truncate_m)
         starts += minima(costs, some, yaws_rad, most)
     return starts if len(starts) <= most else merged(starts, most)
 
@@ -274,7 +274,7 @@ def growth(
     truncate_m = config.robust.truncate_mm * MM
     steps = step_m * np.column_stack((np.cos(angles_rad), np.sin(angles_rad)))
     xy_m, yaw_rad = np.vstack(([(0.0, 0.0)], steps)) + map_T_laser.as_array()[:2], np.array([map_T_laser.yaw_rad])
-    costs = pose_costs(points, xy_m, yaw_rad, truncate_m, line_map.nearest, line_map.lines, line_map.geometry)[0]
+    costs = line_map.costs(points, xy_m, yaw_rad, truncate_m)[0]
     shares: NDArray[np.float64] = (costs[1:] - costs[0]) / truncate_m**2
     return shares
 
@@ -302,7 +302,7 @@ def heading_margin(points: NDArray[np.float64], map_T_laser: Pose, line_map: Lin
     """
     truncate_m, some = config.robust.truncate_mm * MM, points[: config.robust.first_level_points]
     xy_m, yaws_rad = around(map_T_laser, OTHER_HEADING_M, pi)
-    costs = pose_costs(some, xy_m, yaws_rad, truncate_m, line_map.nearest, line_map.lines, line_map.geometry)
+    costs = line_map.costs(some, xy_m, yaws_rad, truncate_m)
     other = np.abs(yaws_rad - map_T_laser.yaw_rad) > OTHER_HEADING_RAD
     return float(costs[other].min() - costs[~other].min()) / truncate_m**2
 

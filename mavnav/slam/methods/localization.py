@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mavnav.mapping.line_map import LineMap
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose, transform_points
 from mavnav.slam.matching.relocalization import AMBIGUITY_MARGIN, around, candidates, everywhere, unambiguous
-from mavnav.slam.matching.scan_matching import no_match
+from mavnav.slam.matching.scan_matching import empty_line_map, no_match
 from mavnav.slam.methods.robust import Robust
-from mavnav.units import DEG, MM
+from mavnav.units import DEG
 
 if TYPE_CHECKING:
     import numpy as np
@@ -39,9 +38,8 @@ class Localizer(Robust):
     def __init__(self, config: Config, known: PriorMap) -> None:
         """Start at an unknown pose in the map, or near the given start pose."""
         super().__init__(config)
-        robust, cell_m = config.robust, known.grid.cell_m
         self.known = GridBuilder.of(known.grid)
-        self.lines = LineMap(cell_m, robust.line_sigma_mm * MM, robust.line_noise_mm * MM)
+        self.lines = empty_line_map(config, known.grid.cell_m)
         self.lines.insert(known.walls_xy_m)
         self.start, self.tries = known.start, 0
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from mavnav.kernels.scans.observability import observability
 from mavnav.kernels.scans.points import placed, scan_points
-from mavnav.mapping.line_map import LineMap
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose
 from mavnav.profiling import timed
@@ -31,6 +30,7 @@ from mavnav.slam.matching.relocalization import (
 from mavnav.slam.matching.scan_matching import (
     Match,
     Schedule,
+    empty_line_map,
     first_match,
     no_match,
     search_lines,
@@ -145,13 +145,7 @@ class Robust:
         """Start an empty map."""
         robust = self.config.robust
         self.known = self.grid = GridBuilder(robust.cell_mm * MM)
-        self.lines = LineMap(
-            robust.cell_mm * MM,
-            robust.line_sigma_mm * MM,
-            robust.line_noise_mm * MM,
-            robust.overlap_points,
-            robust.waiting_share,
-        )
+        self.lines = empty_line_map(self.config, known_points=robust.overlap_points, waiting_share=robust.waiting_share)
 
     def first(self, scan: Scan) -> Match:
         """Begin the map with any scan of enough points."""

@@ -85,8 +85,8 @@ def with_lost_parts(track: Track) -> Track:
     largest = max([track, *found], key=accepted)
     others = [accepted_steps(t) for t in [track, *found] if t is not largest]
     taken = {step.index for part in others for step in part}
-    others += [part for part in track.parts if not taken.intersection(step.index for step in part)]
-    whole = with_all_scans(replace(largest, warnings=track.warnings, parts=()), track.steps)
+    others += [part for part in track.findings.parts if not taken.intersection(step.index for step in part)]
+    whole = with_all_scans(replace(largest, findings=replace(track.findings, parts=())), track.steps)
     return joined(whole, [part for part in others if part])
 
 
@@ -127,7 +127,7 @@ def lost_parts(track: Track) -> list[Track]:
 def over_stretch(track: Track, stretch: range) -> Track:
     """Track a stretch of scans from an empty map, until ``GIVE_UP_SCANS`` in a row do not match it."""
     least_points = track.config.robust.min_points
-    part = replace(track, begin=stretch.start, parts=())
+    part = replace(track.with_findings(parts=()), begin=stretch.start)
     scans = islice(track.log_scans(), stretch.stop)
     return part.over(scans, "track again", lambda steps: until_missing(steps, least_points, GIVE_UP_SCANS, np.inf))
 
@@ -160,7 +160,7 @@ def joined(track: Track, others: list[tuple[Step, ...]]) -> Track:
     A part that shows nothing of the map is placed by odometry if that can be relied on.
     """
     steps, parts = Steps(track.steps), sorted(others, key=len, reverse=True)
-    warnings, errors_m = list(track.warnings), np.zeros(len(steps))
+    warnings, errors_m = list(track.findings.warnings), np.zeros(len(steps))
     for part in parts:
         wanted = {step.index for step in part if not steps[step.index].tracked}
         scans = (
@@ -178,7 +178,8 @@ def joined(track: Track, others: list[tuple[Step, ...]]) -> Track:
         if part_T is not None and is_reached(part, part_T, steps, track):
             for step in insert_part(part, part_T, scans, track):
                 steps[step.index] = step
-    return replace(track, steps=steps, parts=tuple(parts), warnings=tuple(warnings), by_odometry_m=errors_m)
+    whole = track.with_findings(parts=tuple(parts), warnings=tuple(warnings), by_odometry_m=errors_m)
+    return replace(whole, steps=steps)
 
 
 def is_reached(part: Sequence[Step], map_T_part: Pose, steps: Steps, track: Track) -> bool:
@@ -260,12 +261,13 @@ def insert_part(part: Sequence[Step], map_T_part: Pose, scans: dict[int, Scan], 
 
 def parts_of(track: Track) -> tuple[Part, ...]:
     """Return the parts of a log in order of time; none if it was tracked as a whole."""
-    if not track.parts:
+    parted = track.findings.parts
+    if not parted:
         return ()
-    tracked, elsewhere = track.steps.column("tracked"), {step.index for part in track.parts for step in part}
+    tracked, elsewhere = track.steps.column("tracked"), {step.index for part in parted for step in part}
     own = [step for step in track.steps if step.tracked and step.index not in elsewhere]
     parts = [(own, True)] if own else []
-    parts += [(list(part), bool(2 * tracked[[s.index for s in part]].sum() > len(part))) for part in track.parts]
+    parts += [(list(part), bool(2 * tracked[[s.index for s in part]].sum() > len(part))) for part in parted]
     records = (Part(part[0].stamp_ns, part[-1].stamp_ns, len(part), whole) for part, whole in parts)
     return tuple(sorted(records, key=lambda part: part.start_ns))
 

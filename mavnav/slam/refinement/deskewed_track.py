@@ -11,17 +11,11 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec.structs import replace
 
-from mavnav.slam.matching.motion_model import motions_along
-from mavnav.slam.matching.steps import Steps, tracked_trajectory
+from mavnav.slam.matching.steps import Steps
 from mavnav.slam.retries.beam_order import WARNING, is_costlier, reversed_scan, reversed_scans
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from mavnav.scan import Scan
-    from mavnav.slam.matching.motion_model import Motion
-    from mavnav.slam.matching.steps import Step
     from mavnav.slam.track import Track
 
 TURNING_RAD_S: Final = 15 * DEG
@@ -40,21 +34,13 @@ def match_deskewed(track: Track) -> Track:
     refiner = track.refiner
     if refiner is None:
         return track
-    if WARNING not in track.warnings and _fits_backwards(track):
+    if WARNING not in track.findings.warnings and _fits_backwards(track):
         track = replace(track.with_warning(WARNING), log_scans=partial(reversed_scans, track.log_scans))
     steps = Steps(track.steps)
-    for step, scan, motion in _along(track):
+    for step, scan, motion in track.placed_scans():
         match = refiner.refine(refiner.match_points(scan, motion), step.match)
         steps[step.index] = step._replace(match=match)
     return replace(track, steps=steps)
-
-
-def _along(track: Track) -> Iterator[tuple[Step, Scan, Motion]]:
-    """Give the tracked steps with their scans, and the motion there."""
-    tracked = ((step, scan) for step, scan in zip(track.steps, track.log_scans(), strict=False) if step.tracked)
-    motions = motions_along(tracked_trajectory(track.steps), track.motion)
-    for (step, scan), motion in zip(tracked, motions, strict=False):
-        yield step, scan, motion
 
 
 def _fits_backwards(track: Track) -> bool:
@@ -62,7 +48,7 @@ def _fits_backwards(track: Track) -> bool:
     refiner = track.refiner
     if refiner is None or track.config.robust.deskew != "auto":
         return False
-    turning = (each for each in _along(track) if each[1].sweep_s and abs(each[2].twist[2]) >= TURNING_RAD_S)
+    turning = (each for each in track.placed_scans() if each[1].sweep_s and abs(each[2].twist[2]) >= TURNING_RAD_S)
     some = list(islice(turning, 0, COMPARED_EVERY * MOST_COMPARED, COMPARED_EVERY))
     listed = [refiner.refine(refiner.match_points(scan, motion), step.match) for step, scan, motion in some]
     other = [

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.mapping.occupancy_grid import GridBuilder
-from mavnav.slam.matching.motion_model import motions_along
-from mavnav.slam.matching.steps import tracked_trajectory
 
 if TYPE_CHECKING:
     from mavnav.slam.methods.method import Refiner
@@ -31,12 +29,10 @@ def redraw_map(track: Track) -> Track:
 
 def redrawn(track: Track, refiner: Refiner) -> GridBuilder | None:
     """Return the new map; None if the run is stopped before the last tracked scan."""
-    map_T_laser, drawn, inserted = tracked_trajectory(track.steps), GridBuilder(track.method.grid.cell_m), 0
-    steps = track.reported(track.steps, "draw map")
-    tracked = ((step, scan) for step, scan in zip(steps, track.log_scans(), strict=False) if step.tracked)
-    for (step, scan), motion in zip(tracked, motions_along(map_T_laser, track.motion), strict=False):
+    drawn, inserted = GridBuilder(track.method.grid.cell_m), 0
+    for step, scan, motion in track.placed_scans("draw map"):
         pose = refiner.refine(refiner.match_points(scan, motion), step.match).map_T_laser
         drawn.insert(pose, *refiner.placed_points(scan, pose, motion))
         inserted += 1
     drawn.remove_dynamic_cells()
-    return drawn if inserted == len(map_T_laser) else None
+    return drawn if inserted == np.count_nonzero(track.steps.column("tracked")) else None

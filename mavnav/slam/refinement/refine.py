@@ -7,11 +7,10 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 import numpy as np
-from msgspec.structs import replace
 
 from mavnav.slam.matching.degeneracy import UNMEASURED, degeneracy_warning
 from mavnav.slam.matching.motion_model import motions_along
-from mavnav.slam.matching.steps import Step, tracked_trajectory
+from mavnav.slam.matching.steps import tracked_trajectory
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
@@ -20,6 +19,7 @@ if TYPE_CHECKING:
     from mavnav.scan import Scan
     from mavnav.slam.matching.motion_model import Motion
     from mavnav.slam.matching.scan_matching import Match
+    from mavnav.slam.matching.steps import Step
     from mavnav.slam.methods.method import Refiner
     from mavnav.slam.track import Track
 
@@ -37,7 +37,7 @@ def refine_against_final_map(track: Track) -> Track:
     """Match every tracked scan against the finished map; without odometry, warn where its geometry is degenerate.
 
     The steps are changed in place, because there may be many. Observability, visibility conflicts and Hessians of the
-    scans are stored in the track.
+    scans are stored in its findings.
     """
     if track.refiner is None:
         return track
@@ -48,7 +48,7 @@ def refine_against_final_map(track: Track) -> Track:
         track.steps[step.index] = step
     columns = np.array(evidence).reshape(-1, 8)
     observed = columns[:, 0]
-    track = replace(track, observed=observed, conflicts=columns[:, 1], hessians=columns[:, 2:])
+    track = track.with_findings(observed=observed, conflicts=columns[:, 1], hessians=columns[:, 2:])
     if not len(observed):
         return track
     stamps_ns = track.steps.column("stamp_ns")[: len(observed)]  # fewer where the run is stopped
@@ -85,7 +85,7 @@ def refined(
             if motion and conflicts >= NOTABLE_CONFLICTS and abs(motion.twist[2]) * scan.sweep_s >= SKEWED_RAD:
                 conflicts = min(conflicts, conflicts_deskewed(scan, match, motion, refiner))
             evidence.extend((observed, conflicts, *hessian.tolist()))
-        yield from (Step(*step[:2], match, *step[3:]) for step, match in zip(some, matches, strict=False))
+        yield from (step._replace(match=match) for step, match in zip(some, matches, strict=False))
         yield from some[len(matches) :]
 
 

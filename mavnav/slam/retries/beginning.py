@@ -6,7 +6,7 @@ A partial sweep while the laser spins up, a blocked laser or a fast turn can mak
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from msgspec.structs import replace
@@ -37,6 +37,8 @@ MOST_TRIES, EACH_TRIES = 10, 2
 They span 260 scans in all.
 """
 
+LATER_BEGINNING: Final = "later beginning"
+
 MOST_SHARE = 0.5
 """Share of the scans after a beginning that must have a pose for it to be taken at once."""
 
@@ -62,22 +64,20 @@ def with_good_beginning(track: Track) -> Track:
         other = while_odometry_fits(replace(track, begin=begin), "track again", until(MISSED_LATER))
         lost = early_loss(other.steps, least_points, MISSED_LATER)
         enough = max(MOST_SHARE * (len(other.steps) - begin), accepted(first) + 1)
-        if lost is None and accepted(other) >= enough:
-            return after_another(other, first)
-        if accepted(other) > accepted(best):
-            best = other
+        whole = lost is None and accepted(other) >= enough
+        best = other if whole or accepted(other) > accepted(best) else best
         if lost is None:
             break
         begin = max(lost, begin + (1 << max(tried - EACH_TRIES, 0)))
     if early_loss(best.steps, least_points, MISSED_LATER if best.begin else MISSED_SCANS) is not None:
         best = while_odometry_fits(best, "track again")
-    return after_another(best, first) if best.begin else best
+    return after_another(best, first).with_attempt(LATER_BEGINNING, kept=best.begin > 0)
 
 
 def after_another(track: Track, first: Track) -> Track:
     """Return a track with the scans that a first track has before its beginning as a separate part."""
     before = tuple(step for step in first.steps[: track.begin] if step.tracked)
-    return replace(track, parts=(before,) if before else ())
+    return track.with_findings(parts=(before,) if before else ())
 
 
 def accepted(track: Track) -> int:

@@ -1,14 +1,15 @@
-"""Check the odometry of a log against its scans, and track without it where it does not fit."""
+"""Check the odometry of a log against its scans; track without it, or with it only after gaps, if it does not fit."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from msgspec.structs import replace
 
 from mavnav.slam.matching.motion_model import GAP_S
 from mavnav.slam.matching.steps import tracked_trajectory
+from mavnav.slam.retries.attempt import Attempt
 from mavnav.slam.retries.odometry_offset import at_offset, fitting_offset_s, size
 from mavnav.units import NS
 
@@ -31,10 +32,6 @@ EARLY_STEPS, EARLY_RATIO = 60, 1.5
 LEAST_COVERED = 0.9
 """Minimum share of scans that odometry covers without a warning."""
 
-WARNING = (
-    "odometry contradicts the scans and is not used; check its scale, axes and clock; if they are right, see map.png"
-)
-
 JITTER_WARNING = "odometry contradicts the steps between scans, but fits motions of a second"
 """Beginning of the warning of odometry whose stamps jitter, or have a time offset."""
 
@@ -53,48 +50,57 @@ def while_odometry_fits(track: Track, phase: str = "track", until: Until | None 
     return track.over(track.log_scans(), phase, passed_on)
 
 
-def without_misleading_odometry(track: Track) -> Track:
-    """Track again without odometry where it contradicts the scans, or with it only after gaps if it fits there."""
+def drop_odometry(track: Track) -> Track | None:
+    """Return a track without odometry if that contradicts the scans."""
     odometry = track.motion.odometry
-    if odometry is None:
-        return track
-    if not misleads(odometry, tracked_trajectory(track.steps)):
-        return with_coverage(track)
-    alone = replace(track, motion=track.motion._replace(odometry=None))
-    alone = alone.over(alone.log_scans(), "track again")
-    if len(alone.steps) < len(track.steps):
-        return track
-    alone = replace(alone, odometry_contradicts=True)
-    offset_s = fitting_offset_s(odometry, tracked_trajectory(alone.steps))
+    if odometry is None or not misleads(odometry, tracked_trajectory(track.steps)):
+        return None
+    return replace(track, motion=track.motion._replace(odometry=None))
+
+
+def bridge_gaps(track: Track) -> Track | None:
+    """Return a track that uses contradicting odometry after gaps, at the time offset at which it fits; None without."""
+    path = tracked_trajectory(track.steps)
+    gapless = track.steps.column("tracked").all() and np.all(np.diff(path.stamps_ns) * NS <= GAP_S)
+    if track.log_odometry is None or not track.odometry_contradicts or gapless:
+        return None
+    offset_s = fitting_offset_s(track.log_odometry, path)
     if offset_s is None:
-        return alone.with_warning(WARNING)
-    found = with_gap_odometry(alone, at_offset(odometry, offset_s))
-    total_s, used = offset_s + track.config.odometry.offset_s, "not used" if found is None else "used only after gaps"
-    return (found or alone).with_warning(
+        return None
+    return replace(track, motion=track.motion._replace(gap_odometry=at_offset(track.log_odometry, offset_s)))
+
+
+WITHOUT_ODOMETRY: Final = Attempt("without odometry", drop_odometry)
+ODOMETRY_AFTER_GAPS: Final = Attempt("odometry after gaps", bridge_gaps)
+
+
+def odometry_warnings(track: Track) -> Iterator[str]:
+    """Yield a warning if the odometry of the log is not used, or covers few of the scans."""
+    if track.log_odometry is None:
+        return
+    known = track.motion.odometry_at(track.steps.column("stamp_ns"))
+    if track.odometry_contradicts:
+        yield contradiction_warning(track, track.log_odometry)
+    elif len(known) and known.mean() < LEAST_COVERED:
+        yield (
+            f"odometry covers {np.count_nonzero(known)} of {len(known)} scans (not in gaps of over 0.5 s); the others "
+            "are matched without it: record it for the whole log, or cut the log with --start and --end"
+        )
+
+
+def contradiction_warning(track: Track, odometry: Odometry) -> str:
+    """Return the warning of odometry that contradicts the scans: whether, and how, it fits long motions."""
+    offset_s = fitting_offset_s(odometry, tracked_trajectory(track.steps))
+    if offset_s is None:
+        return (
+            "odometry contradicts the scans and is not used; check its scale, axes and clock; if they are right, "
+            "see map.png"
+        )
+    total_s = offset_s + track.config.odometry.offset_s
+    used = "used only after gaps" if track.motion.gap_odometry else "not used"
+    return (
         f"{JITTER_WARNING} with {total_s:.2f} s added to its stamps, and is {used}; measure its time offset with "
         "'mavnav calibrate'"
-    )
-
-
-def with_gap_odometry(track: Track, odometry: Odometry) -> Track | None:
-    """Track again with odometry after gaps; None if the track has none, or if the run is stopped."""
-    path = tracked_trajectory(track.steps)
-    if track.steps.column("tracked").all() and np.all(np.diff(path.stamps_ns) * NS <= GAP_S):
-        return None
-    again = replace(track, motion=track.motion._replace(gap_odometry=odometry))
-    again = again.over(track.log_scans(), "track again")
-    return again if len(again.steps) == len(track.steps) else None
-
-
-def with_coverage(track: Track) -> Track:
-    """Return a track with a warning if its odometry covers few of its scans."""
-    known = track.motion.odometry_at(track.steps.column("stamp_ns"))
-    if not len(known) or known.mean() >= LEAST_COVERED:
-        return track
-    covered = f"{np.count_nonzero(known)} of {len(known)} scans"
-    return track.with_warning(
-        f"odometry covers {covered} (not in gaps of over 0.5 s); the others are matched without it: record it for the "
-        "whole log, or cut the log with --start and --end"
     )
 
 
@@ -121,7 +127,7 @@ def misleads(odometry: Odometry, map_T_laser: Trajectory) -> bool:
     """
     stamps = map_T_laser.stamps_ns.tolist()
     triples = ([(stamps[m], map_T_laser[m]) for m in range(k - 2, k + 1)] for k in range(2, len(stamps)))
-    errors = [found for triple in triples if (found := _errors(odometry, triple)) is not None]
+    errors = [error for triple in triples if (error := _errors(odometry, triple)) is not None]
     return len(errors) >= LEAST_STEPS and _is_worse(np.sqrt(np.square(errors).mean(axis=0)))
 
 

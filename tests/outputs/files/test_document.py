@@ -13,7 +13,7 @@ from mavnav.metrics.wall_thickness import wall_sections
 from mavnav.outputs.files.document import plain, run_document, to_json
 from mavnav.outputs.report.markdown import inert
 from mavnav.pose import Pose, Trajectory
-from mavnav.slam.findings import Doubt, Loop, Loops, Reason
+from mavnav.slam.findings import Doubt, Loop, Loops, Reason, TrackedAgain
 from mavnav.slam.matching.steps import LostInterval, Steps
 
 KEYS = {
@@ -156,3 +156,9 @@ def test_no_cell_of_a_csv_file_is_a_formula(text: str) -> None:
 
 def test_negative_zeros_lose_their_sign():
     assert to_json([-0.0, np.float64(-0.0), -0.5]).split() == ["[", "0.0,", "0.0,", "-0.5", "]"]
+
+
+def test_attempts_to_track_again_are_reported_where_there_are_any(run):
+    assert "attempts" not in strict(run_document(run, {}))["tracking"]
+    again = replace(run, slam=replace(run.slam, attempts=(TrackedAgain("coarser voxels", kept=False),)))
+    assert strict(run_document(again, {}))["tracking"]["attempts"] == [{"name": "coarser voxels", "kept": False}]

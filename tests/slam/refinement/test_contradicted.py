@@ -15,7 +15,7 @@ from mavnav.slam.matching.prior_map import PriorMap, prior_map_of
 from mavnav.slam.matching.scan_matching import first_match, no_match
 from mavnav.slam.matching.steps import Step, Steps
 from mavnav.slam.methods.registry import make_method
-from mavnav.slam.pipeline import judged
+from mavnav.slam.pipeline import CHECKING, after
 from mavnav.slam.refinement.contradicted import contradicted, without_contradicted
 from mavnav.slam.track import Track
 from support.synthetic import LDS_01, TOUR, Recording, along, furnished_rooms, record
@@ -58,7 +58,7 @@ def test_poses_after_a_gap_that_the_map_contradicts_are_given_up() -> None:
     count = len(tour().scans)
     track = without_contradicted(localised(wrong=range(30, count), lost=range(20, 30)))
     assert poses(track) == list(range(20))
-    (warning,) = track.warnings
+    (warning,) = track.findings.warnings
     assert warning.startswith(f"the given map contradicts {count - 30} scans (15.0 to ")
     right = localised(wrong=range(0), lost=range(0)).method
     for k, scan in enumerate(tour().scans[:20]):
@@ -73,7 +73,7 @@ def test_a_laser_at_the_right_place_is_left_as_it_is() -> None:
 
 def test_where_the_map_contradicts_all_scans_a_warning_says_so() -> None:
     track = localised(wrong=range(len(tour().scans)), lost=range(20, 30))
-    (warning,) = without_contradicted(track).warnings
+    (warning,) = without_contradicted(track).findings.warnings
     assert warning.startswith(f"the poses of {len(tour().scans) - 10} scans (0.0 to 9.5 s, 15.0 to ")
     assert poses(without_contradicted(track)) == poses(track)
 
@@ -95,5 +95,5 @@ def test_a_laser_that_was_never_lost_is_believed() -> None:
 
 
 def test_every_run_in_a_given_map_is_checked() -> None:
-    track = judged(localised(wrong=range(30, len(tour().scans)), lost=range(20, 30)))
+    track = after(localised(wrong=range(30, len(tour().scans)), lost=range(20, 30)), CHECKING)
     assert poses(track) == list(range(20))
