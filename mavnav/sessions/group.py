@@ -63,7 +63,7 @@ class Join(NamedTuple):
         return self.agreeing / max(self.searched, 1)
 
 
-class Group(Struct, frozen=True):
+class SessionGroup(Struct, frozen=True):
     """Sessions in one frame: their key frames, one session after another, what binds them, and how each was joined."""
 
     sessions: tuple[Session, ...]
@@ -80,12 +80,12 @@ class Group(Struct, frozen=True):
         return [key for k, key in enumerate(self.keys) if self.owner(k) == number]
 
 
-def group_of(session: Session) -> Group:
+def group_of(session: Session) -> SessionGroup:
     """Begin a group with a session."""
-    return Group((session,), session.keys, tuple(own_edges(session, 0)), (Join(session.name),))
+    return SessionGroup((session,), session.keys, tuple(own_edges(session, 0)), (Join(session.name),))
 
 
-def group_in_frame(sessions: Sequence[Session]) -> Group:
+def group_in_frame(sessions: Sequence[Session]) -> SessionGroup:
     """Return sessions that are in one frame already as a group: each is held where it is by those before it."""
     keys, edges = list[KeyFrame](), list[Edge]()
     for number, session in enumerate(sessions):
@@ -96,7 +96,7 @@ def group_in_frame(sessions: Sequence[Session]) -> Group:
             pairs = [pair for pair in revisits(keys, first) if pair[0] < first] or [nearest_pair(keys, first)]
             firm = root_information(SIGMA_M, SIGMA_RAD)
             edges += [Edge(i, j, keys[i].map_T_laser.between(keys[j].map_T_laser), firm) for i, j in pairs]
-    return Group(tuple(sessions), tuple(keys), tuple(edges), tuple(Join(session.name) for session in sessions))
+    return SessionGroup(tuple(sessions), tuple(keys), tuple(edges), tuple(Join(session.name) for session in sessions))
 
 
 def nearest_pair(keys: Sequence[KeyFrame], first: int) -> tuple[int, int]:

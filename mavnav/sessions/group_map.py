@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.slam.loop_closure.key_frames import Part, Visibility
+from mavnav.slam.loop_closure.key_frames import KeyFrameMap, Visibility
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
@@ -24,12 +24,12 @@ class GroupMap:
 
     def __init__(self, keys: Sequence[KeyFrame], config: Config) -> None:
         """Draw the map of some key frames."""
-        self.keys, self.part, self.config = list(keys), Part(config), config
+        self.keys, self.map, self.config = list(keys), KeyFrameMap(config), config
         self.seen = Visibility(self.keys)
-        self.part.grow(self.keys, len(self.keys))
+        self.map.grow(self.keys, len(self.keys))
         self.seen.grow(len(self.keys))
 
-    def grown(self, keys: Sequence[KeyFrame]) -> GroupMap:
+    def with_keys(self, keys: Sequence[KeyFrame]) -> GroupMap:
         """Return the map of more key frames, of which these are the first: this one grown, or another if they moved."""
         count = len(self.keys)
         poses = (np.array([key.map_T_laser for key in some]) for some in (self.keys, keys[:count]))
@@ -38,6 +38,6 @@ class GroupMap:
         if (off > (STILL_M, STILL_M, STILL_RAD)).any():
             return GroupMap(keys, self.config)
         self.keys.extend(keys[count:])
-        self.part.grow(self.keys, len(keys))
+        self.map.grow(self.keys, len(keys))
         self.seen.grow(len(keys))
         return self

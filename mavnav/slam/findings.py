@@ -51,7 +51,7 @@ class Loop(Struct, frozen=True):
     inliers: float
 
 
-class Graph(Struct, frozen=True):
+class PoseGraph(Struct, frozen=True):
     """The pose graph of a track: the rows of the key frames in the trajectory, and the edges between key frames."""
 
     rows: tuple[int, ...]
@@ -67,9 +67,9 @@ class Loops(Struct, frozen=True):
     closed: tuple[Loop, ...] = ()
     refused: int = 0
     map_T_laser: Trajectory | None = None
-    graph: Graph | None = None
+    graph: PoseGraph | None = None
 
-    def dropped(self) -> Loops:
+    def refuse_all(self) -> Loops:
         """Return the loops with every one refused."""
         return Loops(refused=self.refused + len(self.closed), graph=self.graph)
 
@@ -103,10 +103,10 @@ class Doubt(Struct, frozen=True):
 
         A reason that holds for all scans marks them only if there is no other reason.
         """
-        found = [(stamps_ns >= r.start_ns) & (stamps_ns <= r.end_ns) for r in self.reasons if self.high]
-        local = [some for some in found if not some.all()]
+        marked_by_reason = [(stamps_ns >= r.start_ns) & (stamps_ns <= r.end_ns) for r in self.reasons if self.high]
+        local = [some for some in marked_by_reason if not some.all()]
         marked = np.zeros(len(stamps_ns), np.bool_)
-        for some in local or found:
+        for some in local or marked_by_reason:
             marked |= some
         return marked
 

@@ -9,9 +9,9 @@ from mavnav.slam.doubt.judge import judge_track
 from mavnav.slam.loop_closure.remap import close_loops
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.methods.registry import make_method
-from mavnav.slam.recovery.parts import with_lost_parts, without_late_poses
+from mavnav.slam.recovery.parts import drop_late_poses, join_lost_parts
 from mavnav.slam.recovery.rematch import rematch_rejected, remove_dynamic_cells
-from mavnav.slam.refinement.contradicted import without_contradicted
+from mavnav.slam.refinement.contradicted import drop_contradicted
 from mavnav.slam.refinement.deskewed_track import match_deskewed
 from mavnav.slam.refinement.redraw import redraw_map
 from mavnav.slam.refinement.refine import refine_against_final_map
@@ -19,7 +19,7 @@ from mavnav.slam.refinement.smoothing import smooth_jitter
 from mavnav.slam.result import summarize
 from mavnav.slam.retries.attempt import try_again
 from mavnav.slam.retries.beam_order import REVERSED_BEAMS
-from mavnav.slam.retries.beginning import rematch_beginning, with_good_beginning
+from mavnav.slam.retries.beginning import rematch_beginning, track_from_good_beginning
 from mavnav.slam.retries.odometry_check import ODOMETRY_AFTER_GAPS, WITHOUT_ODOMETRY
 from mavnav.slam.retries.resampled_track import COARSER_VOXELS
 from mavnav.slam.track import Track
@@ -47,15 +47,15 @@ ATTEMPTS: Final = (
 
 RECOVERING: Final[tuple[Pass, ...]] = (
     rematch_beginning,
-    without_late_poses,  # "Parts"
+    drop_late_poses,  # "Parts"
     rematch_rejected,  # step 9
-    with_lost_parts,  # "Parts"
+    join_lost_parts,  # "Parts"
 )
 """Passes that match the lost scans of a track once more."""
 
 CHECKING: Final[tuple[Pass, ...]] = (
     close_loops,  # step 11
-    without_contradicted,  # "Localization in a given map"
+    drop_contradicted,  # "Localization in a given map"
     remove_dynamic_cells,  # step 12
     refine_against_final_map,  # step 13
     judge_track,  # "Doubt"
@@ -101,7 +101,7 @@ def run_slam(
     method = make_method(config, prior_map)
     motion = Motion(max(period_s, SHORTEST_PERIOD_S), odometry, method.expects_rest, rotation=rotation)
     start = Track(log_scans, config, motion, method, prior_map=prior_map, on_step=on_step, log_odometry=odometry)
-    track = try_again(with_good_beginning(start), ATTEMPTS)  # steps 1 to 8 first
+    track = try_again(track_from_good_beginning(start), ATTEMPTS)  # steps 1 to 8 first
     return summarize(after(track, (*RECOVERING, *CHECKING, *last)))
 
 

@@ -88,7 +88,7 @@ def summarize(track: Track) -> SlamResult:
     return SlamResult(
         steps,
         tracked_trajectory(steps),
-        track.method.finished(),
+        track.method.release_map(),
         lost,
         findings.loops,
         (*odometry_warnings(track), *findings.warnings, *_late_warnings(track, parts, lost)),

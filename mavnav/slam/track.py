@@ -68,9 +68,9 @@ class Track(Struct, frozen=True):
         """Whether the log has odometry, but it contradicts the scans and is not used."""
         return self.log_odometry is not None and self.motion.odometry is None
 
-    def with_findings(self, **found: Any) -> Track:  # noqa: ANN401
+    def with_findings(self, **changes: Any) -> Track:  # noqa: ANN401
         """Return the track with new values of some fields of its findings."""
-        return replace(self, findings=replace(self.findings, **found))
+        return replace(self, findings=replace(self.findings, **changes))
 
     def with_warning(self, text: str) -> Track:
         """Return the track with one more warning for the user."""
@@ -91,7 +91,7 @@ class Track(Struct, frozen=True):
         )
         steps: Iterator[Step] = chain(before, track(coming, method, self.motion, self.begin))
         steps = until(steps) if until else steps
-        return replace(self, method=method, steps=Steps(self.reported(steps, phase) if phase else steps))
+        return replace(self, method=method, steps=Steps(self.report_progress(steps, phase) if phase else steps))
 
     def again(self, until: Until | None = None) -> Track:
         """Track the whole log again with the settings of this track; ``until`` may end the track early."""
@@ -103,12 +103,12 @@ class Track(Struct, frozen=True):
         Progress is reported if the phase has a name.
         """
         motions = motions_along(tracked_trajectory(self.steps), self.motion)
-        steps = self.reported(self.steps, phase) if phase else self.steps
+        steps = self.report_progress(self.steps, phase) if phase else self.steps
         tracked = ((step, scan) for step, scan in zip(steps, self.log_scans(), strict=False) if step.tracked)
         for (step, scan), motion in zip(tracked, motions, strict=False):
             yield step, scan, motion
 
-    def reported(self, steps: Iterable[Step], phase: str) -> Iterator[Step]:
+    def report_progress(self, steps: Iterable[Step], phase: str) -> Iterator[Step]:
         """Yield the steps of a pass, and report the progress at each."""
         for done, step in enumerate(steps, start=1):
             if self.on_step:

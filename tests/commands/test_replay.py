@@ -655,13 +655,13 @@ WHILE_REDRAWING = """
 import os, signal, sys
 from mavnav.cli import main
 from mavnav.slam.refinement import redraw
-redrawn = redraw.redrawn
+draw_map = redraw.draw_map
 
 def befallen(track, refiner):
     os.kill(os.getpid(), signal.SIGINT)
-    return redrawn(track, refiner)
+    return draw_map(track, refiner)
 
-redraw.redrawn = befallen
+redraw.draw_map = befallen
 main(sys.argv[1:])
 """
 

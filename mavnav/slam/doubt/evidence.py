@@ -31,7 +31,7 @@ SHARPEST, LEAST_TURN_RAD = 12, 30 * DEG
 """Number of scans, those after the sharpest turns, that are compared with other headings, and their minimum turn."""
 
 
-class Evidence(Struct, frozen=True):
+class TrackEvidence(Struct, frozen=True):
     """Arrays with a row for every tracked scan, and scalars of the whole track.
 
     ``stamps_ns`` (n,); ``xyyaw`` (n, 3) the poses in the map frame, m and rad; ``points`` (n,) the numbers of matched
@@ -62,12 +62,12 @@ class Evidence(Struct, frozen=True):
     by_odometry_m: Floats
 
 
-def evidence_of(track: Track, refiner: Refiner) -> Evidence:
+def evidence_of(track: Track, refiner: Refiner) -> TrackEvidence:
     """Return the evidence of a finished track, without that of other tracks."""
     tracked, findings = track.steps.column("tracked"), track.findings
     xyyaw = track.steps.column("map_T_laser")[tracked]
     stamps_ns, rotation = track.steps.column("stamp_ns")[tracked], track.motion.rotation
-    return Evidence(
+    return TrackEvidence(
         period_s=track.motion.period_s,
         odometry=track.motion.odometry_at(stamps_ns),
         contradicted=track.odometry_contradicts,
@@ -86,14 +86,14 @@ def evidence_of(track: Track, refiner: Refiner) -> Evidence:
     )
 
 
-def wrapped(yaws_rad: Floats) -> Floats:
+def wrap_angles(yaws_rad: Floats) -> Floats:
     """Wrap angles to [-pi, pi)."""
     return (yaws_rad + pi) % (2.0 * pi) - pi
 
 
 def turns_rad(yaws_rad: Floats) -> Floats:
     """Return the rotation (n,) from the previous heading to each of the headings (n,), 0 for the first."""
-    return np.abs(wrapped(np.diff(yaws_rad, prepend=yaws_rad[:1])))
+    return np.abs(wrap_angles(np.diff(yaws_rad, prepend=yaws_rad[:1])))
 
 
 def heading_margins(track: Track, refiner: Refiner, yaws_rad: Floats) -> Floats:

@@ -33,11 +33,11 @@ def judge_track(track: Track) -> Track:
         return track
     if track.steps.column("tracked").sum() < FEWEST:
         return track
-    return judged(track, refiner)
+    return judge_by_features(track, refiner)
 
 
 @timed("doubt")
-def judged(track: Track, refiner: Refiner) -> Track:
+def judge_by_features(track: Track, refiner: Refiner) -> Track:
     """Judge a track by its features; compare it with a resampled track if these raise doubt."""
     evidence = evidence_of(track, refiner)
     doubt = doubt_of(evidence)

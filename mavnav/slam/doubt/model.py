@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.slam.doubt.evidence import Evidence
+    from mavnav.slam.doubt.evidence import TrackEvidence
 
 LEAST, MOST_DOUBLINGS = 0.25, 5.0
 """Value from which a feature counts, and maximum number of its doublings that count."""
@@ -29,7 +29,7 @@ JOINED_S, MOST_STRETCHES = 2.0, 5
 """Longest time between scans of one stretch, and maximum number of stretches of a reason, the strongest ones."""
 
 
-def doubt_of(evidence: Evidence, tried: tuple[str, ...] = ()) -> Doubt:
+def doubt_of(evidence: TrackEvidence, tried: tuple[str, ...] = ()) -> Doubt:
     """Return the doubt of a track, and its reasons with the largest contribution first.
 
     ``tried`` names what was done because of the doubt.
@@ -66,5 +66,5 @@ def stretches(name: str, shown: NDArray[np.float64], stamps_ns: NDArray[np.int64
     """Return the stretches in which a feature (n,) is a reason, in order of time."""
     rows = np.flatnonzero(shown >= MUCH)
     parts = np.split(rows, np.flatnonzero(np.diff(stamps_ns[rows]) * NS > JOINED_S) + 1)
-    found = [Reason(name, int(stamps_ns[p[0]]), int(stamps_ns[p[-1]]), float(shown[p].max())) for p in parts]
-    return sorted(sorted(found, key=lambda r: -r.value)[:MOST_STRETCHES], key=lambda r: r.start_ns)
+    reasons = [Reason(name, int(stamps_ns[p[0]]), int(stamps_ns[p[-1]]), float(shown[p].max())) for p in parts]
+    return sorted(sorted(reasons, key=lambda r: -r.value)[:MOST_STRETCHES], key=lambda r: r.start_ns)

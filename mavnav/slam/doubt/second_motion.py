@@ -77,8 +77,8 @@ def second_motion(track: Track, refiner: Refiner, conflicts: Floats) -> Floats:
     rows = [some for some in wanted if points.keys() >= set(some)]  # a stopped run ends early
     if len(rows) < LEAST_EXAMINED:
         return out
-    found = [rival(some, path.stamps_ns, path.xyyaw, points, track) for some in rows]
-    velocities = np.array([velocity or (np.nan, np.nan) for velocity in found])
+    rivals = [rival(some, path.stamps_ns, path.xyyaw, points, track) for some in rows]
+    velocities = np.array([velocity or (np.nan, np.nan) for velocity in rivals])
     if np.isnan(velocities).all():
         return out
     same = np.hypot(*(velocities - np.nanmedian(velocities, axis=0)).T) <= SAME_M_S
@@ -134,10 +134,10 @@ def rival(
         costs = lines.costs(points[row][:POINTS], xy_m, yaw_rad, truncate_m)
         shares += costs[0] / (truncate_m**2 * len(later))
     own_m_s = moved.as_array()[:2] / elapsed_s
-    found = second_minimum(shares.reshape(n, n))
-    if found is None:
+    minimum = second_minimum(shares.reshape(n, n))
+    if minimum is None:
         return None
-    x_m_s, y_m_s, more = found
+    x_m_s, y_m_s, more = minimum
     rests = np.hypot(*own_m_s) >= APART_M_S and np.hypot(own_m_s[0] + x_m_s, own_m_s[1] + y_m_s) < AT_REST_M_S
     return None if rests and more >= 0.0 else (x_m_s, y_m_s)
 
@@ -152,8 +152,8 @@ def second_minimum(shares: Floats) -> tuple[float, float, float] | None:
     inner = shares[1:-1, 1:-1]
     around = [shares[1 + i : n - 1 + i, 1 + j : n - 1 + j] for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
     lowest = np.logical_and.reduce([inner <= other for other in around]) & (inner <= own + MARGIN)
-    found = [(float(shares[i, j]), int(i), int(j)) for i, j in np.argwhere(lowest) + 1]
-    for cost, i, j in sorted(found):
+    minima = [(float(shares[i, j]), int(i), int(j)) for i, j in np.argwhere(lowest) + 1]
+    for cost, i, j in sorted(minima):
         if np.hypot(SPEEDS_M_S[i], SPEEDS_M_S[j]) < APART_M_S:
             continue
         on_the_way = np.rint(middle + np.outer(np.linspace(0.0, 1.0, n), (i - middle, j - middle))).astype(int)

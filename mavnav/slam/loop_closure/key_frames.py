@@ -57,7 +57,7 @@ def key_rows(
     return rows, path_m[rows].tolist()
 
 
-class Part:
+class KeyFrameMap:
     """A part of the map, built from some of the key frames."""
 
     def __init__(self, config: Config) -> None:

@@ -44,7 +44,7 @@ def close_loops(track: Track) -> Track:
     rebuilt = Steps(rebuild(track.log_scans(), steps, loops.map_T_laser, fresh, track.motion))
     hits, hits_before = (np.count_nonzero(method.grid.hits) for method in (fresh, track.method))
     if len(rebuilt) < len(steps) or hits >= hits_before:
-        return track.with_findings(loops=loops.dropped())
+        return track.with_findings(loops=loops.refuse_all())
     return replace(track.with_findings(loops=loops), steps=rebuilt, method=fresh)
 
 

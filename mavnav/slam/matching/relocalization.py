@@ -186,8 +186,8 @@ def lowest(
     step = round(STEP_M / line_map.cell_m)
     small = len(xy_m) * len(yaws_rad) * len(points) < WORTH_PRUNING
     if exhaustive or small or abs(step * line_map.cell_m - STEP_M) > 1e-9:
-        found = lowest_exhaustive(points, line_map, region, truncate_m, most)
-        return [start for start in found if start[0] <= limit_m2]
+        starts = lowest_exhaustive(points, line_map, region, truncate_m, most)
+        return [start for start in starts if start[0] <= limit_m2]
     floors = line_map.cost_floors(truncate_m, step, reached_by(points, xy_m))
     poses = lowest_poses(
         points,
@@ -225,28 +225,28 @@ def lowest_exhaustive(
         some = xy_m[first : first + AT_ONCE]
         costs = line_map.costs(points, some, yaws_rad, truncate_m)
         starts += minima(costs, some, yaws_rad, most)
-    return starts if len(starts) <= most else merged(starts, most)
+    return starts if len(starts) <= most else lowest_starts(starts, most)
 
 
 def _pose(xy_m: NDArray[np.float64], yaw_rad: float) -> Pose:
     return Pose(float(xy_m[0]), float(xy_m[1]), wrap_angle(float(yaw_rad)))
 
 
-def best_of(found: list[Match], expected: tuple[Pose, ...], elapsed_s: float, config: Config) -> Match:
+def best_of(matches: list[Match], expected: tuple[Pose, ...], elapsed_s: float, config: Config) -> Match:
     """Return the match of lowest rank, by misfit and motion cost; ambiguous if another pose ranks about equally."""
     weighed = [
-        m._replace(motion_cost=min(motion_cost(pose, m.map_T_laser, elapsed_s) for pose in expected)) for m in found
+        m._replace(motion_cost=min(motion_cost(pose, m.map_T_laser, elapsed_s) for pose in expected)) for m in matches
     ]
     ranks = [misfit(m, config) + PRIOR * min(m.motion_cost, MOST_MOTION_COST) for m in weighed]
     lowest = min(ranks)
     best = weighed[ranks.index(lowest)]
     rivals = [rank for m, rank in zip(weighed, ranks, strict=True) if apart(best.map_T_laser, m.map_T_laser)]
-    return with_effort(best, *found)._replace(ambiguous=min(rivals, default=np.inf) < lowest + AMBIGUITY_MARGIN)
+    return with_effort(best, *matches)._replace(ambiguous=min(rivals, default=np.inf) < lowest + AMBIGUITY_MARGIN)
 
 
-def unambiguous(found: list[Match], margin: float, config: Config) -> Match | None:
+def unambiguous(matches: list[Match], margin: float, config: Config) -> Match | None:
     """Return the match of least misfit; None without matches, or if another pose ranks within ``margin`` of it."""
-    ranked = sorted(found, key=lambda match: misfit(match, config))
+    ranked = sorted(matches, key=lambda match: misfit(match, config))
     best = next(iter(ranked), None)
     rival = next((m for m in ranked if best and apart(best.map_T_laser, m.map_T_laser)), None)
     clear = best and (rival is None or misfit(rival, config) >= misfit(best, config) + margin)
@@ -327,12 +327,12 @@ def minima(
     return starts_of(separate_minima(costs, xy_m, yaws_rad, SEPARATE, most), xy_m, yaws_rad)
 
 
-def starts_of(found: NDArray[np.float64], xy_m: NDArray[np.float64], yaws_rad: NDArray[np.float64]) -> list[Start]:
+def starts_of(rows: NDArray[np.float64], xy_m: NDArray[np.float64], yaws_rad: NDArray[np.float64]) -> list[Start]:
     """Return the poses of minima (m, 3): cost, index of yaw and of position."""
-    return [(cost, _pose(xy_m[int(p)], yaws_rad[int(q)])) for cost, q, p in found.tolist()]
+    return [(cost, _pose(xy_m[int(p)], yaws_rad[int(q)])) for cost, q, p in rows.tolist()]
 
 
-def merged(starts: list[Start], most: int) -> list[Start]:
+def lowest_starts(starts: list[Start], most: int) -> list[Start]:
     """Return the ``most`` lowest separate minima among those of several parts of a region."""
     kept: list[Start] = []
     for start in sorted(starts, key=itemgetter(0)):

@@ -49,15 +49,15 @@ class Localizer(Robust):
         if len(points) < self.config.robust.min_points:
             return no_match(Pose(), len(points))
         self.tries += 1
-        found = self._only_pose(points, around(self.start, START_M, START_RAD)) if self.start else None
-        if found is None and self.tries.bit_count() == 1:
-            found = self._only_pose(points, everywhere(self.known))
-        return found or no_match(self.start or Pose(), len(points))
+        match = self._only_pose(points, around(self.start, START_M, START_RAD)) if self.start else None
+        if match is None and self.tries.bit_count() == 1:
+            match = self._only_pose(points, everywhere(self.known))
+        return match or no_match(self.start or Pose(), len(points))
 
     def _only_pose(self, points: NDArray[np.float64], region: Region) -> Match | None:
         """Return the match of the scan in a region; None if it fits nowhere, or at another pose about as well."""
-        found = candidates(points, self.lines, self.known, region, self.config, MAP_CANDIDATES)
-        best = unambiguous(found, AMBIGUITY_MARGIN, self.config)
+        matches = candidates(points, self.lines, self.known, region, self.config, MAP_CANDIDATES)
+        best = unambiguous(matches, AMBIGUITY_MARGIN, self.config)
         return best if best and self.acceptance.is_good(best) else None
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:

@@ -83,8 +83,8 @@ def shortest_pause_s(period_s: float, least_s: float = PAUSE_S) -> float:
 
 def pauses(steps: Steps, period_s: float) -> list[int]:
     """Return the numbers of the scans before the pauses of a log."""
-    found: list[int] = np.flatnonzero(np.diff(steps.column("stamp_ns")) * NS > shortest_pause_s(period_s)).tolist()
-    return found
+    before: list[int] = np.flatnonzero(np.diff(steps.column("stamp_ns")) * NS > shortest_pause_s(period_s)).tolist()
+    return before
 
 
 def first_found_late(steps: Steps, period_s: float) -> int | None:
@@ -100,12 +100,12 @@ def first_found_late(steps: Steps, period_s: float) -> int | None:
 def pause_warnings(steps: Steps, motion: Motion) -> Iterator[str]:
     """Yield a warning if the scans pause between two poses of a log without odometry."""
     tracked, stamps_ns = steps.column("tracked"), steps.column("stamp_ns")
-    found = [k for k in pauses(steps, motion.period_s) if tracked[: k + 1].any() and tracked[k + 1 :].any()]
-    if not found or motion.has_odometry:
+    before_pauses = [k for k in pauses(steps, motion.period_s) if tracked[: k + 1].any() and tracked[k + 1 :].any()]
+    if not before_pauses or motion.has_odometry:
         return
-    longest = max(found, key=lambda k: stamps_ns[k + 1] - stamps_ns[k])
+    longest = max(before_pauses, key=lambda k: stamps_ns[k + 1] - stamps_ns[k])
     at_s, until_s = (float(stamps_ns[k] - stamps_ns[0]) * NS for k in (longest, longest + 1))
-    more = f", and {len(found) - 1} more" if len(found) > 1 else ""
+    more = f", and {len(before_pauses) - 1} more" if len(before_pauses) > 1 else ""
     yield (
         f"the scans pause for {until_s - at_s:.1f} s ({at_s:.1f} s after the first{more}): without odometry, where the "
         "laser is afterwards is known from the scans alone; check the map there"
@@ -122,16 +122,16 @@ def blind_warnings(steps: Steps, motion: Motion) -> Iterator[str]:
     stamps_ns, tracked = steps.column("stamp_ns"), np.flatnonzero(steps.column("tracked"))
     gaps_s = np.diff(stamps_ns[tracked]) * NS
     paused = {k + 1 for k in pauses(steps, motion.period_s)}
-    found = [
+    blind = [
         k
         for k in np.flatnonzero(gaps_s > shortest_pause_s(motion.period_s)).tolist()
         if not paused.intersection(range(tracked[k] + 1, tracked[k + 1] + 1))
     ]
-    if not found:
+    if not blind:
         return
-    longest = max(found, key=lambda k: gaps_s[k])
+    longest = max(blind, key=lambda k: gaps_s[k])
     at_s = float(stamps_ns[tracked[longest]] - stamps_ns[0]) * NS
-    more = f", and {len(found) - 1} more" if len(found) > 1 else ""
+    more = f", and {len(blind) - 1} more" if len(blind) > 1 else ""
     yield (
         f"no scan matches for {gaps_s[longest]:.1f} s ({at_s:.1f} s after the first{more}): without odometry, whether "
         "the laser was carried meanwhile is known from the scans alone; check the map there"

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from mavnav.slam.matching.motion_model import LONGEST_S
 from mavnav.slam.matching.scan_matching import with_effort
 from mavnav.slam.matching.steps import Step, Steps
-from mavnav.slam.matching.track_state import Verdict
+from mavnav.slam.matching.track_state import MatchVerdict
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def rematch_rejected(track: Track) -> Track:
     updated, after, failed = Steps(steps), steps[-1], 0
     for step in reversed(steps):
         if step.index in scans and failed < MOST_FAILED and (after.stamp_ns - step.stamp_ns) * NS <= LONGEST_S:
-            updated[step.index] = rematched(scans[step.index], step, before[step.index], after, track)
+            updated[step.index] = rematch(scans[step.index], step, before[step.index], after, track)
             failed += 1
         if updated[step.index].tracked:
             after, failed = updated[step.index], 0
@@ -60,14 +60,14 @@ def between_accepted(steps: Iterable[Step]) -> dict[int, Step]:
     return before
 
 
-def rematched(scan: Scan, step: Step, before: Step, after: Step, track: Track) -> Step:
+def rematch(scan: Scan, step: Step, before: Step, after: Step, track: Track) -> Step:
     """Match a scan between two accepted ones; return its step, tracked if the match is accepted."""
     here = track.motion.started_at(after.match.map_T_laser, after.stamp_ns)
     here = here.coming_from(before.match.map_T_laser, before.stamp_ns)
     short = here.elapsed_s(before.stamp_ns) <= SHORT_SCANS * here.period_s
     match_it = track.method.match if short or track.refiner is None else track.refiner.match_between
     match = match_it(scan, here.predict(scan.stamp_ns), here)
-    if track.method.gate(match, scan, here) is not Verdict.SURE:
+    if track.method.gate(match, scan, here) is not MatchVerdict.SURE:
         return step
     track.method.insert(scan, match.map_T_laser, here)
     return step._replace(match=with_effort(match, step.match, match), tracked=True)

@@ -34,7 +34,7 @@ TIMES_MORE, LEAST_SCANS = 3.0, 10
 the map does not contradict. Where furniture moved all over the map, or people crowd it, no stretch is like that."""
 
 
-def without_contradicted(track: Track) -> Track:
+def drop_contradicted(track: Track) -> Track:
     """Give up the stretches of poses in a given map that it contradicts most, if it does not contradict others.
 
     Stretches end at gaps and jumps. A warning names those that are given up, and another one those that the map
@@ -49,10 +49,10 @@ def without_contradicted(track: Track) -> Track:
         return track
     rows = np.flatnonzero(track.steps.column("tracked"))[: len(conflicts)]  # fewer where the run is stopped
     parts = stretches(track.steps, rows)
-    given_up, doubtful = contradicted([conflicts[part] for part in parts])
+    given_up, doubtful = contradicted_stretches([conflicts[part] for part in parts])
     if doubtful:
         track = track.with_warning(_doubt_warning(track.steps, [rows[parts[k]] for k in doubtful]))
-    return _without(track, [rows[parts[k]] for k in given_up]) if given_up else track
+    return _without_stretches(track, [rows[parts[k]] for k in given_up]) if given_up else track
 
 
 def stretches(steps: Steps, rows: NDArray[np.intp]) -> list[NDArray[np.intp]]:
@@ -62,7 +62,7 @@ def stretches(steps: Steps, rows: NDArray[np.intp]) -> list[NDArray[np.intp]]:
     return np.split(np.arange(len(rows)), np.flatnonzero(ends) + 1)
 
 
-def contradicted(conflicts: list[NDArray[np.float64]]) -> tuple[list[int], list[int]]:
+def contradicted_stretches(conflicts: list[NDArray[np.float64]]) -> tuple[list[int], list[int]]:
     """Return which stretches are given up, and which others are doubtful, by the conflicts (n,) of their scans."""
     means = [float(some.mean()) for some in conflicts]
     clean = [some for some, mean in zip(conflicts, means, strict=True) if mean <= CONTRADICTED]
@@ -72,7 +72,7 @@ def contradicted(conflicts: list[NDArray[np.float64]]) -> tuple[list[int], list[
     return given_up, [k for k, mean in enumerate(means) if CONTRADICTED < mean <= most]
 
 
-def _without(track: Track, given_up: list[NDArray[np.intp]]) -> Track:
+def _without_stretches(track: Track, given_up: list[NDArray[np.intp]]) -> Track:
     """Return a track without the poses of some steps, and its map drawn again without their scans."""
     steps = Steps(track.steps)
     for row in np.concatenate(given_up).tolist():

@@ -21,13 +21,13 @@ def redraw_map(track: Track) -> Track:
     """
     method, refiner = track.method, track.refiner
     if refiner and refiner.builds_map:
-        drawn = redrawn(track, refiner)
+        drawn = draw_map(track, refiner)
         if drawn and np.count_nonzero(drawn.hits) < np.count_nonzero(method.grid.hits):
             method.grid = drawn
     return track
 
 
-def redrawn(track: Track, refiner: Refiner) -> GridBuilder | None:
+def draw_map(track: Track, refiner: Refiner) -> GridBuilder | None:
     """Return the new map; None if the run is stopped before the last tracked scan."""
     drawn, inserted = GridBuilder(track.method.grid.cell_m), 0
     for step, scan, motion in track.placed_scans("draw map"):

@@ -43,8 +43,8 @@ def refine_against_final_map(track: Track) -> Track:
         return track
     evidence = array("d")
     motions = motions_along(tracked_trajectory(track.steps), track.motion)
-    coming = refined(track.log_scans(), track.steps, track.refiner, evidence, motions)
-    for step in track.reported(coming, "final pass"):
+    coming = refine_steps(track.log_scans(), track.steps, track.refiner, evidence, motions)
+    for step in track.report_progress(coming, "final pass"):
         track.steps[step.index] = step
     columns = np.array(evidence).reshape(-1, 8)
     observed = columns[:, 0]
@@ -57,7 +57,7 @@ def refine_against_final_map(track: Track) -> Track:
     return track.with_warning(warning) if warning else track
 
 
-def refined(
+def refine_steps(
     scans: Iterable[Scan],
     steps: Iterable[Step],
     refiner: Refiner,

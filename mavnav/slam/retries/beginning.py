@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from mavnav.slam.matching.motion_model import LONGEST_S
 from mavnav.slam.matching.scan_matching import with_effort
 from mavnav.slam.matching.steps import LOST_SCANS, Step, Steps
-from mavnav.slam.matching.track_state import Verdict
+from mavnav.slam.matching.track_state import MatchVerdict
 from mavnav.slam.retries.odometry_check import while_odometry_fits
 from mavnav.units import NS
 
@@ -43,7 +43,7 @@ MOST_SHARE = 0.5
 """Share of the scans after a beginning that must have a pose for it to be taken at once."""
 
 
-def with_good_beginning(track: Track) -> Track:
+def track_from_good_beginning(track: Track) -> Track:
     """Track the log, from a later scan on if the next scans do not match the map of the first ones.
 
     A beginning with poses for most of the scans after it is taken at once; otherwise that with most poses when its map
@@ -63,9 +63,9 @@ def with_good_beginning(track: Track) -> Track:
     for tried in range(MOST_TRIES):
         other = while_odometry_fits(replace(track, begin=begin), "track again", until(MISSED_LATER))
         lost = early_loss(other.steps, least_points, MISSED_LATER)
-        enough = max(MOST_SHARE * (len(other.steps) - begin), accepted(first) + 1)
-        whole = lost is None and accepted(other) >= enough
-        best = other if whole or accepted(other) > accepted(best) else best
+        enough = max(MOST_SHARE * (len(other.steps) - begin), count_accepted(first) + 1)
+        whole = lost is None and count_accepted(other) >= enough
+        best = other if whole or count_accepted(other) > count_accepted(best) else best
         if lost is None:
             break
         begin = max(lost, begin + (1 << max(tried - EACH_TRIES, 0)))
@@ -80,7 +80,7 @@ def after_another(track: Track, first: Track) -> Track:
     return track.with_findings(parts=(before,) if before else ())
 
 
-def accepted(track: Track) -> int:
+def count_accepted(track: Track) -> int:
     """Return the number of scans with a pose."""
     return int(np.count_nonzero(track.steps.column("tracked")))
 
@@ -132,10 +132,10 @@ def rematch_beginning(track: Track) -> Track:
     for scan, step in zip(reversed(scans), reversed(steps[: len(scans)]), strict=True):
         if (after.stamp_ns - step.stamp_ns) * NS > LONGEST_S:
             break
-        found = before_the_map(scan, step, moving_back(track.motion, after, later), track)
-        if not found.tracked:  # farther back the search would be so wide that a blocked scan fits somewhere
+        earlier = before_the_map(scan, step, moving_back(track.motion, after, later), track)
+        if not earlier.tracked:  # farther back the search would be so wide that a blocked scan fits somewhere
             break
-        steps[step.index], after, later = found, found, after
+        steps[step.index], after, later = earlier, earlier, after
     return replace(track, steps=steps)
 
 
@@ -149,7 +149,7 @@ def moving_back(motion: Motion, after: Step, later: Step) -> Motion:
 def before_the_map(scan: Scan, step: Step, here: Motion, track: Track) -> Step:
     """Match a scan that is earlier than the map; return its step, tracked and inserted if the match is accepted."""
     match = track.method.match(scan, here.predict(scan.stamp_ns), here)
-    if track.method.gate(match, scan, here) is not Verdict.SURE:
+    if track.method.gate(match, scan, here) is not MatchVerdict.SURE:
         return step
     track.method.insert(scan, match.map_T_laser, here)
     return step._replace(match=with_effort(match, step.match, match), tracked=True)

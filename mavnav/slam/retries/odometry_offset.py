@@ -28,7 +28,7 @@ LARGEST_SHARE = 0.2
 """Largest RMS error of odometry that fits, as a share of the motion."""
 
 
-class Window(NamedTuple):
+class MotionWindow(NamedTuple):
     """A motion between two stamps: of the laser, in its frame at the first."""
 
     start_ns: int
@@ -51,23 +51,24 @@ def fitting_offset_s(odometry: Odometry, map_T_laser: Trajectory) -> float | Non
     return round(best_s, 2) if rms_error(odometry, windows, best_s) <= LARGEST_SHARE * motion else None
 
 
-def most_moving(map_T_laser: Trajectory) -> list[Window]:
+def most_moving(map_T_laser: Trajectory) -> list[MotionWindow]:
     """Return the windows of a path with most motion, in the order of their times."""
     stamps_ns = map_T_laser.stamps_ns
     ends = np.searchsorted(stamps_ns, stamps_ns + round(WINDOW_S / NS))
     pairs = ((k, int(end)) for k, end in enumerate(ends) if end < len(stamps_ns))
     close = (pair for pair in pairs if (stamps_ns[pair[1]] - stamps_ns[pair[0]]) * NS < 2 * WINDOW_S)
-    windows = [Window(int(stamps_ns[a]), int(stamps_ns[b]), map_T_laser[a].between(map_T_laser[b])) for a, b in close]
+    stamps = stamps_ns.tolist()
+    windows = [MotionWindow(stamps[a], stamps[b], map_T_laser[a].between(map_T_laser[b])) for a, b in close]
     return sorted(sorted(windows, key=lambda window: -size(window.moved))[:MOST_WINDOWS])
 
 
-def rms_error(odometry: Odometry, windows: list[Window], offset_s: float) -> float:
+def rms_error(odometry: Odometry, windows: list[MotionWindow], offset_s: float) -> float:
     """Return the error of odometry with an offset; infinite if it covers few of the windows."""
     errors = errors_m(at_offset(odometry, offset_s), windows)
     return float(np.sqrt(np.mean(np.square(errors)))) if errors else np.inf
 
 
-def errors_m(odometry: Odometry, windows: list[Window]) -> list[float]:
+def errors_m(odometry: Odometry, windows: list[MotionWindow]) -> list[float]:
     """Return the errors of odometry in the windows that it covers; none if these are few."""
     errors = []
     for start_ns, end_ns, moved in windows:
