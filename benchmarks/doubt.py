@@ -39,6 +39,7 @@ from mavnav.slam.doubt.features import DISAGREEMENT, FEATURES, WRONG_M, WRONG_RA
 from mavnav.slam.doubt.judge import FEWEST, WORTH_A_TRACK, judge_track
 from mavnav.slam.doubt.model import contributions, doublings, probability
 from mavnav.slam.findings import HIGH
+from mavnav.slam.methods.method import Refiner
 from mavnav.slam.track import Track
 from mavnav.units import DEG
 
@@ -53,10 +54,9 @@ BINS = (0.0, 0.02, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0)
 """Limits of the bins of the reliability diagram."""
 
 
-def features_of(track: Track) -> dict[str, float]:
+def features_of(track: Track, refiner: Refiner) -> dict[str, float]:
     """Return the features of a judged track, including those that need a second track."""
-    refiner = track.refiner
-    if refiner is None or track.steps.column("tracked").sum() < FEWEST:
+    if track.steps.column("tracked").sum() < FEWEST:
         return {}
     resampled = resampled_poses(track)
     evidence = evidence_of(track, refiner)
@@ -69,9 +69,9 @@ def made(folder: Path, name: str) -> Run:
     os.nice(5)
     features: list[dict[str, float]] = []
 
-    def keep(track: Track) -> Track:
-        judged = judge_track(track)
-        features.append(features_of(judged))
+    def keep(track: Track, refiner: Refiner) -> Track:
+        judged = judge_track(track, refiner)
+        features.append(features_of(judged, refiner))
         return judged
 
     pipeline.CHECKING = PASSES

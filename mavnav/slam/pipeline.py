@@ -10,16 +10,15 @@ from mavnav.slam.loop_closure.remap import close_loops
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.methods.registry import make_method
 from mavnav.slam.recovery.parts import drop_late_poses, join_lost_parts
-from mavnav.slam.recovery.rematch import rematch_rejected, remove_dynamic_cells
+from mavnav.slam.recovery.rematch import rematch_beginning, rematch_rejected, remove_dynamic_cells
 from mavnav.slam.refinement.contradicted import drop_contradicted
 from mavnav.slam.refinement.deskewed_track import match_deskewed
-from mavnav.slam.refinement.redraw import redraw_map
-from mavnav.slam.refinement.refine import refine_against_final_map
+from mavnav.slam.refinement.refine import redraw_map, refine_against_final_map
 from mavnav.slam.refinement.smoothing import smooth_jitter
 from mavnav.slam.result import summarize
 from mavnav.slam.retries.attempt import try_again
 from mavnav.slam.retries.beam_order import REVERSED_BEAMS
-from mavnav.slam.retries.beginning import rematch_beginning, track_from_good_beginning
+from mavnav.slam.retries.beginning import track_from_good_beginning
 from mavnav.slam.retries.odometry_check import ODOMETRY_AFTER_GAPS, WITHOUT_ODOMETRY
 from mavnav.slam.retries.resampled_track import COARSER_VOXELS
 from mavnav.slam.track import Track
@@ -60,13 +59,13 @@ CHECKING: Final[tuple[Pass, ...]] = (
     refine_against_final_map,  # step 13
     judge_track,  # "Doubt"
 )
-"""Passes that correct and judge the finished track; skipped in causal mode and by the paper's method."""
+"""Passes that correct and judge the finished track."""
 
 DRAWING: Final[tuple[Pass, ...]] = (
     smooth_jitter,  # step 14
     redraw_map,  # step 15
 )
-"""Passes that make the final poses and the final map; skipped as well in causal mode and by the paper's method."""
+"""Passes that make the final poses and the final map."""
 
 MEASURING: Final[tuple[Pass, ...]] = (match_deskewed,)
 """What makes the poses of a calibration instead: nothing is smoothed."""
@@ -111,7 +110,7 @@ def finish(track: Track) -> SlamResult:
 
 
 def after(track: Track, passes: tuple[Pass, ...]) -> Track:
-    """Run passes over a track in order."""
+    """Run passes over a track in order; none in causal mode and with a method that has no refiner."""
     for each in passes:
-        track = each(track)
+        track = each(track, track.refiner) if track.refiner else track
     return track

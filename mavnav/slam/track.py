@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     """Return the scans of a log; every call starts at the first scan."""
     OnStep = Callable[[str, int], None]
     """Called with the name of the pass ("track", "track again", "close loops", "final pass") and the scans done."""
-    Pass = Callable[["Track"], "Track"]
-    """Return the track after a pass, unchanged where the pass does not apply."""
+    Pass = Callable[["Track", Refiner], "Track"]
+    """Return the track after a pass with its method's refiner, unchanged where the pass does not apply."""
     Until = Callable[[Iterable[Step]], Iterator[Step]]
     """Yield the steps of a track up to the one that ends it."""
 

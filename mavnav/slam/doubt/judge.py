@@ -26,10 +26,9 @@ FEWEST = 2
 RESAMPLED = "resampled track"
 
 
-def judge_track(track: Track) -> Track:
+def judge_track(track: Track, refiner: Refiner) -> Track:
     """Add the probability that a track is wrong; not in causal mode, in a given map, or if nothing was tracked."""
-    refiner = track.refiner
-    if refiner is None or not refiner.builds_map or len(track.findings.observed) < len(track.steps):
+    if not refiner.builds_map or len(track.findings.observed) < len(track.steps):
         return track
     if track.steps.column("tracked").sum() < FEWEST:
         return track

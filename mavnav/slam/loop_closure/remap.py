@@ -26,13 +26,13 @@ if TYPE_CHECKING:
     from mavnav.slam.track import LogScans, Track
 
 
-def close_loops(track: Track) -> Track:
+def close_loops(track: Track, refiner: Refiner) -> Track:
     """Close loops and rebuild the map; the track does not change without loops, or if the new map is no sharper.
 
     Nor does it change if the run is stopped early.
     """
-    refiner, steps, config = track.refiner, track.steps, track.config
-    if refiner is None or not refiner.builds_map or config.loop_closure != "auto":
+    steps, config = track.steps, track.config
+    if not refiner.builds_map or config.loop_closure != "auto":
         return track
     if track.on_step:
         track.on_step("close loops", 0)

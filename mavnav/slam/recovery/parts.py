@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from mavnav.scan import Scan
     from mavnav.slam.matching.motion_model import Motion
     from mavnav.slam.matching.steps import LostInterval
+    from mavnav.slam.methods.method import Refiner
     from mavnav.slam.track import Track
 
 LEAST_SCANS, MOST_TRACKED = 20, 4
@@ -77,9 +78,9 @@ def lost_for_good(steps: Steps, lost: Sequence[LostInterval], parts: Sequence[Pa
     return ended or (bool(steps) and few)
 
 
-def join_lost_parts(track: Track) -> Track:
+def join_lost_parts(track: Track, refiner: Refiner) -> Track:
     """Track the lost stretches of a log that was lost for good on separate maps; join them where possible."""
-    if not track.builds_map:
+    if not refiner.builds_map:
         return track
     lost = lost_parts(track) if lost_for_good(track.steps, list(lost_intervals(track.steps))) else []
     largest = max([track, *lost], key=count_accepted)
@@ -90,13 +91,13 @@ def join_lost_parts(track: Track) -> Track:
     return join_parts(whole, [part for part in others if part])
 
 
-def drop_late_poses(track: Track) -> Track:
+def drop_late_poses(track: Track, refiner: Refiner) -> Track:
     """Give up the poses after a pause in the scans after which the laser was found late: one scan is weak evidence.
 
     Only the scans before it are tracked again; `join_lost_parts` tracks the others, and joins them if several agree. A
     log that is lost for good is left as it is: that is said anyway.
     """
-    if not track.builds_map or track.motion.has_odometry:
+    if not refiner.builds_map or track.motion.has_odometry:
         return track
     if lost_for_good(track.steps, list(lost_intervals(track.steps))):
         return track

@@ -20,6 +20,7 @@ from mavnav.units import NS, counted
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from mavnav.slam.methods.method import Refiner
     from mavnav.slam.track import Track
 
 CONTRADICTED, GIVEN_UP = 0.05, 0.1
@@ -34,14 +35,13 @@ TIMES_MORE, LEAST_SCANS = 3.0, 10
 the map does not contradict. Where furniture moved all over the map, or people crowd it, no stretch is like that."""
 
 
-def drop_contradicted(track: Track) -> Track:
+def drop_contradicted(track: Track, refiner: Refiner) -> Track:
     """Give up the stretches of poses in a given map that it contradicts most, if it does not contradict others.
 
     Stretches end at gaps and jumps. A warning names those that are given up, and another one those that the map
     contradicts less. A laser that is followed all along is at the right place, in a map with noise too.
     """
-    refiner = track.refiner
-    if refiner is None or refiner.builds_map or not any(lost_intervals(track.steps)):
+    if refiner.builds_map or not any(lost_intervals(track.steps)):
         return track
     placed = ((refiner.match_points(scan, motion), step.match) for step, scan, motion in track.placed_scans())
     conflicts = np.array([refiner.conflicts(points, match) for points, match in placed])

@@ -1,4 +1,4 @@
-"""Step 13: match every tracked scan once more, against the finished map."""
+"""Steps 13 and 15: match every tracked scan against the finished map, and redraw the map from the finished track."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.slam.matching.degeneracy import UNMEASURED, degeneracy_warning
 from mavnav.slam.matching.motion_model import motions_along
 from mavnav.slam.matching.steps import tracked_trajectory
@@ -33,17 +34,15 @@ BATCH_SCANS = 16
 """Number of scans for which each operation runs in turn: its code and data stay in the processor's caches."""
 
 
-def refine_against_final_map(track: Track) -> Track:
+def refine_against_final_map(track: Track, refiner: Refiner) -> Track:
     """Match every tracked scan against the finished map; without odometry, warn where its geometry is degenerate.
 
     The steps are changed in place, because there may be many. Observability, visibility conflicts and Hessians of the
     scans are stored in its findings.
     """
-    if track.refiner is None:
-        return track
     evidence = array("d")
     motions = motions_along(tracked_trajectory(track.steps), track.motion)
-    coming = refine_steps(track.log_scans(), track.steps, track.refiner, evidence, motions)
+    coming = refine_steps(track.log_scans(), track.steps, refiner, evidence, motions)
     for step in track.report_progress(coming, "final pass"):
         track.steps[step.index] = step
     columns = np.array(evidence).reshape(-1, 8)
@@ -93,3 +92,27 @@ def conflicts_deskewed(scan: Scan, match: Match, motion: Motion, refiner: Refine
     """Return the visibility conflicts of a scan that is de-skewed by its motion, with the finished map."""
     points = refiner.match_points(scan, motion)
     return refiner.conflicts(points, refiner.refine(points, match))
+
+
+def redraw_map(track: Track, refiner: Refiner) -> Track:
+    """Redraw the map: insert every scan, deskewed by the finished track, where it fits the whole map best.
+
+    The trajectory does not change. The method takes the new map if it has fewer hit cells, because blurred and doubled
+    walls have more: scans were inserted before the whole map was known. If the run is stopped early, the old map stays.
+    """
+    if refiner.builds_map:
+        drawn = draw_map(track, refiner)
+        if drawn and np.count_nonzero(drawn.hits) < np.count_nonzero(track.method.grid.hits):
+            track.method.grid = drawn
+    return track
+
+
+def draw_map(track: Track, refiner: Refiner) -> GridBuilder | None:
+    """Return the new map; None if the run is stopped before the last tracked scan."""
+    drawn, inserted = GridBuilder(track.method.grid.cell_m), 0
+    for step, scan, motion in track.placed_scans("draw map"):
+        pose = refiner.refine(refiner.match_points(scan, motion), step.match).map_T_laser
+        drawn.insert(pose, *refiner.placed_points(scan, pose, motion))
+        inserted += 1
+    drawn.remove_dynamic_cells()
+    return drawn if inserted == np.count_nonzero(track.steps.column("tracked")) else None

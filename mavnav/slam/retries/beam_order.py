@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from msgspec.structs import replace
 
+from mavnav.slam.matching.motion_model import motion_at
 from mavnav.slam.matching.steps import LOST_SCANS, tracked_trajectory
 from mavnav.slam.retries.attempt import Attempt
 from mavnav.slam.retries.beginning import until_missing
@@ -143,8 +144,7 @@ def match_both(
     listed, other = [], []
     for before, step, scan in islice(zip(steps, steps[1:], scans[1:], strict=False), 0, None, SAMPLE_EVERY):
         if before.tracked and step.tracked:
-            here = motion.started_at(step.match.map_T_laser, step.stamp_ns)
-            here = here.coming_from(before.match.map_T_laser, before.stamp_ns)
+            here = motion_at(motion, step, before)
             listed.append(refiner.refine(refiner.match_points(scan, here), step.match))
             other.append(refiner.refine(refiner.match_points(reversed_scan(scan), here), step.match))
     return listed, other

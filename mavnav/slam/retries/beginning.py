@@ -11,18 +11,12 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from msgspec.structs import replace
 
-from mavnav.slam.matching.motion_model import LONGEST_S
-from mavnav.slam.matching.scan_matching import with_effort
-from mavnav.slam.matching.steps import LOST_SCANS, Step, Steps
-from mavnav.slam.matching.track_state import MatchVerdict
+from mavnav.slam.matching.steps import LOST_SCANS, Step
 from mavnav.slam.retries.odometry_check import while_odometry_fits
-from mavnav.units import NS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from mavnav.scan import Scan
-    from mavnav.slam.matching.motion_model import Motion
     from mavnav.slam.track import Track, Until
 
 EARLY_SCANS, MISSED_SCANS, MISSED_LATER = 30, 16, 8
@@ -119,37 +113,3 @@ def until_missing(
             missed += 1
         if held <= most_held and missed >= most_missed:
             return
-
-
-def rematch_beginning(track: Track) -> Track:
-    """Match the scans before the beginning of the map against it, backwards from the first accepted pose."""
-    tracked = np.flatnonzero(track.steps.column("tracked"))
-    if track.refiner is None or not track.begin or len(tracked) < 2:
-        return track
-    steps, (first, second) = Steps(track.steps), tracked[:2].tolist()
-    scans = [scan for scan, _ in zip(track.log_scans(), range(first), strict=False)]
-    after, later = steps[first], steps[second]
-    for scan, step in zip(reversed(scans), reversed(steps[: len(scans)]), strict=True):
-        if (after.stamp_ns - step.stamp_ns) * NS > LONGEST_S:
-            break
-        earlier = before_the_map(scan, step, moving_back(track.motion, after, later), track)
-        if not earlier.tracked:  # farther back the search would be so wide that a blocked scan fits somewhere
-            break
-        steps[step.index], after, later = earlier, earlier, after
-    return replace(track, steps=steps)
-
-
-def moving_back(motion: Motion, after: Step, later: Step) -> Motion:
-    """Return the motion at an accepted step, with the velocity from it to the next one."""
-    here = motion.started_at(later.match.map_T_laser, later.stamp_ns)
-    here = here.coming_from(after.match.map_T_laser, after.stamp_ns)
-    return here._replace(map_T_laser=after.match.map_T_laser, stamp_ns=after.stamp_ns)
-
-
-def before_the_map(scan: Scan, step: Step, here: Motion, track: Track) -> Step:
-    """Match a scan that is earlier than the map; return its step, tracked and inserted if the match is accepted."""
-    match = track.method.match(scan, here.predict(scan.stamp_ns), here)
-    if track.method.gate(match, scan, here) is not MatchVerdict.SURE:
-        return step
-    track.method.insert(scan, match.map_T_laser, here)
-    return step._replace(match=with_effort(match, step.match, match), tracked=True)
