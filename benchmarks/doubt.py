@@ -36,8 +36,7 @@ from mavnav.slam import pipeline
 from mavnav.slam.doubt.coefficients import ONE_TRACK, TWO_TRACKS, Weights
 from mavnav.slam.doubt.evidence import evidence_of, resampled_poses
 from mavnav.slam.doubt.features import DISAGREEMENT, FEATURES, WRONG_M, WRONG_RAD
-from mavnav.slam.doubt.judge import FEWEST, WORTH_A_TRACK, judge_track
-from mavnav.slam.doubt.model import contributions, doublings, probability
+from mavnav.slam.doubt.judge import FEWEST, WORTH_A_TRACK, contributions, doublings, judge_track, probability
 from mavnav.slam.findings import HIGH
 from mavnav.slam.methods.method import Refiner
 from mavnav.slam.track import Track

@@ -31,8 +31,7 @@ if TYPE_CHECKING:
 
     from mavnav.config.models import Config
     from mavnav.sessions.following import Follows
-    from mavnav.sessions.group import Join
-    from mavnav.sessions.group_map import GroupMap
+    from mavnav.sessions.group import GroupMap, Join
     from mavnav.sessions.session import Session
     from mavnav.slam.loop_closure.key_frames import KeyFrameMap
 

@@ -1,4 +1,4 @@
-"""Groups of sessions that are joined: their key frames in one frame, and the pose graph over all of them."""
+"""Groups of sessions that are joined: their key frames in one frame, the pose graph over all of them, and their map."""
 
 from __future__ import annotations
 
@@ -12,13 +12,15 @@ from msgspec.structs import replace
 from mavnav.slam.findings import Edge
 from mavnav.slam.loop_closure.closure import SIGMA_M, SIGMA_RAD
 from mavnav.slam.loop_closure.detection import LOOP_M
-from mavnav.slam.loop_closure.key_frames import KEY_M, KEY_RAD, KeyFrame
+from mavnav.slam.loop_closure.key_frames import KEY_M, KEY_RAD, KeyFrame, KeyFrameMap, Visibility
 from mavnav.slam.loop_closure.path_edges import PATH_SIGMA_M, PATH_SIGMA_RAD
 from mavnav.slam.loop_closure.pose_graph import root_information
+from mavnav.units import DEG
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from mavnav.config.models import Config
     from mavnav.sessions.session import Session
 
 DOUBTFUL = 3.0
@@ -127,3 +129,31 @@ def revisits(keys: Sequence[KeyFrame], begin: int) -> Iterator[tuple[int, int]]:
         i = int(np.argmin(off_m)) if len(off_m) else 0
         if len(off_m) and off_m[i] <= NEAR_M:
             yield i, j
+
+
+STILL_M, STILL_RAD = 0.03, 0.3 * DEG
+"""A map stays where no key frame moved nor turned farther: places are found in it, and measured elsewhere."""
+
+
+class GroupMap:
+    """What some key frames saw: the map of all, and which of them saw which squares of the plane."""
+
+    def __init__(self, keys: Sequence[KeyFrame], config: Config) -> None:
+        """Draw the map of some key frames."""
+        self.keys, self.map, self.config = list(keys), KeyFrameMap(config), config
+        self.seen = Visibility(self.keys)
+        self.map.grow(self.keys, len(self.keys))
+        self.seen.grow(len(self.keys))
+
+    def with_keys(self, keys: Sequence[KeyFrame]) -> GroupMap:
+        """Return the map of more key frames, of which these are the first: this one grown, or another if they moved."""
+        count = len(self.keys)
+        poses = (np.array([key.map_T_laser for key in some]) for some in (self.keys, keys[:count]))
+        off = np.abs(np.subtract(*poses))
+        off[:, 2] = np.minimum(off[:, 2], 2.0 * np.pi - off[:, 2])
+        if (off > (STILL_M, STILL_M, STILL_RAD)).any():
+            return GroupMap(keys, self.config)
+        self.keys.extend(keys[count:])
+        self.map.grow(self.keys, len(keys))
+        self.seen.grow(len(keys))
+        return self

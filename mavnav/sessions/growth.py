@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 
 from mavnav.sessions.closures import join_at_end, join_session
 from mavnav.sessions.following import SOON_S, ended_before, pause_between_s
-from mavnav.sessions.group import Join, SessionGroup, group_of
-from mavnav.sessions.group_map import GroupMap
+from mavnav.sessions.group import GroupMap, Join, SessionGroup, group_of
 from mavnav.sessions.witnesses import locate_session
 
 if TYPE_CHECKING:

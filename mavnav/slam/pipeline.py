@@ -12,14 +12,13 @@ from mavnav.slam.methods.registry import make_method
 from mavnav.slam.recovery.parts import drop_late_poses, join_lost_parts
 from mavnav.slam.recovery.rematch import rematch_beginning, rematch_rejected, remove_dynamic_cells
 from mavnav.slam.refinement.contradicted import drop_contradicted
-from mavnav.slam.refinement.deskewed_track import match_deskewed
-from mavnav.slam.refinement.refine import redraw_map, refine_against_final_map
+from mavnav.slam.refinement.refine import match_deskewed, redraw_map, refine_against_final_map
 from mavnav.slam.refinement.smoothing import smooth_jitter
 from mavnav.slam.result import summarize
 from mavnav.slam.retries.attempt import try_again
 from mavnav.slam.retries.beam_order import REVERSED_BEAMS
 from mavnav.slam.retries.beginning import track_from_good_beginning
-from mavnav.slam.retries.odometry_check import ODOMETRY_AFTER_GAPS, WITHOUT_ODOMETRY
+from mavnav.slam.retries.odometry import ODOMETRY_AFTER_GAPS, WITHOUT_ODOMETRY
 from mavnav.slam.retries.resampled_track import COARSER_VOXELS
 from mavnav.slam.track import Track
 

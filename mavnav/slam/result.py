@@ -13,7 +13,7 @@ from mavnav.slam.matching.steps import LostInterval, Steps, jumps, lost_interval
 from mavnav.slam.methods.pauses import blind_warnings, pause_warnings
 from mavnav.slam.recovery.parts import Part, lost_for_good, part_warnings, parts_of
 from mavnav.slam.refinement.covariance import covariances_of
-from mavnav.slam.retries.odometry_check import odometry_warnings
+from mavnav.slam.retries.odometry import odometry_warnings
 from mavnav.slam.retries.resampled_track import COARSER_VOXELS
 from mavnav.units import NS
 

@@ -15,7 +15,7 @@ from mavnav.arrays import median
 from mavnav.slam.loop_closure.drift import drift_bound
 from mavnav.slam.matching.scan_matching import no_match
 from mavnav.slam.matching.steps import tracked_trajectory
-from mavnav.slam.retries.odometry_offset import errors_m, most_moving, size
+from mavnav.slam.retries.odometry import errors_m, most_moving, size
 from mavnav.units import NS, counted
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from mavnav.slam.matching.steps import LOST_SCANS, Step
-from mavnav.slam.retries.odometry_check import while_odometry_fits
+from mavnav.slam.retries.odometry import while_odometry_fits
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

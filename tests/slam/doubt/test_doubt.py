@@ -14,7 +14,7 @@ from mavnav.pose import Rotation
 from mavnav.slam.doubt import judge
 from mavnav.slam.doubt.evidence import TrackEvidence
 from mavnav.slam.doubt.features import DISAGREEMENT, FEATURES
-from mavnav.slam.doubt.model import contributions, doubt_of, probability
+from mavnav.slam.doubt.judge import contributions, doubt_of, probability
 from mavnav.slam.findings import NOT_PLANAR, SECOND_MOTION, Doubt, Reason
 from mavnav.slam.pipeline import run_slam
 from mavnav.units import DEG

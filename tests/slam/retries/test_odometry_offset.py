@@ -17,8 +17,7 @@ from mavnav.slam.matching.track_state import MatchVerdict, TrackState
 from mavnav.slam.methods.pauses import Pauses
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.result import SlamResult
-from mavnav.slam.retries.odometry_check import JITTER_WARNING
-from mavnav.slam.retries.odometry_offset import at_offset, fitting_offset_s, most_moving, rms_error
+from mavnav.slam.retries.odometry import JITTER_WARNING, at_offset, fitting_offset_s, most_moving, rms_error
 from mavnav.units import NS
 
 if TYPE_CHECKING:
