@@ -207,7 +207,7 @@ def keys_to_search(keys: Sequence[KeyFrame], first: int, config: Config) -> list
     return sorted(chosen)
 
 
-def count_contradicting(keys: Sequence[KeyFrame], part: KeyFrameMap) -> int:
+def count_contradicting(keys: Sequence[KeyFrame], known: KeyFrameMap) -> int:
     """Count the key frames that see through walls of a map, or walls where it is free."""
-    matches = (with_conflicts(no_match(key.map_T_laser), key.points, part.lines, part.grid) for key in keys)
+    matches = (with_conflicts(no_match(key.map_T_laser), key.points, known.lines, known.grid) for key in keys)
     return sum(match.conflicts > CONTRADICTED for match in matches)

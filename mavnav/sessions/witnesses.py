@@ -35,9 +35,9 @@ MOST_PLACES = 12
 """So many places of a whole map are compared closely for each."""
 
 
-def locate_session(session: Session, part: KeyFrameMap, config: Config) -> tuple[Join, Pose | None]:
+def locate_session(session: Session, known: KeyFrameMap, config: Config) -> tuple[Join, Pose | None]:
     """Search a session in the map of a group; return the evidence, and its pose there, None if too few agree."""
-    pairs, searched = witnesses(session, part, config)
+    pairs, searched = witnesses(session, known, config)
     group_T_session, join = consensus(pairs), Join(session.name, searched, len(pairs))
     if group_T_session is None:
         few = (
@@ -50,18 +50,18 @@ def locate_session(session: Session, part: KeyFrameMap, config: Config) -> tuple
     return join._replace(agreeing=len(agreeing)), fit_transform(agreeing)
 
 
-def witnesses(session: Session, part: KeyFrameMap, config: Config) -> tuple[list[tuple[Pose, Pose]], int]:
+def witnesses(session: Session, known: KeyFrameMap, config: Config) -> tuple[list[tuple[Pose, Pose]], int]:
     """Search key frames in the whole map of a group; return those that fit in one place, before and there.
 
     The number of key frames that were searched is returned too.
     """
-    region, numbers = everywhere(part.grid), evenly(len(session.keys), WITNESSES)
+    region, numbers = everywhere(known.grid), evenly(len(session.keys), WITNESSES)
     match_of: dict[int, Match | None] = {}
 
     def search(some: Iterable[int]) -> list[tuple[Pose, Pose]]:
         for k in some:
             if k not in match_of:
-                match_of[k] = _only_place(session.keys[k], part, region, config)
+                match_of[k] = _only_place(session.keys[k], known, region, config)
         return [(session.keys[k].map_T_laser, m.map_T_laser) for k, m in sorted(match_of.items()) if m]
 
     for turn in range(IN_TURN):
@@ -82,11 +82,11 @@ def are_enough(pairs: Sequence[tuple[Pose, Pose]]) -> bool:
     return count >= ENOUGH and count >= ENOUGH_SHARE * len(pairs)
 
 
-def _only_place(key: KeyFrame, part: KeyFrameMap, region: Region, config: Config) -> Match | None:
+def _only_place(key: KeyFrame, known: KeyFrameMap, region: Region, config: Config) -> Match | None:
     """Return where a key frame fits in a map; None where it fits nowhere, or elsewhere about as well."""
     if len(key.points) < config.robust.min_points:
         return None
     best = unambiguous(
-        candidates(key.points, part.lines, part.grid, region, config, MOST_PLACES), AMBIGUITY_MARGIN, config
+        candidates(key.points, known.lines, known.grid, region, config, MOST_PLACES), AMBIGUITY_MARGIN, config
     )
     return best if best and fits(best) else None

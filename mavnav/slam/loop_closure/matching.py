@@ -109,20 +109,20 @@ def measure_closure(
     """
     i = seen.reference(replace(keys[j], map_T_laser=match.map_T_laser))
     old = range(seen.count)
-    part = KeyFrameMap(config)
-    part.grow([keys[k] for k in old if abs(keys[k].path_m - keys[i].path_m) <= PART_M], seen.count)
+    local = KeyFrameMap(config)
+    local.grow([keys[k] for k in old if abs(keys[k].path_m - keys[i].path_m) <= PART_M], seen.count)
     robust, points = config.robust, keys[j].points
-    first = Schedule.of(config, part.lines, (robust.truncate_mm * MM, DRIFT_RAD[0]))
-    fine = search_lines(points, part.lines, match.map_T_laser, first)
-    last = Schedule.of(config, part.lines, (robust.final_window_mm * MM, robust.final_window_deg * DEG), final=True)
-    placed = search_lines(points, part.lines, fine.map_T_laser, last)
-    fine = with_conflicts(fine._replace(map_T_laser=placed.map_T_laser), points, part.lines, part.grid)
+    first = Schedule.of(config, local.lines, (robust.truncate_mm * MM, DRIFT_RAD[0]))
+    fine = search_lines(points, local.lines, match.map_T_laser, first)
+    last = Schedule.of(config, local.lines, (robust.final_window_mm * MM, robust.final_window_deg * DEG), final=True)
+    placed = search_lines(points, local.lines, fine.map_T_laser, last)
+    fine = with_conflicts(fine._replace(map_T_laser=placed.map_T_laser), points, local.lines, local.grid)
     if apart(match.map_T_laser, fine.map_T_laser) or not fits(fine):
         return None
     start, place = keys[i].map_T_laser, fine.map_T_laser
-    if least_growth(points, place, part.lines, config) >= LEAST_GROWTH:
+    if least_growth(points, place, local.lines, config) >= LEAST_GROWTH:
         return KeyClosure(i, j, start.between(place), fine)
-    along_rad = unobservable_direction(points, place, part.lines, LEAST_GROWTH, config)
+    along_rad = unobservable_direction(points, place, local.lines, LEAST_GROWTH, config)
     if along_rad is None:
         return None
     return KeyClosure(i, j, start.between(place), fine, wrap_angle(along_rad - start.yaw_rad))

@@ -48,11 +48,11 @@ def drop_contradicted(track: Track, refiner: Refiner) -> Track:
     if not len(conflicts):  # nothing was tracked, or the run is stopped
         return track
     rows = np.flatnonzero(track.steps.column("tracked"))[: len(conflicts)]  # fewer where the run is stopped
-    parts = stretches(track.steps, rows)
-    given_up, doubtful = contradicted_stretches([conflicts[part] for part in parts])
+    runs = stretches(track.steps, rows)
+    given_up, doubtful = contradicted_stretches([conflicts[part] for part in runs])
     if doubtful:
-        track = track.with_warning(_doubt_warning(track.steps, [rows[parts[k]] for k in doubtful]))
-    return _without_stretches(track, [rows[parts[k]] for k in given_up]) if given_up else track
+        track = track.with_warning(_doubt_warning(track.steps, [rows[runs[k]] for k in doubtful]))
+    return _without_stretches(track, [rows[runs[k]] for k in given_up]) if given_up else track
 
 
 def stretches(steps: Steps, rows: NDArray[np.intp]) -> list[NDArray[np.intp]]:
