@@ -69,9 +69,8 @@ def track_across_cut(member: Session, session: Session, config: Config) -> Pose 
     if not steps.column("tracked").all() or any(lost_intervals(steps)):
         return None
     local = tracked_trajectory(steps)
-    old, new = (Trajectory(local.stamps_ns[rows], local.xyyaw[rows]) for rows in (slice(first), slice(first, None)))
-    member_T_local = frame_of([old], [_rows(before, slice(len(before) - first, None))])
-    local_T_session = frame_of([_rows(after, slice(last))], [new])
+    member_T_local = frame_of([_rows(local, slice(first))], [_rows(before, slice(len(before) - first, None))])
+    local_T_session = frame_of([_rows(after, slice(last))], [_rows(local, slice(first, None))])
     return member_T_local @ local_T_session
 
 

@@ -93,10 +93,6 @@ class Track(Struct, frozen=True):
         steps = until(steps) if until else steps
         return replace(self, method=method, steps=Steps(self.report_progress(steps, phase) if phase else steps))
 
-    def again(self, until: Until | None = None) -> Track:
-        """Track the whole log again with the settings of this track; ``until`` may end the track early."""
-        return self.over(self.log_scans(), "track again", until)
-
     def placed_scans(self, phase: str = "") -> Iterator[tuple[Step, Scan, Motion]]:
         """Yield the tracked steps with their scans, and the motion there along the path; fewer if the run is stopped.
 

@@ -28,7 +28,7 @@ def try_again(track: Track, attempts: Iterable[Attempt]) -> Track:
     """Make the attempts that apply, in order, each with the track kept so far; none counts if the run is stopped."""
     for attempt in attempts:
         changed = attempt.change(track)
-        other = changed.again() if changed else None
+        other = changed and changed.over(changed.log_scans(), "track again")
         if other is None or len(other.steps) < len(track.steps):
             continue
         kept = attempt.better is None or attempt.better(other, track)
