@@ -10,7 +10,7 @@ from mavnav.commands.quality_rows import doubt_rows
 from mavnav.logs import Damage
 from mavnav.metrics.gates import judge, parse_gate
 from mavnav.metrics.wall_thickness import wall_sections
-from mavnav.outputs.files.document import plain, run_document, to_json
+from mavnav.outputs.files.document import plain, run_document, to_json, write_metrics
 from mavnav.outputs.report.markdown import inert
 from mavnav.pose import Pose, Trajectory
 from mavnav.slam.findings import Doubt, Loop, Loops, Reason, TrackedAgain
@@ -162,3 +162,9 @@ def test_attempts_to_track_again_are_reported_where_there_are_any(run):
     assert "attempts" not in strict(run_document(run, {}))["tracking"]
     again = replace(run, slam=replace(run.slam, attempts=(TrackedAgain("coarser voxels", kept=False),)))
     assert strict(run_document(again, {}))["tracking"]["attempts"] == [{"name": "coarser voxels", "kept": False}]
+
+
+def test_attempts_are_no_metric(run, tmp_path):
+    write_metrics(run, tmp_path / "one.json")
+    write_metrics(replace(run, slam=replace(run.slam, attempts=(TrackedAgain("a", kept=True),))), tmp_path / "two.json")
+    assert (tmp_path / "one.json").read_bytes() == (tmp_path / "two.json").read_bytes()
