@@ -28,16 +28,17 @@ from typing import Any
 import numpy as np
 from doubt_corpus import case_of, every_name, flown, largest_errors
 from matplotlib.figure import Figure
+from msgspec.structs import replace
 from scipy.optimize import minimize
 
 from mavnav.config.models import Config
 from mavnav.slam import pipeline
 from mavnav.slam.doubt.coefficients import ONE_TRACK, TWO_TRACKS, Weights
-from mavnav.slam.doubt.evidence import evidence_of, with_resampled_track
+from mavnav.slam.doubt.evidence import evidence_of, resampled_poses
 from mavnav.slam.doubt.features import DISAGREEMENT, FEATURES, WRONG_M, WRONG_RAD
-from mavnav.slam.doubt.judge import FEWEST, WORTH_A_TRACK, judge_track
-from mavnav.slam.doubt.model import contributions, doublings, probability
+from mavnav.slam.doubt.judge import FEWEST, WORTH_A_TRACK, contributions, doublings, judge_track, probability
 from mavnav.slam.findings import HIGH
+from mavnav.slam.methods.method import Refiner
 from mavnav.slam.track import Track
 from mavnav.units import DEG
 
@@ -52,23 +53,24 @@ BINS = (0.0, 0.02, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0)
 """Limits of the bins of the reliability diagram."""
 
 
-def features_of(track: Track) -> dict[str, float]:
+def features_of(track: Track, refiner: Refiner) -> dict[str, float]:
     """Return the features of a judged track, including those that need a second track."""
-    refiner = track.refiner
-    if refiner is None or track.steps.column("tracked").sum() < FEWEST:
+    if track.steps.column("tracked").sum() < FEWEST:
         return {}
-    evidence = evidence_of(track if len(track.resampled) else with_resampled_track(track), refiner)
+    resampled = resampled_poses(track)
+    evidence = evidence_of(track, refiner)
+    evidence = evidence if resampled is None else replace(evidence, resampled=resampled)
     return {name: feature.total(feature.of(evidence)) for name, feature in FEATURES.items()}
 
 
 def made(folder: Path, name: str) -> Run:
-    """Make a run; return its features and errors, and the remedy that was used, if any."""
+    """Make a run; return its features and errors."""
     os.nice(5)
     features: list[dict[str, float]] = []
 
-    def keep(track: Track) -> Track:
-        judged = judge_track(track)
-        features.append(features_of(judged))
+    def keep(track: Track, refiner: Refiner) -> Track:
+        judged = judge_track(track, refiner)
+        features.append(features_of(judged, refiner))
         return judged
 
     pipeline.CHECKING = PASSES
@@ -79,10 +81,7 @@ def made(folder: Path, name: str) -> Run:
     else:
         slam, truth = flown(name)
     off_m, off_deg = largest_errors(slam.trajectory, truth) if truth is not None else (0.0, 0.0)
-    remedy = slam.remedies[0]._asdict() if slam.remedies else {}
-    shown = features[-1 if remedy.get("used") else 0]
-    run = {"name": name, "lost": slam.lost_for_good, "off_m": off_m, "off_deg": off_deg, "features": shown}
-    return run | ({"remedy": remedy} if remedy else {})
+    return {"name": name, "lost": slam.lost_for_good, "off_m": off_m, "off_deg": off_deg, "features": features[0]}
 
 
 def collect(file: Path, folder: Path, jobs: int, only: str) -> None:
@@ -147,9 +146,9 @@ def fit(runs: list[Run], only: str) -> None:
 
 
 def judged(run: Run) -> float:
-    """Return the doubt of a run, with the second track if the doubt of the first one is high or a remedy was used."""
-    one, used = probability({**run["features"], DISAGREEMENT: np.nan}), run.get("remedy", {}).get("used")
-    return one if one < WORTH_A_TRACK and not used else probability(run["features"])
+    """Return the doubt of a run, with the second track if the doubt of the first one is high."""
+    one = probability({**run["features"], DISAGREEMENT: np.nan})
+    return one if one < WORTH_A_TRACK else probability(run["features"])
 
 
 def outcomes(runs: list[Run]) -> str:

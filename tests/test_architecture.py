@@ -145,6 +145,33 @@ def test_no_modules_import_each_other() -> None:
     assert sorted(left) == []  # each imports another of them, round in a circle
 
 
+def beneath(package: str) -> dict[str, set[str]]:
+    """Return the folders and files of a package, each with those of them that it imports."""
+    depth = package.count(".") + 1
+    inside = [module for module in MODULES if module.startswith(f"{package}.")]
+    entries: dict[str, set[str]] = {module.split(".")[depth]: set() for module in inside}
+    for module in inside:
+        entry = module.split(".")[depth]
+        others = {other.split(".")[depth] for other in imported(module) if other in inside}
+        entries[entry] |= others - {entry}
+    return entries
+
+
+PARENTS = sorted(
+    {name.rpartition(".")[0] for name, path in MODULES.items() if path.name == "__init__.py"} - {"", "logs"}
+)
+"""Packages with folders, but logs, whose folders hold what its files need, and import their records."""
+
+
+@pytest.mark.parametrize("package", PARENTS)
+def test_folders_import_each_other_in_one_direction(package: str) -> None:
+    left = beneath(package)
+    while free := [entry for entry, others in left.items() if not others & set(left)]:
+        for entry in free:
+            del left[entry]
+    assert left == {}
+
+
 def test_sizes() -> None:
     entries = {name: len({path.name for path in (PACKAGE / name).iterdir()} - {"__pycache__"}) for name in MOST_ENTRIES}
     lines = {module: len(path.read_text().splitlines()) for module, path in MODULES.items()}

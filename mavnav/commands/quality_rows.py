@@ -24,17 +24,6 @@ def doubt_rows(doubt: dict[str, Any]) -> Rows:
     return [("doubtful", f"{100 * probability:.0f} %: {reasons}")]
 
 
-def remedy_rows(remedies: list[dict[str, Any]]) -> Rows:
-    """Return the rows on ``tracking.remedies`` of a summary table: the doubt before and after each."""
-    rows = []
-    for remedy in remedies:
-        before, after = remedy["doubt_before"], remedy["doubt_after"]
-        used = "used" if remedy["used"] else "not used"
-        then = f"then {100 * after:.0f} %, {used}" if after is not None else "given up"
-        rows.append(("tracked again", f"with {remedy['remedy']}: doubt {100 * before:.0f} %, {then}"))
-    return rows
-
-
 def wall_rows(document: dict[str, Any]) -> Rows:
     """Return the rows on wall thickness of a summary table."""
     walls = document["wall_thickness"]

@@ -55,7 +55,6 @@ from mavnav.commands.quality_rows import (
     doubt_rows,
     quality_rows,
     reference_rows,
-    remedy_rows,
     wall_rows,
 )
 from mavnav.commands.terminal import emit, emit_json, note, print_table
@@ -291,7 +290,6 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
         *([("left out", text)] if (text := left_out_text(tracking.get("parts", []))) else []),
         ("path", f"{tracking['path_length_m']:.2f} m"),
         *doubt_rows(tracking["doubt"]),
-        *remedy_rows(tracking.get("remedies", [])),
     ]
     if "continued" in document and document["continued"]["joined"]:
         rows.append(("continued", _continued(document["continued"])))

@@ -12,6 +12,7 @@ from msgspec import Struct, field
 from mavnav.arrays import blank
 from mavnav.kernels.maps.layout import FAR, NEAR, REACH_CELLS
 from mavnav.kernels.maps.linemap import insert_points, rebuild
+from mavnav.kernels.scans.correlative_search import pose_costs
 from mavnav.kernels.scans.points import extent
 from mavnav.mapping.cost_floors import CostFloors
 from mavnav.mapping.tiled_arrays import NO_EXTENT, covered_extent, covering, moved, within
@@ -74,6 +75,16 @@ class LineMap(Struct):
     def closeness_at(self, distance_m: float) -> float:
         """Return the value of ``nearest`` for a cell whose nearest occupied one is this far away, m."""
         return FAR + 1 - 1e-9 - (distance_m / self.cell_m) ** 2
+
+    def costs(
+        self,
+        points: NDArray[np.float64],
+        xy_m: NDArray[np.float64],
+        yaws_rad: NDArray[np.float64],
+        truncate_m: float,
+    ) -> NDArray[np.float64]:
+        """Return the costs (q, p) of points (n, 2), m, laser frame, at positions (p, 2), m, and yaws (q,), rad; m2."""
+        return pose_costs(points, xy_m, yaws_rad, truncate_m, self.nearest, self.lines, self.geometry)
 
     def cells_within(self, extent_m: Extent) -> float:
         """Return the approximate number of cells of the lattice within an extent."""

@@ -14,10 +14,10 @@ from mavnav.outputs.documents.continued_section import Continued, EarlierSession
 from mavnav.outputs.files.sessions import evidence, recording_file, trajectory_file
 from mavnav.pipelines.sessions import finished_run
 from mavnav.sessions.group import Join, group_in_frame
-from mavnav.sessions.growth import alike, extended
+from mavnav.sessions.growth import alike, extend_group
 from mavnav.sessions.merged_map import merged_map, trajectories
 from mavnav.sessions.session import make_session
-from mavnav.slam.refinement.covariance import turned
+from mavnav.slam.refinement.covariance import rotate_covariances
 from mavnav.version import __version__
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from mavnav.pipelines.sessions import FinishedRun
     from mavnav.profiling import Progress
     from mavnav.scan import Scan
-    from mavnav.sessions.group import Group
+    from mavnav.sessions.group import SessionGroup
     from mavnav.sessions.session import Session
     from mavnav.slam.result import SlamResult
 
@@ -122,7 +122,7 @@ def continued_run(
 
 def _joined(
     session: Session, earlier: Sequence[Session], config: Config, progress: Progress
-) -> tuple[Group | None, Join]:
+) -> tuple[SessionGroup | None, Join]:
     """Join a session to those of a run; None, and the reason, if the evidence does not suffice."""
     same = [other.name for other in earlier if alike(session, other)]
     if not session.keys or same:
@@ -130,7 +130,7 @@ def _joined(
         return None, Join(session.name, why=why)
     progress("joining", 0, None)
     start = group_in_frame(earlier)
-    group, _, tried = extended(start, [session], config, lambda _: None, ANY_PAUSE_S)
+    group, _, tried = extend_group(start, [session], config, lambda _: None, ANY_PAUSE_S)
     return (None, tried[0]) if tried else (group, group.joins[-1])
 
 
@@ -143,7 +143,7 @@ def new_name(name: str, taken: list[str]) -> str:
 def in_map(outcome: SlamResult, session: Session, grid: Grid) -> SlamResult:
     """Return an outcome with the poses of its session in the map of a group, and that map."""
     turn = session.map_T_laser[0] @ outcome.trajectory[0].inverse()
-    covariances = None if outcome.covariances is None else turned(outcome.covariances, turn.yaw_rad)
+    covariances = None if outcome.covariances is None else rotate_covariances(outcome.covariances, turn.yaw_rad)
     return replace(outcome, trajectory=session.map_T_laser, grid=grid, covariances=covariances)
 
 

@@ -34,7 +34,7 @@ from mavnav.outputs.writers import REPORT_FILE
 from mavnav.pipelines.replay import ReplayRequest, replay_log
 from mavnav.pipelines.sessions import FinishedRun, finished_run
 from mavnav.sessions.group import Join
-from mavnav.sessions.growth import grown
+from mavnav.sessions.growth import join_sessions
 from mavnav.sessions.merged_map import frame_of, merged_map, trajectories
 from mavnav.slam.methods.registry import load_kernels
 from mavnav.units import DEG
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from mavnav.config.models import Config
     from mavnav.pose import Pose, Trajectory
     from mavnav.profiling import Progress
-    from mavnav.sessions.group import Group
+    from mavnav.sessions.group import SessionGroup
     from mavnav.sessions.session import Session
 
 SCHEMA_VERSION: Final = 1
@@ -109,7 +109,7 @@ def merge(request: MergeRequest, progress: Progress) -> dict[str, Any]:
         if not sessions:
             raise NoScansError("none of the logs and runs has a tracked scan; examine them with mavnav info")
         load_kernels(request.config, progress, rare=True)
-        group, refused = grown(sessions, request.config, lambda name: progress(f"joining {name}", 0, None))
+        group, refused = join_sessions(sessions, request.config, lambda name: progress(f"joining {name}", 0, None))
         placed, framing = trajectories(group), [_first(group, sessions)]
         total = sum(map(len, placed))
         grid, poses = merged_map(
@@ -194,7 +194,7 @@ def _read(name: str, run: FinishedRun, config: Config) -> Session:
         raise UsageError(f"{where} is no whole run: {reason}; make it again with mavnav replay --force") from error
 
 
-def _first(group: Group, sessions: list[Session]) -> int:
+def _first(group: SessionGroup, sessions: list[Session]) -> int:
     """Return the number in a group of the session that was named first."""
     inside = [session.name for session in group.sessions]
     return next(inside.index(session.name) for session in sessions if session.name in inside)

@@ -12,15 +12,15 @@ import numpy as np
 from msgspec.structs import replace
 
 from mavnav.pose import Pose
-from mavnav.sessions.following import across, end_of
-from mavnav.sessions.group import APART_M, Group, own_edges
+from mavnav.sessions.following import end_of, track_across_cut
+from mavnav.sessions.group import APART_M, SessionGroup, own_edges
 from mavnav.slam.findings import Edge
-from mavnav.slam.loop_closure.closure import Closure, agree
-from mavnav.slam.loop_closure.detection import LOOP_M, SIGHT_M, consistent, edges_of, track_confirmed
+from mavnav.slam.loop_closure.closure import KeyClosure, agree
+from mavnav.slam.loop_closure.detection import LOOP_M, SIGHT_M, consistent_closures, edges_of, track_confirmed
 from mavnav.slam.loop_closure.key_frames import KEY_M, KeyFrame
 from mavnav.slam.loop_closure.matching import find_closure
 from mavnav.slam.loop_closure.path_edges import PATH_SIGMA_M, PATH_SIGMA_RAD
-from mavnav.slam.loop_closure.pose_graph import optimized, root_information
+from mavnav.slam.loop_closure.pose_graph import optimize, root_information
 from mavnav.slam.matching.relocalization import with_conflicts
 from mavnav.slam.matching.scan_matching import no_match
 from mavnav.slam.recovery.parts import evenly
@@ -31,10 +31,9 @@ if TYPE_CHECKING:
 
     from mavnav.config.models import Config
     from mavnav.sessions.following import Follows
-    from mavnav.sessions.group import Join
-    from mavnav.sessions.group_map import GroupMap
+    from mavnav.sessions.group import GroupMap, Join
     from mavnav.sessions.session import Session
-    from mavnav.slam.loop_closure.key_frames import Part
+    from mavnav.slam.loop_closure.key_frames import KeyFrameMap
 
 LEAST_CLOSURES, LEAST_AT_END = 4, 3
 """So many closures that agree make a join; so many where the track of another session goes on."""
@@ -57,42 +56,42 @@ CONTRADICTED, MOST_CONTRADICTING = 0.15, 0.1
 where five simulated sessions of one floor join, 0.3 and more where two of rooms alike would."""
 
 
-def continued(
-    group: Group, session: Session, follows: Follows, here: GroupMap, join: Join, config: Config
-) -> tuple[Group | None, Join]:
+def join_at_end(
+    group: SessionGroup, session: Session, follows: Follows, here: GroupMap, join: Join, config: Config
+) -> tuple[SessionGroup | None, Join]:
     """Join a session at the end of one of the group; None, and ``join``, if it does not fit there.
 
     Where one recording goes on, the track across the cut binds both, and no closures near it, as within a session.
     """
     member, tie = group.sessions[follows.number], None
-    member_T_session = across(member, session, config) if follows.soon else None
+    member_T_session = track_across_cut(member, session, config) if follows.soon else None
     if member_T_session is None:
         end = member.map_T_laser[len(member.map_T_laser) - 1]
         place = end_of(group, follows.number) @ end @ session.map_T_laser[0].inverse()
     else:
         place = end_of(group, follows.number) @ member_T_session
-        tie = tied(group, follows.number, place @ session.keys[0].map_T_laser)
+        tie = edge_across_cut(group, follows.number, place @ session.keys[0].map_T_laser)
     at_end = join._replace(why="", after=member.name)
-    larger, result = joined(group, session, place, here, at_end, config, tie)
+    larger, result = join_session(group, session, place, here, at_end, config, tie)
     return larger, (result if larger else join)
 
 
-def tied(group: Group, number: int, group_T_key: Pose) -> Edge:
+def edge_across_cut(group: SessionGroup, number: int, group_T_key: Pose) -> Edge:
     """Bind the next key frame of a group, by its pose, to the last one of a session."""
     last = max(k for k in range(len(group.keys)) if group.owner(k) == number)
     start_T_end = group.keys[last].map_T_laser.between(group_T_key)
     return Edge(last, len(group.keys), start_T_end, root_information(PATH_SIGMA_M, PATH_SIGMA_RAD))
 
 
-def joined(
-    group: Group,
+def join_session(
+    group: SessionGroup,
     session: Session,
     group_T_session: Pose,
     here: GroupMap,
     join: Join,
     config: Config,
     tie: Edge | None = None,
-) -> tuple[Group | None, Join]:
+) -> tuple[SessionGroup | None, Join]:
     """Search closures between a group and a session, and solve the pose graph of all; None if too few closures agree.
 
     ``tie`` binds the first key frame of the session to one of the group, where its track goes on.
@@ -102,12 +101,12 @@ def joined(
     new = [replace(key, map_T_laser=pose, path_m=key.path_m + offset_m) for key, pose in placed]
     edges, least = [*group.edges, *own_edges(session, first)], LEAST_AT_END if tie else LEAST_CLOSURES
     bound = [*edges, tie] if tie else edges
-    solve = partial(held, first, bound) if session.doubtful else partial(whole, bound)
-    keys, closures, tested = closed([*group.keys, *new], first, here, config, least, tie, solve)
+    solve = partial(optimize_new, first, bound) if session.doubtful else partial(optimize_all, bound)
+    keys, closures, tested = search_closures([*group.keys, *new], first, here, config, least, tie, solve)
     join = join._replace(tested=len(tested), closures=len(closures))
     if len(closures) < least:
         return None, join._replace(why="too few closures agree")
-    join = join._replace(contradicting=contradicting([keys[k] for k in tested], here.part))
+    join = join._replace(contradicting=count_contradicting([keys[k] for k in tested], here.map))
     if join.contradicting > MOST_CONTRADICTING * len(tested):
         return None, join._replace(why="too many of its scans contradict the others' map")
     residual_m, residual_rad = residuals(closures, keys)
@@ -118,41 +117,41 @@ def joined(
         joined_to=tuple((name, to.count(name)) for name in dict.fromkeys(to)),
     )
     members = (*group.sessions, session)
-    edges = [*bound, *edges_of(binding(closures, keys, tie))]
-    return Group(members, tuple(keys), tuple(edges), (*group.joins, join)), join
+    edges = [*bound, *edges_of(binding_closures(closures, keys, tie))]
+    return SessionGroup(members, tuple(keys), tuple(edges), (*group.joins, join)), join
 
 
-def closed(
+def search_closures(
     keys: list[KeyFrame],
     first: int,
     here: GroupMap,
     config: Config,
     least: int,
     tie: Edge | None,
-    solve: Callable[[list[KeyFrame], list[Closure]], list[Pose]],
-) -> tuple[list[KeyFrame], list[Closure], list[int]]:
+    solve: Callable[[list[KeyFrame], list[KeyClosure]], list[Pose]],
+) -> tuple[list[KeyFrame], list[KeyClosure], list[int]]:
     """Close key frames from number ``first`` on with those before; return all at the poses that follow.
 
     ``here`` is the map of those before. The closures that agree are returned too, and the numbers of the key frames
     that were searched.
     """
-    moved, closures, tested = keys, list[Closure](), list[int]()
+    moved, closures, tested = keys, list[KeyClosure](), list[int]()
     for _ in range(ROUNDS):
-        here, numbers = here.grown(moved[:first]), searched(moved, first, config)
-        found = [find_closure(moved, k, here.part, here.seen, BOUND, config) for k in numbers]
-        agreed_on = supported(consistent([closure for closure in found if closure], moved, moved), moved)
+        here, numbers = here.with_keys(moved[:first]), keys_to_search(moved, first, config)
+        matches = [find_closure(moved, k, here.map, here.seen, BOUND, config) for k in numbers]
+        agreed_on = supported_closures(consistent_closures([c for c in matches if c], moved, moved), moved)
         if len(agreed_on) < max(len(closures), least):
             return moved, closures or agreed_on, tested or numbers
         closures, tested = agreed_on, numbers
         small = track_confirmed([closure.correction(moved) for closure in closures])
-        poses = solve(keys, binding(closures, keys, tie))
+        poses = solve(keys, binding_closures(closures, keys, tie))
         moved = [replace(key, map_T_laser=pose) for key, pose in zip(keys, poses, strict=True)]
         if small:
             break
     return moved, closures, tested
 
 
-def binding(closures: list[Closure], keys: Sequence[KeyFrame], tie: Edge | None) -> list[Closure]:
+def binding_closures(closures: list[KeyClosure], keys: Sequence[KeyFrame], tie: Edge | None) -> list[KeyClosure]:
     """Return the closures that enter the pose graph: not those a short path across a tie, which are no loops."""
     if tie is None:
         return closures
@@ -162,12 +161,12 @@ def binding(closures: list[Closure], keys: Sequence[KeyFrame], tie: Edge | None)
     return [closure for closure, path_m in zip(closures, paths_m, strict=True) if path_m >= LOOP_M]
 
 
-def whole(edges: list[Edge], keys: list[KeyFrame], closures: list[Closure]) -> list[Pose]:
+def optimize_all(edges: list[Edge], keys: list[KeyFrame], closures: list[KeyClosure]) -> list[Pose]:
     """Return the poses of all key frames that fit edges and closures best."""
-    return optimized([key.map_T_laser for key in keys], [*edges, *edges_of(closures)])
+    return optimize([key.map_T_laser for key in keys], [*edges, *edges_of(closures)])
 
 
-def held(first: int, edges: list[Edge], keys: list[KeyFrame], closures: list[Closure]) -> list[Pose]:
+def optimize_new(first: int, edges: list[Edge], keys: list[KeyFrame], closures: list[KeyClosure]) -> list[Pose]:
     """Return the same with all key frames before number ``first`` where they are: what binds to them, to the frame."""
     poses, ties = [key.map_T_laser for key in keys], list[Edge]()
     for edge in (edge for edge in (*edges, *edges_of(closures)) if edge.end >= first):
@@ -178,26 +177,26 @@ def held(first: int, edges: list[Edge], keys: list[KeyFrame], closures: list[Clo
             turn[:2, :2] = (c, s), (-s, c)
         number = max(edge.start - first + 1, 0)
         ties.append(Edge(number, end, start @ edge.start_T_end, edge.sqrt_information @ turn))
-    return [*poses[:first], *optimized([Pose(), *poses[first:]], ties)[1:]]
+    return [*poses[:first], *optimize([Pose(), *poses[first:]], ties)[1:]]
 
 
-def supported(closures: list[Closure], keys: Sequence[KeyFrame]) -> list[Closure]:
+def supported_closures(closures: list[KeyClosure], keys: Sequence[KeyFrame]) -> list[KeyClosure]:
     """Keep the closures with which others agree, enough of them at other places of the path."""
     kept = [
         a
         for a in closures
         if len({keys[b.end].path_m // KEY_M for b in closures if b is a or agree(a, b, keys)}) >= PLACES
     ]
-    return kept if len(kept) == len(closures) else supported(kept, keys)
+    return kept if len(kept) == len(closures) else supported_closures(kept, keys)
 
 
-def residuals(closures: Sequence[Closure], keys: Sequence[KeyFrame]) -> tuple[float, float]:
+def residuals(closures: Sequence[KeyClosure], keys: Sequence[KeyFrame]) -> tuple[float, float]:
     """Return the RMS of the corrections that closures still ask for, m and rad."""
     left = np.array([closure.correction(keys) for closure in closures])
     return float(np.sqrt((left[:, :2] ** 2).sum(axis=1).mean())), float(np.sqrt((left[:, 2] ** 2).mean()))
 
 
-def searched(keys: Sequence[KeyFrame], first: int, config: Config) -> list[int]:
+def keys_to_search(keys: Sequence[KeyFrame], first: int, config: Config) -> list[int]:
     """Choose the key frames from number ``first`` on that are searched, and held against the map."""
     xy_m = np.array([key.map_T_laser[:2] for key in keys])
     usable = [k for k in range(first, len(keys)) if len(keys[k].points) >= config.robust.min_points]
@@ -208,7 +207,7 @@ def searched(keys: Sequence[KeyFrame], first: int, config: Config) -> list[int]:
     return sorted(chosen)
 
 
-def contradicting(keys: Sequence[KeyFrame], part: Part) -> int:
+def count_contradicting(keys: Sequence[KeyFrame], known: KeyFrameMap) -> int:
     """Count the key frames that see through walls of a map, or walls where it is free."""
-    matches = (with_conflicts(no_match(key.map_T_laser), key.points, part.lines, part.grid) for key in keys)
+    matches = (with_conflicts(no_match(key.map_T_laser), key.points, known.lines, known.grid) for key in keys)
     return sum(match.conflicts > CONTRADICTED for match in matches)

@@ -17,7 +17,7 @@ from mavnav.units import NS
 if TYPE_CHECKING:
     from mavnav.config.models import Config
     from mavnav.pose import Pose
-    from mavnav.sessions.group import Group
+    from mavnav.sessions.group import SessionGroup
     from mavnav.sessions.session import Session
 
 SOON_S = 5.0
@@ -39,14 +39,14 @@ class Follows(NamedTuple):
         return self.pause_s <= SOON_S
 
 
-def ended_before(group: Group, session: Session, pause_s: float) -> Follows | None:
+def ended_before(group: SessionGroup, session: Session, pause_s: float) -> Follows | None:
     """Return the session of a group that ended last before another one begins; None if the pause is longer."""
-    pauses_s = [(follows(session, member, pause_s), k) for k, member in enumerate(group.sessions)]
-    found = min(((p, k) for p, k in pauses_s if p is not None), default=None)
-    return None if found is None else Follows(found[1], found[0])
+    pauses_s = [(pause_between_s(session, member, pause_s), k) for k, member in enumerate(group.sessions)]
+    latest = min(((p, k) for p, k in pauses_s if p is not None), default=None)
+    return None if latest is None else Follows(latest[1], latest[0])
 
 
-def follows(session: Session, other: Session, pause_s: float) -> float | None:
+def pause_between_s(session: Session, other: Session, pause_s: float) -> float | None:
     """Return the pause after which a session begins at the end of another one, s; None if it is longer, or before."""
     if other is session or len(session.map_T_laser) < 2:
         return None
@@ -54,12 +54,12 @@ def follows(session: Session, other: Session, pause_s: float) -> float | None:
     return left_s if 0.0 <= left_s <= pause_s else None
 
 
-def end_of(group: Group, number: int) -> Pose:
+def end_of(group: SessionGroup, number: int) -> Pose:
     """Return the frame of a session in that of its group, as it is at the end of the session."""
     return group.keys_of(number)[-1].map_T_laser @ group.sessions[number].keys[-1].map_T_laser.inverse()
 
 
-def across(member: Session, session: Session, config: Config) -> Pose | None:
+def track_across_cut(member: Session, session: Session, config: Config) -> Pose | None:
     """Return the frame of a session in that of another one which ended before; None where the track does not go on."""
     before, after = member.map_T_laser, session.map_T_laser
     first, last = _rows_within(before.xyyaw[::-1]), _rows_within(after.xyyaw)
@@ -69,9 +69,8 @@ def across(member: Session, session: Session, config: Config) -> Pose | None:
     if not steps.column("tracked").all() or any(lost_intervals(steps)):
         return None
     local = tracked_trajectory(steps)
-    old, new = (Trajectory(local.stamps_ns[rows], local.xyyaw[rows]) for rows in (slice(first), slice(first, None)))
-    member_T_local = frame_of([old], [_rows(before, slice(len(before) - first, None))])
-    local_T_session = frame_of([_rows(after, slice(last))], [new])
+    member_T_local = frame_of([_rows(local, slice(first))], [_rows(before, slice(len(before) - first, None))])
+    local_T_session = frame_of([_rows(after, slice(last))], [_rows(local, slice(first, None))])
     return member_T_local @ local_T_session
 
 

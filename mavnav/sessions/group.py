@@ -1,4 +1,4 @@
-"""Groups of sessions that are joined: their key frames in one frame, and the pose graph over all of them."""
+"""Groups of sessions that are joined: their key frames in one frame, the pose graph over all of them, and their map."""
 
 from __future__ import annotations
 
@@ -12,13 +12,15 @@ from msgspec.structs import replace
 from mavnav.slam.findings import Edge
 from mavnav.slam.loop_closure.closure import SIGMA_M, SIGMA_RAD
 from mavnav.slam.loop_closure.detection import LOOP_M
-from mavnav.slam.loop_closure.key_frames import KEY_M, KEY_RAD, KeyFrame
+from mavnav.slam.loop_closure.key_frames import KEY_M, KEY_RAD, KeyFrame, KeyFrameMap, Visibility
 from mavnav.slam.loop_closure.path_edges import PATH_SIGMA_M, PATH_SIGMA_RAD
 from mavnav.slam.loop_closure.pose_graph import root_information
+from mavnav.units import DEG
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from mavnav.config.models import Config
     from mavnav.sessions.session import Session
 
 DOUBTFUL = 3.0
@@ -63,7 +65,7 @@ class Join(NamedTuple):
         return self.agreeing / max(self.searched, 1)
 
 
-class Group(Struct, frozen=True):
+class SessionGroup(Struct, frozen=True):
     """Sessions in one frame: their key frames, one session after another, what binds them, and how each was joined."""
 
     sessions: tuple[Session, ...]
@@ -80,12 +82,12 @@ class Group(Struct, frozen=True):
         return [key for k, key in enumerate(self.keys) if self.owner(k) == number]
 
 
-def group_of(session: Session) -> Group:
+def group_of(session: Session) -> SessionGroup:
     """Begin a group with a session."""
-    return Group((session,), session.keys, tuple(own_edges(session, 0)), (Join(session.name),))
+    return SessionGroup((session,), session.keys, tuple(own_edges(session, 0)), (Join(session.name),))
 
 
-def group_in_frame(sessions: Sequence[Session]) -> Group:
+def group_in_frame(sessions: Sequence[Session]) -> SessionGroup:
     """Return sessions that are in one frame already as a group: each is held where it is by those before it."""
     keys, edges = list[KeyFrame](), list[Edge]()
     for number, session in enumerate(sessions):
@@ -96,7 +98,7 @@ def group_in_frame(sessions: Sequence[Session]) -> Group:
             pairs = [pair for pair in revisits(keys, first) if pair[0] < first] or [nearest_pair(keys, first)]
             firm = root_information(SIGMA_M, SIGMA_RAD)
             edges += [Edge(i, j, keys[i].map_T_laser.between(keys[j].map_T_laser), firm) for i, j in pairs]
-    return Group(tuple(sessions), tuple(keys), tuple(edges), tuple(Join(session.name) for session in sessions))
+    return SessionGroup(tuple(sessions), tuple(keys), tuple(edges), tuple(Join(session.name) for session in sessions))
 
 
 def nearest_pair(keys: Sequence[KeyFrame], first: int) -> tuple[int, int]:
@@ -127,3 +129,31 @@ def revisits(keys: Sequence[KeyFrame], begin: int) -> Iterator[tuple[int, int]]:
         i = int(np.argmin(off_m)) if len(off_m) else 0
         if len(off_m) and off_m[i] <= NEAR_M:
             yield i, j
+
+
+STILL_M, STILL_RAD = 0.03, 0.3 * DEG
+"""A map stays where no key frame moved nor turned farther: places are found in it, and measured elsewhere."""
+
+
+class GroupMap:
+    """What some key frames saw: the map of all, and which of them saw which squares of the plane."""
+
+    def __init__(self, keys: Sequence[KeyFrame], config: Config) -> None:
+        """Draw the map of some key frames."""
+        self.keys, self.map, self.config = list(keys), KeyFrameMap(config), config
+        self.seen = Visibility(self.keys)
+        self.map.grow(self.keys, len(self.keys))
+        self.seen.grow(len(self.keys))
+
+    def with_keys(self, keys: Sequence[KeyFrame]) -> GroupMap:
+        """Return the map of more key frames, of which these are the first: this one grown, or another if they moved."""
+        count = len(self.keys)
+        poses = (np.array([key.map_T_laser for key in some]) for some in (self.keys, keys[:count]))
+        off = np.abs(np.subtract(*poses))
+        off[:, 2] = np.minimum(off[:, 2], 2.0 * np.pi - off[:, 2])
+        if (off > (STILL_M, STILL_M, STILL_RAD)).any():
+            return GroupMap(keys, self.config)
+        self.keys.extend(keys[count:])
+        self.map.grow(self.keys, len(keys))
+        self.seen.grow(len(keys))
+        return self

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mavnav.sessions.closures import continued, joined
-from mavnav.sessions.following import SOON_S, ended_before, follows
-from mavnav.sessions.group import Group, Join, group_of
-from mavnav.sessions.group_map import GroupMap
-from mavnav.sessions.witnesses import sought
+from mavnav.sessions.closures import join_at_end, join_session
+from mavnav.sessions.following import SOON_S, ended_before, pause_between_s
+from mavnav.sessions.group import GroupMap, Join, SessionGroup, group_of
+from mavnav.sessions.witnesses import locate_session
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -26,20 +25,22 @@ MOST_ALIKE = 0.5
 """A session with a larger share of the scans of another one is the same recording."""
 
 
-def grown(sessions: Sequence[Session], config: Config, report: Callable[[str], None]) -> tuple[Group, list[Join]]:
+def join_sessions(
+    sessions: Sequence[Session], config: Config, report: Callable[[str], None]
+) -> tuple[SessionGroup, list[Join]]:
     """Join sessions to groups; return the largest, and for each session outside of it why it is there.
 
     ``report`` is called with the name of the session that is searched. There must be a session. Those whose track is
     doubtful come last.
     """
-    refused = {again: Join(again, why=f"it has the scans of {name}") for again, name in repeated(sessions)}
+    refused = {again: Join(again, why=f"it has the scans of {name}") for again, name in find_repeats(sessions)}
     waiting = [session for session in sessions if session.name not in refused]
     waiting.sort(key=lambda session: (session.doubtful, -len(session.keys)))
-    groups: list[Group] = []
+    groups: list[SessionGroup] = []
     while waiting and sum(len(s.keys) for s in waiting) > max((len(group.keys) for group in groups), default=0):
-        first = beginning(waiting[0], waiting)
+        first = first_of_recording(waiting[0], waiting)
         others = [session for session in waiting if session is not first]
-        group, waiting, tried = extended(group_of(first), others, config, report)
+        group, waiting, tried = extend_group(group_of(first), others, config, report)
         groups.append(group)
         refused |= {join.name: join for join in tried}
     best = max(groups, key=lambda group: len(group.keys))
@@ -51,13 +52,13 @@ def grown(sessions: Sequence[Session], config: Config, report: Callable[[str], N
     return best, [refused[session.name] for session in sessions if session.name not in inside]
 
 
-def beginning(session: Session, others: Sequence[Session]) -> Session:
+def first_of_recording(session: Session, others: Sequence[Session]) -> Session:
     """Return the first part of the recording that a session goes on with; itself, if it is not known to."""
-    before = [other for other in others if not other.doubtful and follows(session, other, SOON_S) is not None]
-    return beginning(before[0], others) if before else session
+    before = [other for other in others if not other.doubtful and pause_between_s(session, other, SOON_S) is not None]
+    return first_of_recording(before[0], others) if before else session
 
 
-def repeated(sessions: Sequence[Session]) -> Iterator[tuple[str, str]]:
+def find_repeats(sessions: Sequence[Session]) -> Iterator[tuple[str, str]]:
     """Find sessions that have the scans of another one: their names, and those of the others, which are longer."""
     longest = sorted(sessions, key=lambda session: -len(session.scan_hashes))
     for k, session in enumerate(longest):
@@ -78,9 +79,13 @@ def _left_out(name: str, group: list[str]) -> Join:
     return Join(name, why=why)
 
 
-def extended(
-    group: Group, waiting: Sequence[Session], config: Config, report: Callable[[str], None], pause_s: float = SOON_S
-) -> tuple[Group, list[Session], list[Join]]:
+def extend_group(
+    group: SessionGroup,
+    waiting: Sequence[Session],
+    config: Config,
+    report: Callable[[str], None],
+    pause_s: float = SOON_S,
+) -> tuple[SessionGroup, list[Session], list[Join]]:
     """Join sessions to a group until none joins any more, the best witnessed first; return what is left, and why.
 
     One that begins within ``pause_s`` after one of the group ended is also tried at its end.
@@ -88,45 +93,47 @@ def extended(
     here, left = GroupMap(group.keys, config), sorted(waiting, key=lambda session: session.doubtful)
     while True:
         before = group
-        group, here = _with_following(group, here, left, config)
+        group, here = _join_following(group, here, left, config)
         left = [session for session in left if session not in group.sessions]
-        group, here, tried = _with_found(group, here, left, config, report, pause_s)
+        group, here, tried = _join_witnessed(group, here, left, config, report, pause_s)
         left = [session for session in left if session not in group.sessions]
         if not left or group is before:
             return group, left, tried
 
 
-def _with_following(group: Group, here: GroupMap, waiting: Sequence[Session], config: Config) -> tuple[Group, GroupMap]:
+def _join_following(
+    group: SessionGroup, here: GroupMap, waiting: Sequence[Session], config: Config
+) -> tuple[SessionGroup, GroupMap]:
     """Join the sessions with which a recording goes on."""
     for session in waiting:
         cut = ended_before(group, session, SOON_S)
-        larger = continued(group, session, cut, here, Join(session.name), config)[0] if cut else None
+        larger = join_at_end(group, session, cut, here, Join(session.name), config)[0] if cut else None
         if larger:
-            group, here = larger, here.grown(larger.keys)
+            group, here = larger, here.with_keys(larger.keys)
     return group, here
 
 
-def _with_found(
-    group: Group,
+def _join_witnessed(
+    group: SessionGroup,
     here: GroupMap,
     waiting: Sequence[Session],
     config: Config,
     report: Callable[[str], None],
     pause_s: float,
-) -> tuple[Group, GroupMap, list[Join]]:
+) -> tuple[SessionGroup, GroupMap, list[Join]]:
     """Join the sessions that are found in the map, or lie at the end of another; return also why others do not join."""
     places: list[tuple[Session, Join, Pose | None]] = []
     for session in waiting:
         report(session.name)
-        places.append((session, *sought(session, here.part, config)))
+        places.append((session, *locate_session(session, here.map, config)))
     tried = list[Join]()
-    for session, join, place in sorted(places, key=lambda found: (found[0].doubtful, -found[1].agreeing_share)):
-        larger, result = joined(group, session, place, here, join, config) if place else (None, join)
+    for session, join, place in sorted(places, key=lambda each: (each[0].doubtful, -each[1].agreeing_share)):
+        larger, result = join_session(group, session, place, here, join, config) if place else (None, join)
         cut = ended_before(group, session, pause_s)
         if larger is None and cut and not cut.soon:
-            larger, result = continued(group, session, cut, here, result, config)
+            larger, result = join_at_end(group, session, cut, here, result, config)
         if larger is None:
             tried.append(result)
         else:
-            group, here = larger, here.grown(larger.keys)
+            group, here = larger, here.with_keys(larger.keys)
     return group, here, tried

@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mavnav.mapping.line_map import LineMap
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, Grid, GridBuilder, cell_centres, occupancy
 from mavnav.pose import Pose, rigid_fit, transform_points
 from mavnav.slam.matching.relocalization import AMBIGUITY_MARGIN, apart, around, candidates, everywhere, unambiguous
-from mavnav.slam.matching.scan_matching import Schedule, search_lines
+from mavnav.slam.matching.scan_matching import Schedule, empty_line_map, search_lines
 from mavnav.slam.methods.localization import MAP_CANDIDATES
 from mavnav.slam.recovery.parts import consensus
-from mavnav.units import DEG, MM
+from mavnav.units import DEG
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -66,17 +65,18 @@ def align(a: PriorMap, b: PriorMap, config: Config) -> Alignment | None:
     None unless at least three virtual scans of ``b``, and most of those that are found in ``a``, agree.
     """
     target, scans = _Target(a, config), virtual_scans(b, config)
-    found = [_alignment(target, target.placed(scans, anywhere=anywhere), b, len(scans)) for anywhere in (False, True)]
-    return min((alignment for alignment in found if alignment), key=attrgetter("cost_m2"), default=None)
+    placed = (target.place_scans(scans, anywhere=anywhere) for anywhere in (False, True))
+    alignments = [_alignment(target, pairs, b, len(scans)) for pairs in placed]
+    return min((alignment for alignment in alignments if alignment), key=attrgetter("cost_m2"), default=None)
 
 
-def _alignment(target: _Target, found: list[Placed], b: PriorMap, taken: int) -> Alignment | None:
+def _alignment(target: _Target, pairs: list[Placed], b: PriorMap, taken: int) -> Alignment | None:
     """Return the refined alignment on which the virtual scans agree; None if too few agree."""
-    a_T_b = consensus(found)
+    a_T_b = consensus(pairs)
     if a_T_b is None:
         return None
-    agreeing = [pair for pair in found if not apart(a_T_b @ pair[0], pair[1])]
-    refined, cost_m2 = target.refined(fitted(agreeing), b)
+    agreeing = [pair for pair in pairs if not apart(a_T_b @ pair[0], pair[1])]
+    refined, cost_m2 = target.refine(fit_transform(agreeing), b)
     return Alignment(refined, taken, len(agreeing), cost_m2)
 
 
@@ -84,23 +84,22 @@ class _Target:
     """The map in which another map is searched."""
 
     def __init__(self, known: PriorMap, config: Config) -> None:
-        robust, cell_m = config.robust, known.grid.cell_m
         self.config, self.grid = config, GridBuilder.of(known.grid)
-        self.lines = LineMap(cell_m, robust.line_sigma_mm * MM, robust.line_noise_mm * MM)
+        self.lines = empty_line_map(config, known.grid.cell_m)
         self.lines.insert(known.walls_xy_m)
 
-    def placed(self, scans: list[tuple[Pose, NDArray[np.float64]]], *, anywhere: bool) -> list[Placed]:
+    def place_scans(self, scans: list[tuple[Pose, NDArray[np.float64]]], *, anywhere: bool) -> list[Placed]:
         """Return the poses of those scans that fit the map at exactly one pose."""
         all_over = everywhere(self.grid) if anywhere else None
-        found = ((pose, self._place(points, all_over or around(pose, NEAR_M, NEAR_RAD))) for pose, points in scans)
-        return [(pose, place) for pose, place in found if place]
+        places = ((pose, self._place(points, all_over or around(pose, NEAR_M, NEAR_RAD))) for pose, points in scans)
+        return [(pose, place) for pose, place in places if place]
 
     def _place(self, points: NDArray[np.float64], region: Region) -> Pose | None:
-        found = candidates(points, self.lines, self.grid, region, self.config, MAP_CANDIDATES)
-        best = unambiguous(found, AMBIGUITY_MARGIN, self.config)
+        matches = candidates(points, self.lines, self.grid, region, self.config, MAP_CANDIDATES)
+        best = unambiguous(matches, AMBIGUITY_MARGIN, self.config)
         return best.map_T_laser if best and best.inliers >= LEAST_INLIERS else None
 
-    def refined(self, a_T_b: Pose, b: PriorMap) -> tuple[Pose, float]:
+    def refine(self, a_T_b: Pose, b: PriorMap) -> tuple[Pose, float]:
         """Refine an alignment by the least distance of the walls of ``b``; return it with its cost, m2."""
         walls_xy_m = _sample(b.walls_xy_m)
         x_m, y_m = walls_xy_m.mean(axis=0).tolist()
@@ -111,7 +110,7 @@ class _Target:
         return match.map_T_laser @ middle.inverse(), match.cost_m2
 
 
-def fitted(pairs: list[Placed]) -> Pose:
+def fit_transform(pairs: list[Placed]) -> Pose:
     """Return the transform from the positions of the first poses to those of the second, by least squares."""
     return rigid_fit(*(np.array([pair[k][:2] for pair in pairs]) for k in (0, 1)))
 

@@ -14,7 +14,7 @@ from mavnav.slam.matching.motion_model import motions_along
 from mavnav.slam.matching.scan_matching import no_match
 from mavnav.slam.matching.steps import Step, Steps, tracked_trajectory
 from mavnav.slam.methods.robust import Robust
-from mavnav.slam.refinement.refine import refined
+from mavnav.slam.refinement.refine import refine_steps
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.pose import Pose, Trajectory
     from mavnav.scan import Scan
-    from mavnav.sessions.group import Group
+    from mavnav.sessions.group import SessionGroup
     from mavnav.sessions.session import Session
     from mavnav.slam.matching.motion_model import Motion
     from mavnav.slam.track import OnStep
@@ -34,7 +34,7 @@ AHEAD_M = 1.0
 """Frames are compared by the positions of poses, and by points so far ahead of them."""
 
 
-def trajectories(group: Group) -> list[Trajectory]:
+def trajectories(group: SessionGroup) -> list[Trajectory]:
     """Return the poses of all scans of each session in the frame of the group: they move with their key frames."""
     return [
         follow(session.map_T_laser, session.keys, group.keys_of(number))
@@ -60,7 +60,7 @@ def merged_map(
             on_step("draw map", done)
         method.remove_dynamic_cells()
         for k in numbers:
-            refined_poses[k] = _refined(sessions[k], placed[k], method)
+            refined_poses[k] = _match_scans(sessions[k], placed[k], method)
     map_T_here = frame_of([refined_poses[k] for k in framing], [sessions[k].map_T_laser for k in framing])
     refined_poses = [poses.seen_from(map_T_here) for poses in refined_poses]
     grid = GridBuilder(method.grid.cell_m)
@@ -89,8 +89,8 @@ def _all_scans(sessions: Sequence[Session], placed: Sequence[Trajectory]) -> Ite
         yield from zip(session.scans(), motions_along(poses, session.at_rest), strict=True)
 
 
-def _refined(session: Session, poses: Trajectory, method: Robust) -> Trajectory:
+def _match_scans(session: Session, poses: Trajectory, method: Robust) -> Trajectory:
     """Match every scan of a session against the map of all."""
     stamps_ns = poses.stamps_ns.tolist()
     steps = (Step(k, stamp_ns, no_match(poses[k]), tracked=True) for k, stamp_ns in enumerate(stamps_ns))
-    return tracked_trajectory(Steps(refined(session.scans(), steps, method, array("d"))))
+    return tracked_trajectory(Steps(refine_steps(session.scans(), steps, method, array("d"))))

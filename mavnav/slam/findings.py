@@ -1,16 +1,18 @@
-"""What the passes after tracking find out about a track: its closed loops and its doubt."""
+"""What is found out about a track after its first pass: attempts, loops, parts, evidence and doubt."""
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Struct, field
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.pose import Pose, Trajectory
+    from mavnav.slam.matching.steps import Step
 
 HIGH: Final = 0.5
 """Probability above which a track is marked as doubtful."""
@@ -49,7 +51,7 @@ class Loop(Struct, frozen=True):
     inliers: float
 
 
-class Graph(Struct, frozen=True):
+class PoseGraph(Struct, frozen=True):
     """The pose graph of a track: the rows of the key frames in the trajectory, and the edges between key frames."""
 
     rows: tuple[int, ...]
@@ -65,9 +67,9 @@ class Loops(Struct, frozen=True):
     closed: tuple[Loop, ...] = ()
     refused: int = 0
     map_T_laser: Trajectory | None = None
-    graph: Graph | None = None
+    graph: PoseGraph | None = None
 
-    def dropped(self) -> Loops:
+    def refuse_all(self) -> Loops:
         """Return the loops with every one refused."""
         return Loops(refused=self.refused + len(self.closed), graph=self.graph)
 
@@ -79,18 +81,6 @@ class Reason(NamedTuple):
     start_ns: int
     end_ns: int
     value: float
-
-
-class Remedy(NamedTuple):
-    """Another track, made because the first was lost or doubtful: the doubt of both, and whether it is used.
-
-    ``doubt_after`` is NaN where the other track was given up.
-    """
-
-    name: str
-    doubt_before: float
-    doubt_after: float
-    used: bool
 
 
 class Doubt(Struct, frozen=True):
@@ -113,9 +103,37 @@ class Doubt(Struct, frozen=True):
 
         A reason that holds for all scans marks them only if there is no other reason.
         """
-        found = [(stamps_ns >= r.start_ns) & (stamps_ns <= r.end_ns) for r in self.reasons if self.high]
-        local = [some for some in found if not some.all()]
+        marked_by_reason = [(stamps_ns >= r.start_ns) & (stamps_ns <= r.end_ns) for r in self.reasons if self.high]
+        local = [some for some in marked_by_reason if not some.all()]
         marked = np.zeros(len(stamps_ns), np.bool_)
-        for some in local or found:
+        for some in local or marked_by_reason:
             marked |= some
         return marked
+
+
+class TrackedAgain(NamedTuple):
+    """An attempt to track a log again with one thing changed, and whether its track was kept."""
+
+    name: str
+    kept: bool
+
+
+class Findings(Struct, frozen=True):
+    """What is found out about a track.
+
+    ``warnings`` are lines for the user. ``parts`` are the accepted steps of each stretch that was tracked on a separate
+    map. ``by_odometry_m`` (n,) is the error to be expected of the steps that are placed by odometry alone, 0 for the
+    others; empty without parts. ``observed`` and ``conflicts`` (n,) are the observability and the visibility conflicts
+    of the steps in the finished map, ``hessians`` (n, 6) their Hessians, from which covariances are computed; empty
+    before the final pass. ``doubt`` is None where it was not judged.
+    """
+
+    warnings: tuple[str, ...] = ()
+    attempts: tuple[TrackedAgain, ...] = ()
+    parts: tuple[tuple[Step, ...], ...] = ()
+    by_odometry_m: NDArray[np.float64] = field(default_factory=partial(np.zeros, 0))
+    loops: Loops = Loops()
+    observed: NDArray[np.float64] = field(default_factory=partial(np.zeros, 0))
+    conflicts: NDArray[np.float64] = field(default_factory=partial(np.zeros, 0))
+    hessians: NDArray[np.float64] = field(default_factory=partial(np.zeros, (0, 6)))
+    doubt: Doubt | None = None

@@ -9,19 +9,17 @@ from mavnav.slam.doubt.judge import judge_track
 from mavnav.slam.loop_closure.remap import close_loops
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.methods.registry import make_method
-from mavnav.slam.recovery.parts import with_lost_parts, without_late_poses
-from mavnav.slam.recovery.rematch import rematch_rejected, remove_dynamic_cells
-from mavnav.slam.refinement.contradicted import without_contradicted
-from mavnav.slam.refinement.deskewed_track import match_deskewed
-from mavnav.slam.refinement.redraw import redraw_map
-from mavnav.slam.refinement.refine import refine_against_final_map
+from mavnav.slam.recovery.parts import drop_late_poses, join_lost_parts
+from mavnav.slam.recovery.rematch import rematch_beginning, rematch_rejected, remove_dynamic_cells
+from mavnav.slam.refinement.contradicted import drop_contradicted
+from mavnav.slam.refinement.refine import match_deskewed, redraw_map, refine_against_final_map
 from mavnav.slam.refinement.smoothing import smooth_jitter
 from mavnav.slam.result import summarize
-from mavnav.slam.retries.beam_order import with_reversed_beams
-from mavnav.slam.retries.beginning import rematch_beginning, with_good_beginning
-from mavnav.slam.retries.odometry_check import without_misleading_odometry
-from mavnav.slam.retries.remedy import with_remedy
-from mavnav.slam.retries.resampled_track import with_coarser_voxels
+from mavnav.slam.retries.attempt import try_again
+from mavnav.slam.retries.beam_order import REVERSED_BEAMS
+from mavnav.slam.retries.beginning import track_from_good_beginning
+from mavnav.slam.retries.odometry import ODOMETRY_AFTER_GAPS, WITHOUT_ODOMETRY
+from mavnav.slam.retries.resampled_track import COARSER_VOXELS
 from mavnav.slam.track import Track
 
 if TYPE_CHECKING:
@@ -37,35 +35,36 @@ ODOMETRY_GAP_NS = 500_000_000
 SHORTEST_PERIOD_S = 1e-3
 """Minimum scan period, s, also that of a log of one scan, whose period is unknown."""
 
-RETRIES: Final[tuple[Pass, ...]] = (
-    without_misleading_odometry,  # "Input checks"
-    with_reversed_beams,  # "Input checks"
-    with_coarser_voxels,  # step 10
+ATTEMPTS: Final = (
+    WITHOUT_ODOMETRY,  # "Input checks"
+    ODOMETRY_AFTER_GAPS,  # "Input checks"
+    REVERSED_BEAMS,  # "Input checks"
+    COARSER_VOXELS,  # step 10
 )
-"""Passes that track the log again where an input check fails or scans are sparse, and keep the better track."""
+"""Attempts to track the log again, where an input check fails or scans are sparse."""
 
 RECOVERING: Final[tuple[Pass, ...]] = (
     rematch_beginning,
-    without_late_poses,  # "Parts"
+    drop_late_poses,  # "Parts"
     rematch_rejected,  # step 9
-    with_lost_parts,  # "Parts"
+    join_lost_parts,  # "Parts"
 )
 """Passes that match the lost scans of a track once more."""
 
 CHECKING: Final[tuple[Pass, ...]] = (
     close_loops,  # step 11
-    without_contradicted,  # "Localization in a given map"
+    drop_contradicted,  # "Localization in a given map"
     remove_dynamic_cells,  # step 12
     refine_against_final_map,  # step 13
     judge_track,  # "Doubt"
 )
-"""Passes that correct and judge the finished track; skipped in causal mode and by the paper's method."""
+"""Passes that correct and judge the finished track."""
 
 DRAWING: Final[tuple[Pass, ...]] = (
     smooth_jitter,  # step 14
     redraw_map,  # step 15
 )
-"""Passes that make the final poses and the final map; skipped as well in causal mode and by the paper's method."""
+"""Passes that make the final poses and the final map."""
 
 MEASURING: Final[tuple[Pass, ...]] = (match_deskewed,)
 """What makes the poses of a calibration instead: nothing is smoothed."""
@@ -99,20 +98,9 @@ def run_slam(
     odometry = None if odom_T_laser is None else partial(odom_T_laser.at, max_gap_ns=ODOMETRY_GAP_NS)
     method = make_method(config, prior_map)
     motion = Motion(max(period_s, SHORTEST_PERIOD_S), odometry, method.expects_rest, rotation=rotation)
-    start = Track(log_scans, config, motion, method, prior_map=prior_map, on_step=on_step)
-    track = judged(recovered(after(with_good_beginning(start), RETRIES)))  # steps 1 to 8 first
-    track = with_remedy(track, start, recovered, judged)  # "Remedies"
-    return summarize(after(track, last))
-
-
-def recovered(track: Track) -> Track:
-    """Look for the lost scans of a track."""
-    return after(track, RECOVERING)
-
-
-def judged(track: Track) -> Track:
-    """Correct and judge a track."""
-    return after(track, CHECKING)
+    start = Track(log_scans, config, motion, method, prior_map=prior_map, on_step=on_step, log_odometry=odometry)
+    track = try_again(track_from_good_beginning(start), ATTEMPTS)  # steps 1 to 8 first
+    return summarize(after(track, (*RECOVERING, *CHECKING, *last)))
 
 
 def finish(track: Track) -> SlamResult:
@@ -121,7 +109,7 @@ def finish(track: Track) -> SlamResult:
 
 
 def after(track: Track, passes: tuple[Pass, ...]) -> Track:
-    """Run passes over a track in order."""
+    """Run passes over a track in order; none in causal mode and with a method that has no refiner."""
     for each in passes:
-        track = each(track)
+        track = each(track, track.refiner) if track.refiner else track
     return track

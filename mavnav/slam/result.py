@@ -13,6 +13,8 @@ from mavnav.slam.matching.steps import LostInterval, Steps, jumps, lost_interval
 from mavnav.slam.methods.pauses import blind_warnings, pause_warnings
 from mavnav.slam.recovery.parts import Part, lost_for_good, part_warnings, parts_of
 from mavnav.slam.refinement.covariance import covariances_of
+from mavnav.slam.retries.odometry import odometry_warnings
+from mavnav.slam.retries.resampled_track import COARSER_VOXELS
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
 
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.pose import Trajectory
-    from mavnav.slam.findings import Doubt, Remedy
+    from mavnav.slam.findings import Doubt, TrackedAgain
     from mavnav.slam.track import Track
 
 MOST_SCATTERED = 0.2
@@ -37,10 +39,10 @@ class SlamResult(Struct, frozen=True):
 
     ``covariances`` (n, 6) are those of the poses of all steps in the map frame, in the order of `covariances_of`, NaN
     where unknown; None without the passes after tracking. ``warnings`` are lines for the user about input that was not
-    used as recorded. ``tracks_compared`` counts the tracks of which the sharpest was kept. ``parts`` are the stretches
-    of a log that was not tracked as a whole, each on a separate map at first; else empty. ``doubt`` is None where it
+    used as recorded. ``attempts`` to track the log again, in order. ``parts`` are the stretches of a log that was not
+    tracked as a whole, each on a separate map at first; else empty. ``doubt`` is None where it
     was not judged. ``begin_ns`` is the stamp of the scan that begins the map and defines the map frame; None where
-    nothing was tracked. ``remedies`` are other tracks that were made because of the doubt.
+    nothing was tracked.
     """
 
     steps: Steps
@@ -49,12 +51,16 @@ class SlamResult(Struct, frozen=True):
     lost: tuple[LostInterval, ...]
     loops: Loops = field(default_factory=Loops)
     warnings: tuple[str, ...] = ()
-    tracks_compared: int = 1
+    attempts: tuple[TrackedAgain, ...] = ()
     parts: tuple[Part, ...] = ()
     doubt: Doubt | None = None
     covariances: NDArray[np.float64] | None = None
     begin_ns: int | None = None
-    remedies: tuple[Remedy, ...] = ()
+
+    @property
+    def tracks_compared(self) -> int:
+        """Number of tracks of which the sharpest was kept."""
+        return 1 + sum(attempt.name == COARSER_VOXELS.name for attempt in self.attempts)
 
     @property
     def tracked_share(self) -> float:
@@ -78,20 +84,19 @@ class SlamResult(Struct, frozen=True):
 
 def summarize(track: Track) -> SlamResult:
     """Return the result of a finished track; its map is taken from the method."""
-    steps, parts, lost = track.steps, parts_of(track), tuple(lost_intervals(track.steps))
+    steps, findings, parts, lost = track.steps, track.findings, parts_of(track), tuple(lost_intervals(track.steps))
     return SlamResult(
         steps,
         tracked_trajectory(steps),
-        track.method.finished(),
+        track.method.release_map(),
         lost,
-        track.loops,
-        (*track.warnings, *_late_warnings(track, parts, lost)),
-        track.tracks_compared,
+        findings.loops,
+        (*odometry_warnings(track), *findings.warnings, *_late_warnings(track, parts, lost)),
+        findings.attempts,
         parts,
-        track.doubt,
-        covariances_of(steps, track.hessians) if len(track.hessians) else None,
+        findings.doubt,
+        covariances_of(steps, findings.hessians) if len(findings.hessians) else None,
         beginning_ns(steps, track.begin),
-        track.remedies,
     )
 
 

@@ -2,30 +2,26 @@
 
 from __future__ import annotations
 
-from functools import partial
 from itertools import chain, islice
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
 
 from mavnav.pose import Pose
-from mavnav.slam.findings import Loops
+from mavnav.slam.findings import Findings, TrackedAgain
+from mavnav.slam.matching.motion_model import motions_along
 from mavnav.slam.matching.scan_matching import no_match
-from mavnav.slam.matching.steps import Step, Steps
+from mavnav.slam.matching.steps import Step, Steps, tracked_trajectory
 from mavnav.slam.methods.registry import make_method
 from mavnav.slam.tracker import track
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
-    from numpy.typing import NDArray
-
     from mavnav.config.models import Config
     from mavnav.scan import Scan
-    from mavnav.slam.findings import Doubt, Remedy
-    from mavnav.slam.matching.motion_model import Motion
+    from mavnav.slam.matching.motion_model import Motion, Odometry
     from mavnav.slam.matching.prior_map import PriorMap
     from mavnav.slam.methods.method import Method, Refiner
 
@@ -33,24 +29,17 @@ if TYPE_CHECKING:
     """Return the scans of a log; every call starts at the first scan."""
     OnStep = Callable[[str, int], None]
     """Called with the name of the pass ("track", "track again", "close loops", "final pass") and the scans done."""
-    Pass = Callable[["Track"], "Track"]
-    """Return the track after a pass, unchanged where the pass does not apply."""
+    Pass = Callable[["Track", Refiner], "Track"]
+    """Return the track after a pass with its method's refiner, unchanged where the pass does not apply."""
     Until = Callable[[Iterable[Step]], Iterator[Step]]
     """Yield the steps of a track up to the one that ends it."""
 
 
 class Track(Struct, frozen=True):
-    """A pass of the tracker over a log.
+    """A pass of the tracker over a log, and what was found out about it since.
 
-    ``motion`` is the state before the first scan, with the odometry that is used. ``warnings`` are lines for the user.
-    ``tracks_compared`` counts the tracks that were compared for the sharper map. The map begins with the first usable
-    scan from number ``begin`` on. ``parts`` are the accepted steps of each stretch that was tracked on a separate map.
-    ``odometry_contradicts``: the log has odometry, but it contradicts the scans and is not used. ``observed`` and
-    ``conflicts`` (n,) are the observability and the visibility conflicts of the steps in the finished map, ``hessians``
-    (n, 6) their Hessians, from which covariances are computed; empty before the final pass. ``resampled`` (n, 3) are
-    the poses of the steps in a track with coarser voxels, NaN for scans without a pose there; empty without such a
-    track. ``by_odometry_m`` (n,) is the error to be expected of the steps that are placed by odometry alone, 0 for the
-    others; empty without parts. ``remedies`` are other tracks that were made because of the doubt.
+    ``motion`` is the state before the first scan, with the odometry that is used; ``log_odometry`` is that of the log.
+    The map begins with the first usable scan from number ``begin`` on.
     """
 
     log_scans: LogScans
@@ -60,19 +49,9 @@ class Track(Struct, frozen=True):
     steps: Steps = field(default_factory=Steps)
     prior_map: PriorMap | None = None
     on_step: OnStep | None = None
-    loops: Loops = field(default_factory=Loops)
-    warnings: tuple[str, ...] = ()
-    tracks_compared: int = 1
+    log_odometry: Odometry | None = None
     begin: int = 0
-    parts: tuple[tuple[Step, ...], ...] = ()
-    odometry_contradicts: bool = False
-    observed: NDArray[np.float64] = field(default_factory=partial(np.zeros, 0))
-    conflicts: NDArray[np.float64] = field(default_factory=partial(np.zeros, 0))
-    hessians: NDArray[np.float64] = field(default_factory=partial(np.zeros, (0, 6)))
-    doubt: Doubt | None = None
-    resampled: NDArray[np.float64] = field(default_factory=partial(np.zeros, (0, 3)))
-    by_odometry_m: NDArray[np.float64] = field(default_factory=partial(np.zeros, 0))
-    remedies: tuple[Remedy, ...] = ()
+    findings: Findings = Findings()
 
     @property
     def refiner(self) -> Refiner | None:
@@ -84,9 +63,22 @@ class Track(Struct, frozen=True):
         """Whether passes after tracking may change the map: they run, and the map is not given."""
         return self.refiner is not None and self.refiner.builds_map
 
+    @property
+    def odometry_contradicts(self) -> bool:
+        """Whether the log has odometry, but it contradicts the scans and is not used."""
+        return self.log_odometry is not None and self.motion.odometry is None
+
+    def with_findings(self, **changes: Any) -> Track:  # noqa: ANN401
+        """Return the track with new values of some fields of its findings."""
+        return replace(self, findings=replace(self.findings, **changes))
+
     def with_warning(self, text: str) -> Track:
         """Return the track with one more warning for the user."""
-        return replace(self, warnings=(*self.warnings, text))
+        return self.with_findings(warnings=(*self.findings.warnings, text))
+
+    def with_attempt(self, name: str, *, kept: bool) -> Track:
+        """Return the track with one more attempt to track the log again."""
+        return self.with_findings(attempts=(*self.findings.attempts, TrackedAgain(name, kept)))
 
     def over(self, scans: Iterable[Scan], phase: str = "", until: Until | None = None) -> Track:
         """Track scans from an empty map, or in the prior map; report progress if the phase has a name.
@@ -99,14 +91,20 @@ class Track(Struct, frozen=True):
         )
         steps: Iterator[Step] = chain(before, track(coming, method, self.motion, self.begin))
         steps = until(steps) if until else steps
-        return replace(self, method=method, steps=Steps(self.reported(steps, phase) if phase else steps))
+        return replace(self, method=method, steps=Steps(self.report_progress(steps, phase) if phase else steps))
 
-    def again(self, other: Track) -> Track | None:
-        """Track the whole log with the settings of ``other``; None if the run is stopped before the end."""
-        found = other.over(other.log_scans(), "track again")
-        return found if len(found.steps) == len(self.steps) else None
+    def placed_scans(self, phase: str = "") -> Iterator[tuple[Step, Scan, Motion]]:
+        """Yield the tracked steps with their scans, and the motion there along the path; fewer if the run is stopped.
 
-    def reported(self, steps: Iterable[Step], phase: str) -> Iterator[Step]:
+        Progress is reported if the phase has a name.
+        """
+        motions = motions_along(tracked_trajectory(self.steps), self.motion)
+        steps = self.report_progress(self.steps, phase) if phase else self.steps
+        tracked = ((step, scan) for step, scan in zip(steps, self.log_scans(), strict=False) if step.tracked)
+        for (step, scan), motion in zip(tracked, motions, strict=False):
+            yield step, scan, motion
+
+    def report_progress(self, steps: Iterable[Step], phase: str) -> Iterator[Step]:
         """Yield the steps of a pass, and report the progress at each."""
         for done, step in enumerate(steps, start=1):
             if self.on_step:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from mavnav.slam.matching.relocalization import apart
 from mavnav.slam.matching.steps import Step
-from mavnav.slam.matching.track_state import TrackState, Verdict
+from mavnav.slam.matching.track_state import MatchVerdict, TrackState
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -52,40 +52,40 @@ def track(scans: Iterable[Scan], method: Method, motion: Motion, first: int = 0)
 
 
 def search_within_budget(
-    scan: Scan, match: Match, verdict: Verdict, state: TrackState, refiner: Refiner
-) -> tuple[Match, Verdict, TrackState]:
+    scan: Scan, match: Match, verdict: MatchVerdict, state: TrackState, refiner: Refiner
+) -> tuple[Match, MatchVerdict, TrackState]:
     """Search the whole map if the budget covers it; else return the match with its verdict.
 
     After ``DOUBTFUL_SCANS`` missed scans, matches within as many scans of the last search are refused.
     """
     if state.missed >= DOUBTFUL_SCANS > state.missed - state.searched:
-        return match, Verdict.REFUSED, state
+        return match, MatchVerdict.REFUSED, state
     if not refiner.reserve_whole_map_search(scan):
         return match, verdict, state
-    found, verdict = search_whole_map(scan, match, verdict, state.here, refiner)
-    return found, verdict, state._replace(searched=state.missed)
+    best, verdict = search_whole_map(scan, match, verdict, state.here, refiner)
+    return best, verdict, state._replace(searched=state.missed)
 
 
 def search_whole_map(
-    scan: Scan, match: Match, verdict: Verdict, here: Motion, refiner: Refiner
-) -> tuple[Match, Verdict]:
+    scan: Scan, match: Match, verdict: MatchVerdict, here: Motion, refiner: Refiner
+) -> tuple[Match, MatchVerdict]:
     """Search the whole map for the scan; refuse it unless exactly one pose fits.
 
     A probable match at that pose becomes sure. Any other pose found is probable.
     """
-    found = refiner.relocalize(scan, match, here)
-    if found is None:
-        return match, Verdict.REFUSED
-    agree = verdict is Verdict.PROBABLE and not apart(found.map_T_laser, match.map_T_laser)
-    return found, Verdict.SURE if agree else Verdict.PROBABLE
+    best = refiner.relocalize(scan, match, here)
+    if best is None:
+        return match, MatchVerdict.REFUSED
+    agree = verdict is MatchVerdict.PROBABLE and not apart(best.map_T_laser, match.map_T_laser)
+    return best, MatchVerdict.SURE if agree else MatchVerdict.PROBABLE
 
 
-def needs_whole_map_search(verdict: Verdict, state: TrackState) -> bool:
+def needs_whole_map_search(verdict: MatchVerdict, state: TrackState) -> bool:
     """Return whether to search the whole map: for probable matches, and rarely for others when lost.
 
     With odometry, after a long gap, the next scans confirm a probable match instead.
     """
     missed = state.missed
-    if verdict is Verdict.PROBABLE and (missed < DOUBTFUL_SCANS or state.motion.odometry is None):
+    if verdict is MatchVerdict.PROBABLE and (missed < DOUBTFUL_SCANS or state.motion.odometry is None):
         return True
-    return missed > 0 and verdict is not Verdict.SURE and (missed == LONG_LOST_SCANS or missed % RARELY_SCANS == 0)
+    return missed > 0 and verdict is not MatchVerdict.SURE and (missed == LONG_LOST_SCANS or missed % RARELY_SCANS == 0)

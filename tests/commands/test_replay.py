@@ -654,14 +654,14 @@ def test_a_signal_after_the_last_scan_comes_too_late_to_make_the_run_partial(sam
 WHILE_REDRAWING = """
 import os, signal, sys
 from mavnav.cli import main
-from mavnav.slam.refinement import redraw
-redrawn = redraw.redrawn
+from mavnav.slam.refinement import refine
+draw_map = refine.draw_map
 
 def befallen(track, refiner):
     os.kill(os.getpid(), signal.SIGINT)
-    return redrawn(track, refiner)
+    return draw_map(track, refiner)
 
-redraw.redrawn = befallen
+refine.draw_map = befallen
 main(sys.argv[1:])
 """
 

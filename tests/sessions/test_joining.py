@@ -8,12 +8,12 @@ from msgspec.structs import replace
 
 from mavnav.config.models import Config
 from mavnav.pose import Pose, Trajectory
-from mavnav.sessions.closures import contradicting
+from mavnav.sessions.closures import count_contradicting
 from mavnav.sessions.group import group_of, own_edges
-from mavnav.sessions.growth import grown
+from mavnav.sessions.growth import join_sessions
 from mavnav.sessions.merged_map import merged_map, trajectories
 from mavnav.sessions.session import Session, make_session
-from mavnav.slam.loop_closure.key_frames import Part
+from mavnav.slam.loop_closure.key_frames import KeyFrameMap
 from support.sessions import CELLAR, TOURS, errors_m, session, tour, twin_room
 from support.synthetic import Recording
 
@@ -35,7 +35,7 @@ def silent(*_: object) -> None:
 
 
 def test_overlapping_sessions_are_joined_to_one_map(tours, sessions) -> None:
-    group, refused = grown([sessions[name] for name in ("both", "back", "hall")], CONFIG, silent)
+    group, refused = join_sessions([sessions[name] for name in ("both", "back", "hall")], CONFIG, silent)
     assert refused == []
     assert {s.name for s in group.sessions} == set(TOURS)
     assert all(join.closures > 2 * join.contradicting for join in group.joins[1:])
@@ -54,10 +54,10 @@ def test_a_doubtful_track_bends_no_other(tours, sessions) -> None:
     back = tours["back"].map_T_laser
     bent = Trajectory(back.stamps_ns, back.xyyaw + np.linspace(0, 1, len(back))[:, None] * (0.2, 0.2, 0.05))
     doubtful = make_session("back", lambda: tours["back"].scans, bent, CONFIG, doubtful=True)
-    group, refused = grown([doubtful, sessions["both"], sessions["hall"]], CONFIG, silent)
+    group, refused = join_sessions([doubtful, sessions["both"], sessions["hall"]], CONFIG, silent)
     assert refused == []
     assert [s.name for s in group.sessions[1:]][-1] == "back"
-    alone, _ = grown([sessions["both"], sessions["hall"]], CONFIG, silent)
+    alone, _ = join_sessions([sessions["both"], sessions["hall"]], CONFIG, silent)
     for path, before in zip(trajectories(group), trajectories(alone), strict=False):
         np.testing.assert_array_equal(path.xyyaw, before.xyyaw)
     world_T_group = tours[group.sessions[0].name].world_T_laser[0]
@@ -66,7 +66,7 @@ def test_a_doubtful_track_bends_no_other(tours, sessions) -> None:
 
 def test_another_building_does_not_join(sessions) -> None:
     other = session("cellar", tour("hall", 7, CELLAR))
-    group, (refused,) = grown([other, sessions["hall"], sessions["back"]], CONFIG, silent)
+    group, (refused,) = join_sessions([other, sessions["hall"], sessions["back"]], CONFIG, silent)
     assert {s.name for s in group.sessions} == {"hall", "back"}
     assert (refused.name, refused.closures) == ("cellar", 0)
     assert refused.why == "too few scans of the others fit in its map"
@@ -75,7 +75,7 @@ def test_another_building_does_not_join(sessions) -> None:
 def test_rooms_that_look_alike_are_not_joined() -> None:
     """The walls of the corridor beside them contradict it."""
     one, other = (session(name, twin_room(x_m)) for name, x_m in (("one", 0.0), ("other", 5.0)))
-    group, (refused,) = grown([one, other], CONFIG, silent)
+    group, (refused,) = join_sessions([one, other], CONFIG, silent)
     assert len(group.sessions) == 1
     assert refused.agreeing >= 3
     assert refused.why == "too many of its scans contradict the others' map"
@@ -83,11 +83,11 @@ def test_rooms_that_look_alike_are_not_joined() -> None:
 
 def test_key_frames_in_the_wrong_place_contradict_the_map(sessions) -> None:
     hall = sessions["hall"]
-    part = Part(CONFIG)
+    part = KeyFrameMap(CONFIG)
     part.grow(hall.keys, len(hall.keys))
-    assert contradicting(hall.keys, part) == 0
+    assert count_contradicting(hall.keys, part) == 0
     wrong = [replace(key, map_T_laser=Pose(0.9, 0.5, 0.4) @ key.map_T_laser) for key in hall.keys]
-    assert contradicting(wrong, part) > len(hall.keys) / 2
+    assert count_contradicting(wrong, part) > len(hall.keys) / 2
 
 
 def test_a_session_that_came_back_is_held_together(sessions) -> None:

@@ -23,7 +23,7 @@ from mavnav.slam.methods import registry
 from mavnav.slam.methods.registry import METHODS, RARE_KERNELS
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.result import SlamResult, jump_warnings
-from mavnav.slam.retries.odometry_check import EARLY_STEPS
+from mavnav.slam.retries.odometry import EARLY_STEPS
 from support.synthetic import (
     LDS_01,
     TOUR,

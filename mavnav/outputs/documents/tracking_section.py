@@ -41,17 +41,11 @@ class Doubt(Struct, frozen=True):
     tried: Annotated[list[str], text("what was done because of the doubt")]
 
 
-class Remedy(Struct, frozen=True):
-    """Another track of the log, made because the first one was lost or doubtful.
+class OtherTrack(Struct, frozen=True):
+    """Another track of the log, with one thing changed. ``kept``: it replaced the track before it."""
 
-    ``used``: it is the track of the run; ``tracking.doubt`` is then its own. ``doubt_after`` is null where the other
-    track was given up, because it was lost as well or had fewer scans.
-    """
-
-    remedy: Annotated[str, text("how the other track was made")]
-    doubt_before: Annotated[float, number("doubt of the first track", better="lower")]
-    doubt_after: Annotated[Measured, number("doubt of the other track", better="lower")]
-    used: Annotated[bool, text("whether it is the track of the run")]
+    name: Annotated[str, text("what was changed")]
+    kept: Annotated[bool, text("whether the other track was kept")]
 
 
 class TrackedPart(Struct, frozen=True):
@@ -69,8 +63,8 @@ class TrackedPart(Struct, frozen=True):
 class Tracking(Struct, frozen=True):
     """Where the track was lost; ``lost`` means for good. ``frames`` are parent and child of each trajectory file.
 
-    ``parts`` is absent where one map holds all tracked scans from the first usable one on, ``remedies`` where none was
-    tried.
+    ``parts`` is absent where one map holds all tracked scans from the first usable one on, ``attempts`` where the log
+    was tracked once.
     """
 
     lost: Annotated[bool, text("whether tracking was lost for good")]
@@ -83,4 +77,6 @@ class Tracking(Struct, frozen=True):
     parts: Annotated[list[TrackedPart], text("stretches with maps of their own, joined or not")] = field(
         default_factory=absent
     )
-    remedies: Annotated[list[Remedy], text("other tracks made because of the doubt")] = field(default_factory=absent)
+    attempts: Annotated[list[OtherTrack], text("other tracks of the log, each with one thing changed")] = field(
+        default_factory=absent
+    )

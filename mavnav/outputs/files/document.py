@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from msgspec import Struct
-from msgspec.structs import asdict, astuple
+from msgspec.structs import asdict, astuple, replace
 
 from mavnav.arrays import median
 from mavnav.config.models import Config
@@ -102,8 +102,9 @@ def _searched_version(name: str) -> str:
 
 
 def write_metrics(run: Run, path: Path) -> None:
-    """Write metrics.json."""
+    """Write metrics.json: other tracks of the log are no metric of this one."""
     document = run_document(run, {})
+    document = replace(document, tracking=replace(document.tracking, attempts=ABSENT))
     path.write_text(to_json({name: getattr(document, name) for name in model.METRICS}), encoding="utf-8")
 
 
@@ -225,7 +226,7 @@ def _tracking(run: Run) -> tracking.Tracking:
             for p in slam.parts
         ]
         or ABSENT,
-        remedies=[tracking.Remedy(*remedy) for remedy in slam.remedies] or ABSENT,
+        attempts=[tracking.OtherTrack(*attempt) for attempt in slam.attempts] or ABSENT,
     )
 
 

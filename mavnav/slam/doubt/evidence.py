@@ -31,7 +31,7 @@ SHARPEST, LEAST_TURN_RAD = 12, 30 * DEG
 """Number of scans, those after the sharpest turns, that are compared with other headings, and their minimum turn."""
 
 
-class Evidence(Struct, frozen=True):
+class TrackEvidence(Struct, frozen=True):
     """Arrays with a row for every tracked scan, and scalars of the whole track.
 
     ``stamps_ns`` (n,); ``xyyaw`` (n, 3) the poses in the map frame, m and rad; ``points`` (n,) the numbers of matched
@@ -62,38 +62,38 @@ class Evidence(Struct, frozen=True):
     by_odometry_m: Floats
 
 
-def evidence_of(track: Track, refiner: Refiner) -> Evidence:
+def evidence_of(track: Track, refiner: Refiner) -> TrackEvidence:
     """Return the evidence of a finished track, without that of other tracks."""
-    tracked = track.steps.column("tracked")
+    tracked, findings = track.steps.column("tracked"), track.findings
     xyyaw = track.steps.column("map_T_laser")[tracked]
     stamps_ns, rotation = track.steps.column("stamp_ns")[tracked], track.motion.rotation
-    return Evidence(
+    return TrackEvidence(
         period_s=track.motion.period_s,
         odometry=track.motion.odometry_at(stamps_ns),
         contradicted=track.odometry_contradicts,
-        refused=track.loops.refused,
-        closed=len(track.loops.closed),
+        refused=findings.loops.refused,
+        closed=len(findings.loops.closed),
         stamps_ns=stamps_ns,
         xyyaw=xyyaw,
         points=track.steps.column("beams_used")[tracked],
-        observed=track.observed[tracked],
-        conflicts=track.conflicts[tracked],
+        observed=findings.observed[tracked],
+        conflicts=findings.conflicts[tracked],
         heading_margins=heading_margins(track, refiner, xyyaw[:, 2]),
-        resampled=track.resampled[tracked] if len(track.resampled) else np.full(xyyaw.shape, np.nan),
+        resampled=np.full(xyyaw.shape, np.nan),
         tilt_rad=np.zeros(len(stamps_ns)) if rotation is None else rotation.tilts_rad(stamps_ns),
-        second_motion=second_motion(track, refiner, track.conflicts[tracked]),
-        by_odometry_m=track.by_odometry_m[tracked] if len(track.by_odometry_m) else np.zeros(len(stamps_ns)),
+        second_motion=second_motion(track, refiner, findings.conflicts[tracked]),
+        by_odometry_m=findings.by_odometry_m[tracked] if len(findings.by_odometry_m) else np.zeros(len(stamps_ns)),
     )
 
 
-def wrapped(yaws_rad: Floats) -> Floats:
+def wrap_angles(yaws_rad: Floats) -> Floats:
     """Wrap angles to [-pi, pi)."""
     return (yaws_rad + pi) % (2.0 * pi) - pi
 
 
 def turns_rad(yaws_rad: Floats) -> Floats:
     """Return the rotation (n,) from the previous heading to each of the headings (n,), 0 for the first."""
-    return np.abs(wrapped(np.diff(yaws_rad, prepend=yaws_rad[:1])))
+    return np.abs(wrap_angles(np.diff(yaws_rad, prepend=yaws_rad[:1])))
 
 
 def heading_margins(track: Track, refiner: Refiner, yaws_rad: Floats) -> Floats:
@@ -109,8 +109,11 @@ def heading_margins(track: Track, refiner: Refiner, yaws_rad: Floats) -> Floats:
     return out
 
 
-def with_resampled_track(track: Track) -> Track:
-    """Track the same scans with coarser voxels, and add those poses; not if the run is stopped early."""
+def resampled_poses(track: Track) -> Floats | None:
+    """Track the tracked scans with coarser voxels; return those poses (n, 3), NaN for scans without a pose there.
+
+    None if the run is stopped early.
+    """
     tracked = track.steps.column("tracked")
     some = partial(tracked_scans, track.log_scans, tracked)
     again = replace(
@@ -118,10 +121,8 @@ def with_resampled_track(track: Track) -> Track:
     )
     other = again.over(some(), "track again")
     if len(other.steps) < np.count_nonzero(tracked):
-        return track
-    poses = np.full((len(tracked), 3), np.nan)
-    poses[tracked] = np.where(other.steps.column("tracked")[:, None], other.steps.column("map_T_laser"), np.nan)
-    return replace(track, resampled=poses)
+        return None
+    return np.where(other.steps.column("tracked")[:, None], other.steps.column("map_T_laser"), np.nan)
 
 
 def tracked_scans(log_scans: LogScans, tracked: NDArray[np.bool_]) -> Iterable[Scan]:

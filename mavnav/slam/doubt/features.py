@@ -8,7 +8,7 @@ import numpy as np
 
 from mavnav.arrays import quantile
 from mavnav.pose import motions
-from mavnav.slam.doubt.evidence import turns_rad, wrapped
+from mavnav.slam.doubt.evidence import turns_rad, wrap_angles
 from mavnav.slam.doubt.second_motion import LEAST_AGREEING
 from mavnav.slam.findings import NOT_PLANAR, SECOND_MOTION
 from mavnav.units import DEG, NS
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.slam.doubt.evidence import Evidence
+    from mavnav.slam.doubt.evidence import TrackEvidence
 
     Floats = NDArray[np.float64]
 
@@ -47,25 +47,25 @@ GAP_S, REFUSED_LOOPS = 2.0, 10
 """Time without a pose that is long, and number of refused loops that is high."""
 
 
-def disagreement(evidence: Evidence) -> Floats:
+def disagreement(evidence: TrackEvidence) -> Floats:
     """Return the difference of two tracks in the motion from or to each scan, as a multiple of the bound for wrong.
 
     NaN without a second track.
     """
-    found = np.flatnonzero(np.isfinite(evidence.resampled[:, 0]))
-    out = np.full(len(evidence.stamps_ns), 0.0 if len(found) else np.nan)
-    stamps_s, start = evidence.stamps_ns[found] * NS, np.arange(len(found))
-    for window_s in WINDOWS_S if len(found) else ():
-        end = np.minimum(np.searchsorted(stamps_s, stamps_s + window_s), len(found) - 1)
-        off = motions(evidence.xyyaw[found], start, end) - motions(evidence.resampled[found], start, end)
-        share = np.maximum(np.hypot(off[:, 0], off[:, 1]) / WRONG_M, np.abs(wrapped(off[:, 2])) / WRONG_RAD)
+    common = np.flatnonzero(np.isfinite(evidence.resampled[:, 0]))
+    out = np.full(len(evidence.stamps_ns), 0.0 if len(common) else np.nan)
+    stamps_s, start = evidence.stamps_ns[common] * NS, np.arange(len(common))
+    for window_s in WINDOWS_S if len(common) else ():
+        end = np.minimum(np.searchsorted(stamps_s, stamps_s + window_s), len(common) - 1)
+        off = motions(evidence.xyyaw[common], start, end) - motions(evidence.resampled[common], start, end)
+        share = np.maximum(np.hypot(off[:, 0], off[:, 1]) / WRONG_M, np.abs(wrap_angles(off[:, 2])) / WRONG_RAD)
         share[stamps_s[end] - stamps_s > window_s + 1.5] = 0.0  # across a gap neither is reliable
-        np.maximum.at(out, found, share)
-        np.maximum.at(out, found[end], share)
+        np.maximum.at(out, common, share)
+        np.maximum.at(out, common[end], share)
     return out
 
 
-def slip(evidence: Evidence) -> Floats:
+def slip(evidence: TrackEvidence) -> Floats:
     """Return the change of velocity at each scan, before and after it, as a multiple of a spike."""
     n = len(evidence.stamps_ns)
     if n < 4:
@@ -82,64 +82,64 @@ def _spikes(changes: Floats, steady: float) -> Floats:
     return np.asarray(np.minimum(changes[:-1], changes[1:]) / spike)
 
 
-def weak(evidence: Evidence) -> Floats:
+def weak(evidence: TrackEvidence) -> Floats:
     """Return how weakly the walls constrain each pose; 0 with odometry."""
     return np.where(evidence.odometry, 0.0, _weakness(evidence))
 
 
-def weak_but_odometry(evidence: Evidence) -> Floats:
+def weak_but_odometry(evidence: TrackEvidence) -> Floats:
     """Return how weakly the walls constrain each pose with odometry; 0 without."""
     return np.where(evidence.odometry, _weakness(evidence), 0.0)
 
 
-def _weakness(evidence: Evidence) -> Floats:
+def _weakness(evidence: TrackEvidence) -> Floats:
     return WEAK / np.maximum(evidence.observed, 1e-5)
 
 
-def sparse(evidence: Evidence) -> Floats:
+def sparse(evidence: TrackEvidence) -> Floats:
     """Return the motion before each scan as a multiple of the bound for sparse sampling."""
     moved_m = np.linalg.norm(np.diff(evidence.xyyaw[:, :2], axis=0, prepend=evidence.xyyaw[:1, :2]), axis=1)
     share: Floats = np.maximum(moved_m / SPARSE_M, turns_rad(evidence.xyyaw[:, 2]) / SPARSE_RAD)
     return share
 
 
-def not_planar(evidence: Evidence) -> Floats:
+def not_planar(evidence: TrackEvidence) -> Floats:
     """Return the visibility conflicts with the finished map, or the tilt if larger, as multiples of their bounds."""
     shown: Floats = np.maximum(evidence.conflicts / CONFLICTS, evidence.tilt_rad / TILT_RAD)
     return shown
 
 
-def few_points(evidence: Evidence) -> Floats:
+def few_points(evidence: TrackEvidence) -> Floats:
     """Return the bound for few points as a multiple of the matched points."""
     return FEW_POINTS / np.maximum(evidence.points, 1)
 
 
-def gap(evidence: Evidence) -> Floats:
+def gap(evidence: TrackEvidence) -> Floats:
     """Return the time since the last pose as a multiple of a long gap."""
     return np.diff(evidence.stamps_ns, prepend=evidence.stamps_ns[:1]) * NS / GAP_S
 
 
-def symmetric(evidence: Evidence) -> Floats:
+def symmetric(evidence: TrackEvidence) -> Floats:
     """Return the turn before each scan that fits at another heading as well, as a multiple of a sparse turn."""
     return np.where(evidence.heading_margins < LEAST_MARGIN, turns_rad(evidence.xyyaw[:, 2]) / SPARSE_RAD, 0.0)
 
 
-def unclosed_loop(evidence: Evidence) -> Floats:
+def unclosed_loop(evidence: TrackEvidence) -> Floats:
     """Return the number of refused loops, if none was closed, as a multiple of many; equal for all scans."""
     return np.full(len(evidence.stamps_ns), 0.0 if evidence.closed else evidence.refused / REFUSED_LOOPS)
 
 
-def odometry_contradicts(evidence: Evidence) -> Floats:
+def odometry_contradicts(evidence: TrackEvidence) -> Floats:
     """Return 2 for all scans if the odometry of the log contradicts the track, and is not used; else 0."""
     return np.full(len(evidence.stamps_ns), 2.0 * evidence.contradicted)
 
 
-def other_motion(evidence: Evidence) -> Floats:
+def other_motion(evidence: TrackEvidence) -> Floats:
     """Return the share of scans that fit a second motion, at those scans, as a multiple of the bound."""
     return evidence.second_motion / LEAST_AGREEING
 
 
-def placed_by_odometry(evidence: Evidence) -> Floats:
+def placed_by_odometry(evidence: TrackEvidence) -> Floats:
     """Return the expected error of poses that odometry alone gives, as a multiple of the bound for wrong."""
     return evidence.by_odometry_m / WRONG_M
 
@@ -148,7 +148,7 @@ class Feature(NamedTuple):
     """A reason to doubt a track: its strength at each scan, (n,), and the quantile over the scans that is used."""
 
     reason: str
-    of: Callable[[Evidence], Floats]
+    of: Callable[[TrackEvidence], Floats]
     quantile: float
 
     def total(self, shown: Floats) -> float:

@@ -1,16 +1,29 @@
-"""Judging a finished track: cheap features first, and a second track where they raise doubt."""
+"""Doubt of a finished track and its reasons: a logistic model over features, and a second track where it is worthwhile.
+
+The coefficients are from benchmarks/doubt.py.
+"""
 
 from __future__ import annotations
 
+from math import exp, log2
 from typing import TYPE_CHECKING
 
+import numpy as np
 from msgspec.structs import replace
 
 from mavnav.profiling import timed
-from mavnav.slam.doubt.evidence import evidence_of, with_resampled_track
-from mavnav.slam.doubt.model import doubt_of
+from mavnav.slam.doubt.coefficients import ONE_TRACK, TWO_TRACKS
+from mavnav.slam.doubt.evidence import evidence_of, resampled_poses
+from mavnav.slam.doubt.features import DISAGREEMENT, FEATURES
+from mavnav.slam.findings import Doubt, Reason
+from mavnav.units import NS
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from mavnav.slam.doubt.evidence import TrackEvidence
     from mavnav.slam.methods.method import Refiner
     from mavnav.slam.track import Track
 
@@ -26,25 +39,73 @@ FEWEST = 2
 RESAMPLED = "resampled track"
 
 
-def judge_track(track: Track) -> Track:
+def judge_track(track: Track, refiner: Refiner) -> Track:
     """Add the probability that a track is wrong; not in causal mode, in a given map, or if nothing was tracked."""
-    refiner = track.refiner
-    if refiner is None or not refiner.builds_map or len(track.observed) < len(track.steps):
+    if not refiner.builds_map or len(track.findings.observed) < len(track.steps):
         return track
     if track.steps.column("tracked").sum() < FEWEST:
         return track
-    return judged(track, refiner)
+    return judge_by_features(track, refiner)
 
 
 @timed("doubt")
-def judged(track: Track, refiner: Refiner) -> Track:
-    """Judge a track by its features; compare it with a resampled track if these raise doubt, or if one exists."""
+def judge_by_features(track: Track, refiner: Refiner) -> Track:
+    """Judge a track by its features; compare it with a resampled track if these raise doubt."""
     evidence = evidence_of(track, refiner)
     doubt = doubt_of(evidence)
     worthwhile = doubt.probability >= WORTH_A_TRACK and track.steps.share("tracked") >= LEAST_SHARE
-    if not len(track.resampled) and worthwhile:
-        track = with_resampled_track(track)
-    if len(track.resampled):
-        resampled = track.resampled[track.steps.column("tracked")]
+    resampled = resampled_poses(track) if worthwhile else None
+    if resampled is not None:
         doubt = doubt_of(replace(evidence, resampled=resampled), (RESAMPLED,))
-    return replace(track, doubt=doubt)
+    return track.with_findings(doubt=doubt)
+
+
+LEAST, MOST_DOUBLINGS = 0.25, 5.0
+"""Value from which a feature counts, and maximum number of its doublings that count."""
+
+MUCH = 1.0
+"""Minimum value of a feature that is reported as a reason."""
+
+JOINED_S, MOST_STRETCHES = 2.0, 5
+"""Longest time between scans of one stretch, and maximum number of stretches of a reason, the strongest ones."""
+
+
+def doubt_of(evidence: TrackEvidence, tried: tuple[str, ...] = ()) -> Doubt:
+    """Return the doubt of a track, and its reasons with the largest contribution first.
+
+    ``tried`` names what was done because of the doubt.
+    """
+    shown = {name: feature.of(evidence) for name, feature in FEATURES.items()}
+    values = {name: feature.total(shown[name]) for name, feature in FEATURES.items()}
+    log_odds = contributions(values)
+    strongest = sorted(log_odds, key=lambda name: -log_odds[name])
+    reasons: list[Reason] = []
+    for name in strongest:
+        if log_odds[name] > 0.0 and values[name] >= MUCH:
+            reasons += stretches(FEATURES[name].reason, shown[name], evidence.stamps_ns)
+    return Doubt(probability(values), tuple(reasons), tried)
+
+
+def contributions(values: Mapping[str, float]) -> dict[str, float]:
+    """Return the contribution of each feature to the log-odds; the weights differ with and without a second track."""
+    _, weights = TWO_TRACKS if np.isfinite(values[DISAGREEMENT]) else ONE_TRACK
+    return {name: weight * doublings(values[name]) for name, weight in weights.items()}
+
+
+def probability(values: Mapping[str, float]) -> float:
+    """Return the probability that a track with these features is wrong; it increases with each of them."""
+    bias, _ = TWO_TRACKS if np.isfinite(values[DISAGREEMENT]) else ONE_TRACK
+    return 1.0 / (1.0 + exp(-bias - sum(contributions(values).values())))
+
+
+def doublings(value: float) -> float:
+    """Return how often a feature doubles above ``LEAST``."""
+    return min(log2(max(value, LEAST) / LEAST), MOST_DOUBLINGS)
+
+
+def stretches(name: str, shown: NDArray[np.float64], stamps_ns: NDArray[np.int64]) -> list[Reason]:
+    """Return the stretches in which a feature (n,) is a reason, in order of time."""
+    rows = np.flatnonzero(shown >= MUCH)
+    parts = np.split(rows, np.flatnonzero(np.diff(stamps_ns[rows]) * NS > JOINED_S) + 1)
+    reasons = [Reason(name, int(stamps_ns[p[0]]), int(stamps_ns[p[-1]]), float(shown[p].max())) for p in parts]
+    return sorted(sorted(reasons, key=lambda r: -r.value)[:MOST_STRETCHES], key=lambda r: r.start_ns)

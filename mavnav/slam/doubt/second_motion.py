@@ -13,11 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.arrays import distinct
-from mavnav.kernels.scans.correlative_search import pose_costs
 from mavnav.kernels.scans.points import extent
-from mavnav.mapping.line_map import LineMap
 from mavnav.pose import Pose
-from mavnav.slam.matching.motion_model import motions_along
+from mavnav.slam.matching.scan_matching import empty_line_map
 from mavnav.slam.matching.steps import tracked_trajectory
 from mavnav.units import MM, NS
 
@@ -79,8 +77,8 @@ def second_motion(track: Track, refiner: Refiner, conflicts: Floats) -> Floats:
     rows = [some for some in wanted if points.keys() >= set(some)]  # a stopped run ends early
     if len(rows) < LEAST_EXAMINED:
         return out
-    found = [rival(some, path.stamps_ns, path.xyyaw, points, track) for some in rows]
-    velocities = np.array([velocity or (np.nan, np.nan) for velocity in found])
+    rivals = [rival(some, path.stamps_ns, path.xyyaw, points, track) for some in rows]
+    velocities = np.array([velocity or (np.nan, np.nan) for velocity in rivals])
     if np.isnan(velocities).all():
         return out
     same = np.hypot(*(velocities - np.nanmedian(velocities, axis=0)).T) <= SAME_M_S
@@ -109,14 +107,12 @@ def points_of_rows(track: Track, refiner: Refiner, rows: set[int]) -> dict[int, 
 
     Without those within ``NEAREST_M``.
     """
-    tracked = ((s, scan) for s, scan in zip(track.steps, track.log_scans(), strict=False) if s.tracked)
-    motions = motions_along(tracked_trajectory(track.steps), track.motion)
-    found = {}
-    for row, ((_, scan), motion) in enumerate(zip(tracked, motions, strict=False)):
+    points_of_row = {}
+    for row, (_, scan, motion) in enumerate(track.placed_scans()):
         if row in rows:
             points = refiner.match_points(scan, motion)
-            found[row] = points[np.hypot(*points.T) > NEAREST_M]
-    return found
+            points_of_row[row] = points[np.hypot(*points.T) > NEAREST_M]
+    return points_of_row
 
 
 def rival(
@@ -127,7 +123,7 @@ def rival(
     truncate_m, least = robust.truncate_mm * MM, robust.min_points
     if min(len(points[row]) for row in rows) < least:
         return None
-    lines = LineMap(robust.cell_mm * MM, robust.line_sigma_mm * MM, robust.line_noise_mm * MM)
+    lines = empty_line_map(track.config)
     lines.insert(points[first], extent(points[first]))
     n = len(SPEEDS_M_S)
     tried = np.column_stack([axis.ravel() for axis in np.meshgrid(SPEEDS_M_S, SPEEDS_M_S, indexing="ij")])
@@ -135,13 +131,13 @@ def rival(
     for row in later:
         moved, elapsed_s = here.between(Pose(*xyyaw[row].tolist())), float(stamps_ns[row] - stamps_ns[first]) * NS
         xy_m, yaw_rad = moved.as_array()[:2] + elapsed_s * tried, np.array([moved.yaw_rad])
-        costs = pose_costs(points[row][:POINTS], xy_m, yaw_rad, truncate_m, lines.nearest, lines.lines, lines.geometry)
+        costs = lines.costs(points[row][:POINTS], xy_m, yaw_rad, truncate_m)
         shares += costs[0] / (truncate_m**2 * len(later))
     own_m_s = moved.as_array()[:2] / elapsed_s
-    found = second_minimum(shares.reshape(n, n))
-    if found is None:
+    minimum = second_minimum(shares.reshape(n, n))
+    if minimum is None:
         return None
-    x_m_s, y_m_s, more = found
+    x_m_s, y_m_s, more = minimum
     rests = np.hypot(*own_m_s) >= APART_M_S and np.hypot(own_m_s[0] + x_m_s, own_m_s[1] + y_m_s) < AT_REST_M_S
     return None if rests and more >= 0.0 else (x_m_s, y_m_s)
 
@@ -156,8 +152,8 @@ def second_minimum(shares: Floats) -> tuple[float, float, float] | None:
     inner = shares[1:-1, 1:-1]
     around = [shares[1 + i : n - 1 + i, 1 + j : n - 1 + j] for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
     lowest = np.logical_and.reduce([inner <= other for other in around]) & (inner <= own + MARGIN)
-    found = [(float(shares[i, j]), int(i), int(j)) for i, j in np.argwhere(lowest) + 1]
-    for cost, i, j in sorted(found):
+    minima = [(float(shares[i, j]), int(i), int(j)) for i, j in np.argwhere(lowest) + 1]
+    for cost, i, j in sorted(minima):
         if np.hypot(SPEEDS_M_S[i], SPEEDS_M_S[j]) < APART_M_S:
             continue
         on_the_way = np.rint(middle + np.outer(np.linspace(0.0, 1.0, n), (i - middle, j - middle))).astype(int)

@@ -36,7 +36,7 @@ SMALL_M, SMALL_RAD = 0.06, 1 * DEG
 """Largest correction by a closure that confirms the track, which then does not change."""
 
 
-class Closure(Struct, frozen=True):
+class KeyClosure(Struct, frozen=True):
     """Key frame ``end`` saw the same walls as key frame ``start`` (numbers of key frames); ``match`` is the evidence.
 
     ``weak_rad`` is the direction, frame of ``start``, in which the pose is not observable (along a plain corridor);
@@ -54,7 +54,7 @@ class Closure(Struct, frozen=True):
         off = keys[self.end].map_T_laser.between(keys[self.start].map_T_laser @ self.start_T_end)
         if self.weak_rad is None:
             return off
-        return Pose(*without(off, self.weak_rad - self.start_T_end.yaw_rad + off.yaw_rad), off.yaw_rad)
+        return Pose(*across_direction(off, self.weak_rad - self.start_T_end.yaw_rad + off.yaw_rad), off.yaw_rad)
 
     @property
     def sqrt_information(self) -> NDArray[np.float64]:
@@ -66,14 +66,16 @@ class Closure(Struct, frozen=True):
         return root
 
 
-def without(offset: Pose, direction_rad: float) -> tuple[float, float]:
+def across_direction(offset: Pose, direction_rad: float) -> tuple[float, float]:
     """Return the translation (x, y) of an offset, m, without its component along a direction."""
     c, s = cos(direction_rad), sin(direction_rad)
     across_m = -s * offset.x_m + c * offset.y_m
     return -s * across_m, c * across_m
 
 
-def agreeing(closures: Sequence[Closure], keys: Sequence[KeyFrame], accepted: Sequence[Closure] = ()) -> list[Closure]:
+def agreeing_closures(
+    closures: Sequence[KeyClosure], keys: Sequence[KeyFrame], accepted: Sequence[KeyClosure] = ()
+) -> list[KeyClosure]:
     """Return the closures that agree with more of each other, and of the accepted ones, than they contradict."""
     kept, before = list(closures), len(closures) + 1
     while len(kept) < before:
@@ -82,13 +84,13 @@ def agreeing(closures: Sequence[Closure], keys: Sequence[KeyFrame], accepted: Se
     return kept
 
 
-def is_confirmed(a: Closure, others: Sequence[Closure], keys: Sequence[KeyFrame]) -> bool:
+def is_confirmed(a: KeyClosure, others: Sequence[KeyClosure], keys: Sequence[KeyFrame]) -> bool:
     """Return whether a closure agrees with more of the others than it contradicts."""
     verdicts = [agree(a, b, keys) for b in others if b is not a]
     return verdicts.count(True) > verdicts.count(False)
 
 
-def agree(a: Closure, b: Closure, keys: Sequence[KeyFrame]) -> bool | None:
+def agree(a: KeyClosure, b: KeyClosure, keys: Sequence[KeyFrame]) -> bool | None:
     """Return whether two closures agree in the directions that both constrain; None if they cannot be compared."""
     path_m = sum(abs(keys[p].path_m - keys[q].path_m) for p, q in ((a.start, b.start), (a.end, b.end)))
     if path_m > NEIGHBOR_M:
@@ -100,7 +102,7 @@ def agree(a: Closure, b: Closure, keys: Sequence[KeyFrame]) -> bool | None:
     if len(weak) > 1 and abs(sin(weak[0] - weak[1])) > sin(PARALLEL_RAD):
         return None
     for direction_rad in weak:
-        off = Pose(*without(off, direction_rad - end_by_a.yaw_rad), off.yaw_rad)
+        off = Pose(*across_direction(off, direction_rad - end_by_a.yaw_rad), off.yaw_rad)
     return (
         off.distance_m <= AGREE_M[0] + AGREE_M[1] * path_m and abs(off.yaw_rad) <= AGREE_RAD[0] + AGREE_RAD[1] * path_m
     )

@@ -15,13 +15,13 @@ from msgspec.structs import replace
 
 from mavnav.pose import Pose, Trajectory, blend
 from mavnav.profiling import timed
-from mavnav.slam.findings import Edge, Graph, Loop, Loops
-from mavnav.slam.loop_closure.closure import Closure, agreeing, is_small
+from mavnav.slam.findings import Edge, Loop, Loops, PoseGraph
+from mavnav.slam.loop_closure.closure import KeyClosure, agreeing_closures, is_small
 from mavnav.slam.loop_closure.drift import Paths, drift_bound
-from mavnav.slam.loop_closure.key_frames import KeyFrame, Part, Visibility, key_rows
+from mavnav.slam.loop_closure.key_frames import KeyFrame, KeyFrameMap, Visibility, key_rows
 from mavnav.slam.loop_closure.matching import find_closure
 from mavnav.slam.loop_closure.path_edges import path_edges
-from mavnav.slam.loop_closure.pose_graph import optimized
+from mavnav.slam.loop_closure.pose_graph import optimize
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -82,35 +82,37 @@ def find_loops(
         Loop(tracked[c.start].row, tracked[c.end].row, c.start_T_end, c.correction(tracked), c.match.inliers)
         for c in closures
     )
-    graph = Graph(tuple(rows), (*path, *edges_of(closures)))
+    graph = PoseGraph(tuple(rows), (*path, *edges_of(closures)))
     return Loops(closed, refused, None if keys is tracked else follow(map_T_laser, tracked, keys), graph)
 
 
 def find_closures(
     tracked: list[KeyFrame], path: list[Edge], config: Config
-) -> tuple[list[KeyFrame], list[Closure], int]:
+) -> tuple[list[KeyFrame], list[KeyClosure], int]:
     """Return the corrected key frames, the closures that agree, and the number of searches without one.
 
     A key frame keeps the closure of an earlier round where the later one, which is sparser, does not search it.
     """
-    keys, closures, refused = tracked, list[Closure](), 0
+    keys, closures, refused = tracked, list[KeyClosure](), 0
     for _ in range(ROUNDS):
-        found = list(detect_closures(keys, config))
-        latest = {c.end: c for c in (*closures, *found) if c}
-        agreed = consistent(list(latest.values()), keys, tracked)
+        searches = list(detect_closures(keys, config))
+        latest = {c.end: c for c in (*closures, *searches) if c}
+        agreed = consistent_closures(list(latest.values()), keys, tracked)
         if len(agreed) < len(closures):
             break
-        closures, refused = agreed, max(len(found) - len(agreed), 0)
+        closures, refused = agreed, max(len(searches) - len(agreed), 0)
         if track_confirmed([closure.correction(keys) for closure in closures]):
             break
-        keys = optimized_keys(tracked, [*path, *edges_of(closures)])
+        keys = optimize_keys(tracked, [*path, *edges_of(closures)])
     return keys, closures, refused
 
 
-def consistent(found: Sequence[Closure], keys: Sequence[KeyFrame], tracked: Sequence[KeyFrame]) -> list[Closure]:
+def consistent_closures(
+    closures: Sequence[KeyClosure], keys: Sequence[KeyFrame], tracked: Sequence[KeyFrame]
+) -> list[KeyClosure]:
     """Return the closures that agree; weak ones never refute others, and count only if they correct the track."""
-    full = agreeing([c for c in found if c.weak_rad is None], keys)  # constrained in all directions
-    weak = agreeing([c for c in found if c.weak_rad is not None], keys, full)
+    full = agreeing_closures([c for c in closures if c.weak_rad is None], keys)  # constrained in all directions
+    weak = agreeing_closures([c for c in closures if c.weak_rad is not None], keys, full)
     return sorted(full + [c for c in weak if not is_small(c.correction(tracked))], key=lambda c: c.end)
 
 
@@ -124,13 +126,13 @@ def nearest_old(xy_m: NDArray[np.float64], paths_m: NDArray[np.float64], j: int)
     return i if off_m[i] <= SIGHT_M + drift_bound(paths_m[j] - paths_m[i])[0] else None
 
 
-def detect_closures(keys: Sequence[KeyFrame], config: Config) -> Iterator[Closure | None]:
+def detect_closures(keys: Sequence[KeyFrame], config: Config) -> Iterator[KeyClosure | None]:
     """Search key frames in the old part of the map; yield a closure or None for each search.
 
     Searches are dense at first and sparse where closures confirm the track, which also bounds the drift from there on.
     Weak closures confirm nothing, because the drift along a corridor stays unknown.
     """
-    old, seen, paths, pace = Part(config), Visibility(keys), Paths(), Pace()
+    old, seen, paths, pace = KeyFrameMap(config), Visibility(keys), Paths(), Pace()
     xy_m = np.array([(k.map_T_laser.x_m, k.map_T_laser.y_m) for k in keys])
     paths_m = np.array([k.path_m for k in keys])
     for j, key in enumerate(keys):
@@ -140,12 +142,12 @@ def detect_closures(keys: Sequence[KeyFrame], config: Config) -> Iterator[Closur
         count = int(np.searchsorted(paths_m, key.path_m - LOOP_M))
         old.grow(keys, count)
         seen.grow(count)
-        found = find_closure(keys, j, old, seen, drift_bound(paths.between(keys[i].path_m, key.path_m)), config)
-        full = found if found and found.weak_rad is None else None
+        closure = find_closure(keys, j, old, seen, drift_bound(paths.between(keys[i].path_m, key.path_m)), config)
+        full = closure if closure and closure.weak_rad is None else None
         pace = pace.after(key.path_m, full, small=full is not None and is_small(full.correction(keys)))
         if full and pace.confirming >= CONFIRMING:
             paths.join(keys[full.start].path_m, key.path_m)
-        yield found
+        yield closure
 
 
 class Pace(NamedTuple):
@@ -155,9 +157,9 @@ class Pace(NamedTuple):
     confirming: int = 0
     failed: int = 0
 
-    def after(self, path_m: float, found: Closure | None, *, small: bool) -> Pace:
+    def after(self, path_m: float, closure: KeyClosure | None, *, small: bool) -> Pace:
         """Return the pace after a search."""
-        confirming, failed = (self.confirming + 1 if small else 0), (0 if found else self.failed + 1)
+        confirming, failed = (self.confirming + 1 if small else 0), (0 if closure else self.failed + 1)
         step_m = FAR_SEARCH_M if confirming >= CONFIRMING or failed >= MOST_FAILED else SEARCH_M
         return Pace(path_m + step_m, confirming, failed)
 
@@ -168,13 +170,13 @@ def track_confirmed(corrections: Sequence[Pose]) -> bool:
     return few and all(is_small(correction, FAR_OFF) for correction in corrections)
 
 
-def optimized_keys(keys: Sequence[KeyFrame], edges: Sequence[Edge]) -> list[KeyFrame]:
+def optimize_keys(keys: Sequence[KeyFrame], edges: Sequence[Edge]) -> list[KeyFrame]:
     """Return the key frames at the poses that fit the edges best."""
-    poses = optimized([key.map_T_laser for key in keys], edges)
+    poses = optimize([key.map_T_laser for key in keys], edges)
     return [replace(key, map_T_laser=pose) for key, pose in zip(keys, poses, strict=True)]
 
 
-def edges_of(closures: Sequence[Closure]) -> list[Edge]:
+def edges_of(closures: Sequence[KeyClosure]) -> list[Edge]:
     """Return closures as edges of the pose graph."""
     return [Edge(c.start, c.end, c.start_T_end, c.sqrt_information) for c in closures]
 

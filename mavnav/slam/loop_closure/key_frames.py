@@ -9,10 +9,10 @@ from msgspec import Struct
 
 from mavnav.arrays import distinct
 from mavnav.kernels.scans.points import extent
-from mavnav.mapping.line_map import LineMap
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose, transform_points, wrap_angle
-from mavnav.units import DEG, MM
+from mavnav.slam.matching.scan_matching import empty_line_map
+from mavnav.units import DEG
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -57,14 +57,13 @@ def key_rows(
     return rows, path_m[rows].tolist()
 
 
-class Part:
+class KeyFrameMap:
     """A part of the map, built from some of the key frames."""
 
     def __init__(self, config: Config) -> None:
         """Start empty."""
-        robust = config.robust
-        self.grid = GridBuilder(robust.cell_mm * MM)
-        self.lines = LineMap(robust.cell_mm * MM, robust.line_sigma_mm * MM, robust.line_noise_mm * MM)
+        self.lines = empty_line_map(config)
+        self.grid = GridBuilder(self.lines.cell_m)
         self.count = 0
 
     def grow(self, keys: Sequence[KeyFrame], count: int) -> None:

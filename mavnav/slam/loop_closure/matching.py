@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace
 
 from mavnav.pose import wrap_angle
-from mavnav.slam.loop_closure.closure import Closure
+from mavnav.slam.loop_closure.closure import KeyClosure
 from mavnav.slam.loop_closure.drift import DRIFT_RAD
-from mavnav.slam.loop_closure.key_frames import Part
+from mavnav.slam.loop_closure.key_frames import KeyFrameMap
 from mavnav.slam.matching.relocalization import (
     apart,
     around,
@@ -54,19 +54,19 @@ MOST_WEAK_M, MOST_WEAK_RAD = 0.8, 10 * DEG
 
 
 def find_closure(
-    keys: Sequence[KeyFrame], j: int, old: Part, seen: Visibility, bound: tuple[float, float], config: Config
-) -> Closure | None:
+    keys: Sequence[KeyFrame], j: int, old: KeyFrameMap, seen: Visibility, bound: tuple[float, float], config: Config
+) -> KeyClosure | None:
     """Return the closure of key frame ``j`` with the old part, within the drift bound, m and rad.
 
     In a plain corridor the closure is weak. None if the key frame fits nowhere, or at several poses.
     """
     region = around(keys[j].map_T_laser, *bound)
-    found = candidates(keys[j].points, old.lines, old.grid, region, config)
-    best = unambiguous(found, AMBIGUITY_MARGIN, config)
-    closure = measured(keys, j, best, seen, config) if best and fits(best) else None
+    matches = candidates(keys[j].points, old.lines, old.grid, region, config)
+    best = unambiguous(matches, AMBIGUITY_MARGIN, config)
+    closure = measure_closure(keys, j, best, seen, config) if best and fits(best) else None
     if closure and closure.weak_rad is None:
         return closure
-    best = min(found, key=lambda match: misfit(match, config), default=None)
+    best = min(matches, key=lambda match: misfit(match, config), default=None)
     return weak_closure(keys, j, best, old, seen, bound, config) if best and fits(best, LEAST_WEAK_INLIERS) else None
 
 
@@ -74,11 +74,11 @@ def weak_closure(
     keys: Sequence[KeyFrame],
     j: int,
     match: Match,
-    old: Part,
+    old: KeyFrameMap,
     seen: Visibility,
     bound: tuple[float, float],
     config: Config,
-) -> Closure | None:
+) -> KeyClosure | None:
     """Search across the corridor of a match, at the tracked position along it; return the weak closure or None."""
     key = keys[j]
     along_rad = unobservable_direction(key.points, match.map_T_laser, old.lines, LEAST_GROWTH, config)
@@ -86,9 +86,9 @@ def weak_closure(
         return None
     xy_m, yaws_rad = around(key.map_T_laser, *bound)
     off_m = (xy_m - key.map_T_laser[:2]) @ (cos(along_rad), sin(along_rad))
-    found = candidates(key.points, old.lines, old.grid, (xy_m[abs(off_m) <= STRIP_M], yaws_rad), config)
-    best = unambiguous(found, AMBIGUITY_MARGIN, config)
-    closure = measured(keys, j, best, seen, config) if best and fits(best, LEAST_WEAK_INLIERS) else None
+    matches = candidates(key.points, old.lines, old.grid, (xy_m[abs(off_m) <= STRIP_M], yaws_rad), config)
+    best = unambiguous(matches, AMBIGUITY_MARGIN, config)
+    closure = measure_closure(keys, j, best, seen, config) if best and fits(best, LEAST_WEAK_INLIERS) else None
     if closure is None or closure.weak_rad is None or closure.match.inliers < LEAST_WEAK_INLIERS:
         return None
     correction = closure.correction(keys)
@@ -100,27 +100,29 @@ def fits(match: Match, least_inliers: float = LEAST_INLIERS) -> bool:
     return match.inliers >= least_inliers and match.conflicts <= MOST_CONFLICTS
 
 
-def measured(keys: Sequence[KeyFrame], j: int, match: Match, seen: Visibility, config: Config) -> Closure | None:
+def measure_closure(
+    keys: Sequence[KeyFrame], j: int, match: Match, seen: Visibility, config: Config
+) -> KeyClosure | None:
     """Match key frame ``j`` against the scans near its reference key frame; None if it does not fit there.
 
     The closure is weak if one direction is not observable; None if no direction is.
     """
     i = seen.reference(replace(keys[j], map_T_laser=match.map_T_laser))
     old = range(seen.count)
-    part = Part(config)
-    part.grow([keys[k] for k in old if abs(keys[k].path_m - keys[i].path_m) <= PART_M], seen.count)
+    local = KeyFrameMap(config)
+    local.grow([keys[k] for k in old if abs(keys[k].path_m - keys[i].path_m) <= PART_M], seen.count)
     robust, points = config.robust, keys[j].points
-    first = Schedule.of(config, part.lines, (robust.truncate_mm * MM, DRIFT_RAD[0]))
-    fine = search_lines(points, part.lines, match.map_T_laser, first)
-    last = Schedule.of(config, part.lines, (robust.final_window_mm * MM, robust.final_window_deg * DEG), final=True)
-    placed = search_lines(points, part.lines, fine.map_T_laser, last)
-    fine = with_conflicts(fine._replace(map_T_laser=placed.map_T_laser), points, part.lines, part.grid)
+    first = Schedule.of(config, local.lines, (robust.truncate_mm * MM, DRIFT_RAD[0]))
+    fine = search_lines(points, local.lines, match.map_T_laser, first)
+    last = Schedule.of(config, local.lines, (robust.final_window_mm * MM, robust.final_window_deg * DEG), final=True)
+    placed = search_lines(points, local.lines, fine.map_T_laser, last)
+    fine = with_conflicts(fine._replace(map_T_laser=placed.map_T_laser), points, local.lines, local.grid)
     if apart(match.map_T_laser, fine.map_T_laser) or not fits(fine):
         return None
     start, place = keys[i].map_T_laser, fine.map_T_laser
-    if least_growth(points, place, part.lines, config) >= LEAST_GROWTH:
-        return Closure(i, j, start.between(place), fine)
-    along_rad = unobservable_direction(points, place, part.lines, LEAST_GROWTH, config)
+    if least_growth(points, place, local.lines, config) >= LEAST_GROWTH:
+        return KeyClosure(i, j, start.between(place), fine)
+    along_rad = unobservable_direction(points, place, local.lines, LEAST_GROWTH, config)
     if along_rad is None:
         return None
-    return Closure(i, j, start.between(place), fine, wrap_angle(along_rad - start.yaw_rad))
+    return KeyClosure(i, j, start.between(place), fine, wrap_angle(along_rad - start.yaw_rad))

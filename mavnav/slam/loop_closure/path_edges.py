@@ -55,7 +55,8 @@ def path_edges(map_T_laser: Trajectory, keys: Sequence[KeyFrame], information_of
     edges = []
     for k, motion in enumerate(path):
         near = [j for j in (k - 1, k + 1) if 0 <= j < len(path)]
-        expected = [usual(speeds, stamps_ns, stamps_ns[rows[k : k + 2]]), *(moved_m[j] / elapsed_s[j] for j in near)]
+        usual = usual_velocity(speeds, stamps_ns, stamps_ns[rows[k : k + 2]])
+        expected = [usual, *(moved_m[j] / elapsed_s[j] for j in near)]
         unusual_m = moved_m[k] - np.array(expected) * elapsed_s[k]
         weak = min(weakest[k : k + 2], key=lambda each: each.information)
         edges.append(
@@ -72,7 +73,7 @@ def velocities(map_T_laser: Trajectory) -> Floats:
     return speeds
 
 
-def usual(speeds: Floats, stamps_ns: NDArray[np.int64], around_ns: NDArray[np.int64]) -> Floats:
+def usual_velocity(speeds: Floats, stamps_ns: NDArray[np.int64], around_ns: NDArray[np.int64]) -> Floats:
     """Return the median velocity (2,) about two stamps, m/s."""
     first, last = np.searchsorted(stamps_ns, around_ns + np.array((-USUAL_S, USUAL_S)) / NS)
     middle: Floats = np.median(speeds[first:last], axis=0)

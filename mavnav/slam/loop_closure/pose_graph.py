@@ -33,12 +33,12 @@ def root_information(sigma_m: float, sigma_rad: float) -> NDArray[np.float64]:
     return np.diag(1.0 / np.array((sigma_m, sigma_m, sigma_rad)))
 
 
-def optimized(poses: Sequence[Pose], edges: Sequence[Edge]) -> list[Pose]:
+def optimize(poses: Sequence[Pose], edges: Sequence[Edge]) -> list[Pose]:
     """Return the poses that fit the edges best; the first pose does not change.
 
     ``poses`` are the start of the iteration, in any common frame; edges must connect all of them to the first.
     """
-    graph = _Graph(edges, len(poses))
+    graph = _EdgeErrors(edges, len(poses))
     here = np.array([(p.x_m, p.y_m, p.yaw_rad) for p in poses])
     cost, damping = graph.cost(here), 1e-6
     for _ in range(MAX_ITERATIONS):
@@ -54,7 +54,7 @@ def optimized(poses: Sequence[Pose], edges: Sequence[Edge]) -> list[Pose]:
     return [poses[0], *(Pose(float(x), float(y), wrap_angle(float(yaw))) for x, y, yaw in here[1:])]
 
 
-class _Graph:
+class _EdgeErrors:
     """The errors of all edges and their derivatives by the poses (n, 3), of which the first is fixed."""
 
     def __init__(self, edges: Sequence[Edge], n: int) -> None:

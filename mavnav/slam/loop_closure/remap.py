@@ -26,26 +26,26 @@ if TYPE_CHECKING:
     from mavnav.slam.track import LogScans, Track
 
 
-def close_loops(track: Track) -> Track:
+def close_loops(track: Track, refiner: Refiner) -> Track:
     """Close loops and rebuild the map; the track does not change without loops, or if the new map is no sharper.
 
     Nor does it change if the run is stopped early.
     """
-    refiner, steps, config = track.refiner, track.steps, track.config
-    if refiner is None or not refiner.builds_map or config.loop_closure != "auto":
+    steps, config = track.steps, track.config
+    if not refiner.builds_map or config.loop_closure != "auto":
         return track
     if track.on_step:
         track.on_step("close loops", 0)
     points = partial(points_of, track.log_scans, steps, refiner)
     loops = find_loops(tracked_trajectory(steps), points, partial(information_of, refiner), config)
     if loops.map_T_laser is None:
-        return replace(track, loops=loops)
+        return track.with_findings(loops=loops)
     fresh = make_method(config)
     rebuilt = Steps(rebuild(track.log_scans(), steps, loops.map_T_laser, fresh, track.motion))
     hits, hits_before = (np.count_nonzero(method.grid.hits) for method in (fresh, track.method))
     if len(rebuilt) < len(steps) or hits >= hits_before:
-        return replace(track, loops=loops.dropped())
-    return replace(track, steps=rebuilt, method=fresh, loops=loops)
+        return track.with_findings(loops=loops.refuse_all())
+    return replace(track.with_findings(loops=loops), steps=rebuilt, method=fresh)
 
 
 def points_of(log_scans: LogScans, steps: Steps, refiner: Refiner, rows: list[int]) -> Iterator[NDArray[np.float64]]:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.pose import Rotation, Trajectory
+    from mavnav.slam.matching.steps import Step
 
     Odometry = Callable[[int], Pose | None]
     """Stamp (ns) -> odom_T_laser, None where odometry does not cover it."""
@@ -163,6 +164,12 @@ class Motion(NamedTuple):
     def _at(self, map_T_laser: Pose, stamp_ns: int, twist: Twist) -> Motion:
         before = self.period_s, self.odometry, self.expects_rest
         return Motion(*before, map_T_laser, stamp_ns, twist, self.rotation, self.yaw_rate_fit, self.gap_odometry)
+
+
+def motion_at(motion: Motion, step: Step, before: Step) -> Motion:
+    """Return the motion at a step, with the velocity from another one to it; at rest after a long gap."""
+    here = motion.started_at(step.match.map_T_laser, step.stamp_ns)
+    return here.coming_from(before.match.map_T_laser, before.stamp_ns)
 
 
 def _twist(a: Pose, b: Pose, elapsed_s: float) -> Twist:

@@ -8,6 +8,7 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.kernels.line_search import search as line_search
+from mavnav.mapping.line_map import LineMap
 from mavnav.pose import Pose, wrap_angle
 from mavnav.profiling import timed
 from mavnav.units import DEG, MM
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.config.models import Config
-    from mavnav.mapping.line_map import LineMap
 
 
 class Match(NamedTuple):
@@ -51,6 +51,15 @@ def no_match(map_T_laser: Pose, beams: int = 0) -> Match:
 def first_match(beams: int) -> Match:
     """Return the match of the scan that begins the map: its pose is the map frame."""
     return Match(Pose(), 0.0, beams, 1.0, 0, 0, converged=True)
+
+
+def empty_line_map(
+    config: Config, cell_m: float | None = None, *, known_points: float = 0.0, waiting_share: float = 0.0
+) -> LineMap:
+    """Return an empty map of lines as configured; ``cell_m`` is the edge of its cells if they are those of a grid."""
+    robust = config.robust
+    cell_m = robust.cell_mm * MM if cell_m is None else cell_m
+    return LineMap(cell_m, robust.line_sigma_mm * MM, robust.line_noise_mm * MM, known_points, waiting_share)
 
 
 ALTERNATIONS, FINAL_ALTERNATIONS = 2, 1

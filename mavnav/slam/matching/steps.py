@@ -142,7 +142,7 @@ def lost_intervals(steps: Steps) -> Iterator[LostInterval]:
     A jump faster than any vehicle is an interval of no scans.
     """
     stamps_ns, tracked = steps.column("stamp_ns").tolist(), np.flatnonzero(steps.column("tracked"))
-    jumped, leapt = (np.pad(found, 1) for found in jumps(tracked_trajectory(steps)))
+    jumped, leapt = (np.pad(between, 1) for between in jumps(tracked_trajectory(steps)))
     starts, ends = np.append(0, tracked + 1), np.append(tracked, len(steps))  # of the scans between tracked ones
     for k in np.flatnonzero((ends > starts) | leapt[: len(ends)]).tolist():
         start, end, recovered = int(starts[k]), int(ends[k]), k < len(tracked)

@@ -16,7 +16,7 @@ NEVER = -1000
 """Scan number of the last search if there was none: long before any interval between searches."""
 
 
-class Verdict(Enum):
+class MatchVerdict(Enum):
     """Decision on a match: accept it at once, accept it once the next scans agree, or refuse it."""
 
     SURE = "sure"
@@ -47,13 +47,13 @@ class TrackState(NamedTuple):
         motion, trial = self.motion.before(stamp_ns), self.trial and self.trial.before(stamp_ns)
         return self if motion is self.motion else self._replace(motion=motion, trial=trial)
 
-    def after(self, verdict: Verdict, map_T_laser: Pose, stamp_ns: int) -> TrackState:
+    def after(self, verdict: MatchVerdict, map_T_laser: Pose, stamp_ns: int) -> TrackState:
         """Return the state after a scan; the scan was accepted if ``missed`` is 0."""
-        if self.trial is None and verdict is Verdict.SURE:
+        if self.trial is None and verdict is MatchVerdict.SURE:
             return TrackState(self.motion.moved_to(map_T_laser, stamp_ns))
-        if verdict is Verdict.REFUSED:
+        if verdict is MatchVerdict.REFUSED:
             return self._replace(trial=None, confirmations=0, missed=self.missed + 1)
-        far = verdict is Verdict.PROBABLE and not self.trial
+        far = verdict is MatchVerdict.PROBABLE and not self.trial
         moved = (self.here.started_at if far else self.here.moved_to)(map_T_laser, stamp_ns)
         if self.trial and self.confirmations + 1 >= CONFIRMATIONS:
             return TrackState(moved)

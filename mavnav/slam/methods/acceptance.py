@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mavnav.slam.matching.motion_model import LONGEST_S
-from mavnav.slam.matching.track_state import Verdict
+from mavnav.slam.matching.track_state import MatchVerdict
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
@@ -63,19 +63,19 @@ class Acceptance:
         """Return whether a pose after a long gap has too many visibility conflicts."""
         return elapsed_s > max(LONG_GAP_S, motion.period_s) and match.conflicts > self.found_conflicts
 
-    def verdict(self, match: Match, motion: Motion, elapsed_s: float) -> Verdict:
+    def verdict(self, match: Match, motion: Motion, elapsed_s: float) -> MatchVerdict:
         """Accept a match with many inliers and few visibility conflicts, at a possible speed.
 
         After a gap or a jump, more inliers are required, and the match is only probable.
         """
         config, good = self.config, self.is_good(match)
         if match.ambiguous or match.inliers < config.track_above or not self.is_possible(match, motion, elapsed_s):
-            return Verdict.REFUSED
+            return MatchVerdict.REFUSED
         if match.conflicts > config.conflicts_below and match.inliers < config.retry_below:
-            return Verdict.REFUSED
+            return MatchVerdict.REFUSED
         if (match.motion_cost > REACHABLE and not good) or self.conflicts_after_gap(match, motion, elapsed_s):
-            return Verdict.REFUSED
+            return MatchVerdict.REFUSED
         if elapsed_s <= max(LONGEST_S if good else REGAIN_S, motion.period_s) and match.motion_cost <= REACHABLE:
-            return Verdict.SURE
+            return MatchVerdict.SURE
         expected = match.motion_cost <= EXPECTED
-        return Verdict.PROBABLE if expected or match.inliers >= config.regain_above else Verdict.REFUSED
+        return MatchVerdict.PROBABLE if expected or match.inliers >= config.regain_above else MatchVerdict.REFUSED

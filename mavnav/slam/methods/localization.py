@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mavnav.mapping.line_map import LineMap
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose, transform_points
 from mavnav.slam.matching.relocalization import AMBIGUITY_MARGIN, around, candidates, everywhere, unambiguous
-from mavnav.slam.matching.scan_matching import no_match
+from mavnav.slam.matching.scan_matching import empty_line_map, no_match
 from mavnav.slam.methods.robust import Robust
-from mavnav.units import DEG, MM
+from mavnav.units import DEG
 
 if TYPE_CHECKING:
     import numpy as np
@@ -39,9 +38,8 @@ class Localizer(Robust):
     def __init__(self, config: Config, known: PriorMap) -> None:
         """Start at an unknown pose in the map, or near the given start pose."""
         super().__init__(config)
-        robust, cell_m = config.robust, known.grid.cell_m
         self.known = GridBuilder.of(known.grid)
-        self.lines = LineMap(cell_m, robust.line_sigma_mm * MM, robust.line_noise_mm * MM)
+        self.lines = empty_line_map(config, known.grid.cell_m)
         self.lines.insert(known.walls_xy_m)
         self.start, self.tries = known.start, 0
 
@@ -51,15 +49,15 @@ class Localizer(Robust):
         if len(points) < self.config.robust.min_points:
             return no_match(Pose(), len(points))
         self.tries += 1
-        found = self._only_pose(points, around(self.start, START_M, START_RAD)) if self.start else None
-        if found is None and self.tries.bit_count() == 1:
-            found = self._only_pose(points, everywhere(self.known))
-        return found or no_match(self.start or Pose(), len(points))
+        match = self._only_pose(points, around(self.start, START_M, START_RAD)) if self.start else None
+        if match is None and self.tries.bit_count() == 1:
+            match = self._only_pose(points, everywhere(self.known))
+        return match or no_match(self.start or Pose(), len(points))
 
     def _only_pose(self, points: NDArray[np.float64], region: Region) -> Match | None:
         """Return the match of the scan in a region; None if it fits nowhere, or at another pose about as well."""
-        found = candidates(points, self.lines, self.known, region, self.config, MAP_CANDIDATES)
-        best = unambiguous(found, AMBIGUITY_MARGIN, self.config)
+        matches = candidates(points, self.lines, self.known, region, self.config, MAP_CANDIDATES)
+        best = unambiguous(matches, AMBIGUITY_MARGIN, self.config)
         return best if best and self.acceptance.is_good(best) else None
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from mavnav.scan import Scan
     from mavnav.slam.matching.motion_model import Motion
     from mavnav.slam.matching.scan_matching import Match
-    from mavnav.slam.matching.track_state import Verdict
+    from mavnav.slam.matching.track_state import MatchVerdict
 
 
 class Refiner(Protocol):
@@ -79,11 +79,11 @@ class Method(Protocol):
     def match(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
         """Match the scan against the map."""
 
-    def gate(self, match: Match, scan: Scan, motion: Motion) -> Verdict:
+    def gate(self, match: Match, scan: Scan, motion: Motion) -> MatchVerdict:
         """Decide whether to accept the match."""
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Add the scan to the map."""
 
-    def finished(self) -> Grid:
+    def release_map(self) -> Grid:
         """Return the map and release the working copy: two copies of a large map may not fit into memory."""

@@ -11,7 +11,7 @@ from mavnav.pose import Pose, transform_points
 from mavnav.profiling import timed
 from mavnav.slam.matching.paper_matching import acceptance_scale, match_polar, polar_points
 from mavnav.slam.matching.scan_matching import first_match, no_match
-from mavnav.slam.matching.track_state import Verdict
+from mavnav.slam.matching.track_state import MatchVerdict
 from mavnav.units import MM, MM2
 
 if TYPE_CHECKING:
@@ -77,9 +77,9 @@ class Paper:
         return self._seen[2]
 
     @timed("gate")
-    def gate(self, match: Match, scan: Scan, motion: Motion) -> Verdict:
+    def gate(self, match: Match, scan: Scan, motion: Motion) -> MatchVerdict:
         """Accept a match whose cost is at most the threshold (paper, "Map Update")."""
-        return Verdict.SURE if match.cost_m2 <= self._threshold_m2(scan) else Verdict.REFUSED
+        return MatchVerdict.SURE if match.cost_m2 <= self._threshold_m2(scan) else MatchVerdict.REFUSED
 
     def _threshold_m2(self, scan: Scan) -> float:
         """Return the acceptance threshold for a scan."""
@@ -90,6 +90,6 @@ class Paper:
         self._seen = None
         self.grid.insert(map_T_laser, transform_points(map_T_laser, scan.points()))
 
-    def finished(self) -> Grid:
+    def release_map(self) -> Grid:
         """Return the map."""
         return self.grid.by_rows()

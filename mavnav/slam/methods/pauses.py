@@ -16,6 +16,8 @@ from mavnav.units import NS
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from numpy.typing import NDArray
+
     from mavnav.pose import Pose
     from mavnav.slam.matching.motion_model import Motion
     from mavnav.slam.matching.steps import Step, Steps
@@ -83,8 +85,8 @@ def shortest_pause_s(period_s: float, least_s: float = PAUSE_S) -> float:
 
 def pauses(steps: Steps, period_s: float) -> list[int]:
     """Return the numbers of the scans before the pauses of a log."""
-    found: list[int] = np.flatnonzero(np.diff(steps.column("stamp_ns")) * NS > shortest_pause_s(period_s)).tolist()
-    return found
+    before: list[int] = np.flatnonzero(np.diff(steps.column("stamp_ns")) * NS > shortest_pause_s(period_s)).tolist()
+    return before
 
 
 def first_found_late(steps: Steps, period_s: float) -> int | None:
@@ -100,16 +102,12 @@ def first_found_late(steps: Steps, period_s: float) -> int | None:
 def pause_warnings(steps: Steps, motion: Motion) -> Iterator[str]:
     """Yield a warning if the scans pause between two poses of a log without odometry."""
     tracked, stamps_ns = steps.column("tracked"), steps.column("stamp_ns")
-    found = [k for k in pauses(steps, motion.period_s) if tracked[: k + 1].any() and tracked[k + 1 :].any()]
-    if not found or motion.has_odometry:
-        return
-    longest = max(found, key=lambda k: stamps_ns[k + 1] - stamps_ns[k])
-    at_s, until_s = (float(stamps_ns[k] - stamps_ns[0]) * NS for k in (longest, longest + 1))
-    more = f", and {len(found) - 1} more" if len(found) > 1 else ""
-    yield (
-        f"the scans pause for {until_s - at_s:.1f} s ({at_s:.1f} s after the first{more}): without odometry, where the "
-        "laser is afterwards is known from the scans alone; check the map there"
-    )
+    before = [k for k in pauses(steps, motion.period_s) if tracked[: k + 1].any() and tracked[k + 1 :].any()]
+    if before and not motion.has_odometry:
+        yield (
+            f"the scans pause for {_longest_gap(stamps_ns, np.array(before), np.array(before) + 1)}: without odometry, "
+            "where the laser is afterwards is known from the scans alone; check the map there"
+        )
 
 
 def blind_warnings(steps: Steps, motion: Motion) -> Iterator[str]:
@@ -122,17 +120,22 @@ def blind_warnings(steps: Steps, motion: Motion) -> Iterator[str]:
     stamps_ns, tracked = steps.column("stamp_ns"), np.flatnonzero(steps.column("tracked"))
     gaps_s = np.diff(stamps_ns[tracked]) * NS
     paused = {k + 1 for k in pauses(steps, motion.period_s)}
-    found = [
+    blind = [
         k
         for k in np.flatnonzero(gaps_s > shortest_pause_s(motion.period_s)).tolist()
         if not paused.intersection(range(tracked[k] + 1, tracked[k + 1] + 1))
     ]
-    if not found:
-        return
-    longest = max(found, key=lambda k: gaps_s[k])
-    at_s = float(stamps_ns[tracked[longest]] - stamps_ns[0]) * NS
-    more = f", and {len(found) - 1} more" if len(found) > 1 else ""
-    yield (
-        f"no scan matches for {gaps_s[longest]:.1f} s ({at_s:.1f} s after the first{more}): without odometry, whether "
-        "the laser was carried meanwhile is known from the scans alone; check the map there"
-    )
+    if blind:
+        yield (
+            f"no scan matches for {_longest_gap(stamps_ns, tracked[blind], tracked[1:][blind])}: without odometry, "
+            "whether the laser was carried meanwhile is known from the scans alone; check the map there"
+        )
+
+
+def _longest_gap(stamps_ns: NDArray[np.int64], starts: NDArray[np.intp], ends: NDArray[np.intp]) -> str:
+    """Write how long the longest of some gaps is, when it begins, and how many others there are."""
+    gaps_s = (stamps_ns[ends] - stamps_ns[starts]) * NS
+    longest = int(np.argmax(gaps_s))
+    at_s = float(stamps_ns[starts[longest]] - stamps_ns[0]) * NS
+    more = f", and {len(starts) - 1} more" if len(starts) > 1 else ""
+    return f"{gaps_s[longest]:.1f} s ({at_s:.1f} s after the first{more})"

@@ -9,7 +9,6 @@ import numpy as np
 
 from mavnav.kernels.scans.observability import observability
 from mavnav.kernels.scans.points import placed, scan_points
-from mavnav.mapping.line_map import LineMap
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose
 from mavnav.profiling import timed
@@ -31,12 +30,13 @@ from mavnav.slam.matching.relocalization import (
 from mavnav.slam.matching.scan_matching import (
     Match,
     Schedule,
+    empty_line_map,
     first_match,
     no_match,
     search_lines,
     with_effort,
 )
-from mavnav.slam.matching.track_state import Verdict
+from mavnav.slam.matching.track_state import MatchVerdict
 from mavnav.slam.methods.acceptance import FOUND_CONFLICTS, Acceptance
 from mavnav.slam.methods.pauses import Pauses
 from mavnav.units import DEG, MM
@@ -82,7 +82,7 @@ AT_REST = np.zeros(3)
 """Twist of a laser at rest, for scans that are not de-skewed."""
 
 
-def _expected(scan: Scan, predicted: Pose, motion: Motion) -> tuple[Pose, ...]:
+def _expected_poses(scan: Scan, predicted: Pose, motion: Motion) -> tuple[Pose, ...]:
     """Return the expected poses of a scan: as predicted, by constant velocity, and at rest."""
     return tuple(dict.fromkeys((predicted, motion.by_velocity(scan.stamp_ns), motion.map_T_laser)))
 
@@ -145,13 +145,7 @@ class Robust:
         """Start an empty map."""
         robust = self.config.robust
         self.known = self.grid = GridBuilder(robust.cell_mm * MM)
-        self.lines = LineMap(
-            robust.cell_mm * MM,
-            robust.line_sigma_mm * MM,
-            robust.line_noise_mm * MM,
-            robust.overlap_points,
-            robust.waiting_share,
-        )
+        self.lines = empty_line_map(self.config, known_points=robust.overlap_points, waiting_share=robust.waiting_share)
 
     def first(self, scan: Scan) -> Match:
         """Begin the map with any scan of enough points."""
@@ -167,11 +161,11 @@ class Robust:
         self._wide_budget.earn(found=elapsed_s < FOUND_PERIODS * motion.period_s)
         self._whole_budget.earn()
         if self._missed_before(motion) >= RARELY_SCANS and motion.odometry is None:
-            return self._search_rarely(points, predicted, motion, _expected(scan, predicted, motion), elapsed_s)
+            return self._search_rarely(points, predicted, motion, _expected_poses(scan, predicted, motion), elapsed_s)
         tried = self._search_near(points, predicted, motion)
         if self._is_found_near(tried, predicted, motion, elapsed_s):
             return tried[0]
-        expected, lost = _expected(scan, predicted, motion), _is_lost(motion, elapsed_s)
+        expected, lost = _expected_poses(scan, predicted, motion), _is_lost(motion, elapsed_s)
         regions = self._lost_region(points, expected, elapsed_s) if lost else []
         given_up = lost and not regions
         if given_up and tried and motion.odometry is None:
@@ -239,8 +233,8 @@ class Robust:
         """Search close to the prediction, unless the configuration disables that."""
         if not self.config.robust.near_window_mm:
             return []
-        found = search_lines(points, self.lines, predicted, self._near[motion.odometry is not None])
-        return [with_conflicts(found, points, self.lines, self.known)]
+        match = search_lines(points, self.lines, predicted, self._near[motion.odometry is not None])
+        return [with_conflicts(match, points, self.lines, self.known)]
 
     def _is_found_near(self, tried: list[Match], predicted: Pose, motion: Motion, elapsed_s: float) -> bool:
         """Return whether the search close to the prediction was made and its match is acceptable."""
@@ -261,11 +255,11 @@ class Robust:
         return candidates(points, self.lines, self.known, region, self.config, limit=limit)
 
     @timed("gate")
-    def gate(self, match: Match, scan: Scan, motion: Motion) -> Verdict:
+    def gate(self, match: Match, scan: Scan, motion: Motion) -> MatchVerdict:
         """Decide whether to accept the match."""
         elapsed_s = motion.elapsed_s(scan.stamp_ns)
         if self._pauses.exclude(match.map_T_laser, motion, scan.stamp_ns):
-            return Verdict.REFUSED
+            return MatchVerdict.REFUSED
         return self.acceptance.verdict(match, motion, elapsed_s)
 
     def reserve_whole_map_search(self, scan: Scan) -> bool:
@@ -284,9 +278,9 @@ class Robust:
         elapsed_s = motion.elapsed_s(scan.stamp_ns)
         self._free, self._bounded = self._free or everywhere(self.known), True
         limit = FOUND_ANYWHERE_COST if _is_lost(motion, elapsed_s) else np.inf
-        found = [match, *candidates(points, self.lines, self.known, self._free, self.config, limit=limit)]
-        expected = _expected(scan, motion.predict(scan.stamp_ns), motion)
-        best = best_of(found, expected, elapsed_s, self.config)
+        matches = [match, *candidates(points, self.lines, self.known, self._free, self.config, limit=limit)]
+        expected = _expected_poses(scan, motion.predict(scan.stamp_ns), motion)
+        best = best_of(matches, expected, elapsed_s, self.config)
         rules = self.acceptance
         refused = best.ambiguous or rules.conflicts_after_gap(best, motion, elapsed_s)
         refused = refused or self._pauses.exclude(best.map_T_laser, motion, scan.stamp_ns)
@@ -327,7 +321,7 @@ class Robust:
         """Return the additional cost of the best other heading near the pose."""
         return heading_margin(points, match.map_T_laser, self.lines, self.config)
 
-    def finished(self) -> Grid:
+    def release_map(self) -> Grid:
         """Return the map, and free its working copy and its lines: a large map may not fit into memory twice."""
         counts = self.grid
         self._begin()

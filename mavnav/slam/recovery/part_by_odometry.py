@@ -15,7 +15,7 @@ from mavnav.arrays import median
 from mavnav.slam.loop_closure.drift import drift_bound
 from mavnav.slam.matching.scan_matching import no_match
 from mavnav.slam.matching.steps import tracked_trajectory
-from mavnav.slam.retries.odometry_offset import errors_m, most_moving, size
+from mavnav.slam.retries.odometry import errors_m, most_moving, size
 from mavnav.units import NS, counted
 
 if TYPE_CHECKING:
@@ -70,9 +70,9 @@ def neighbours(part: Sequence[Step], steps: Steps) -> Iterator[tuple[Step, Step]
 def odometry_path(odometry: Odometry, start_ns: int, end_ns: int) -> list[Pose] | None:
     """Return poses of odometry from one stamp to another, ``SAMPLE_S`` apart; None where it covers not both ends."""
     count = int(np.ceil(abs(end_ns - start_ns) * NS / SAMPLE_S)) + 1
-    found = [odometry(start_ns + (end_ns - start_ns) * k // max(count - 1, 1)) for k in range(count)]
-    covered = found[0] is not None and found[-1] is not None
-    return [pose for pose in found if pose is not None] if covered else None
+    poses = [odometry(start_ns + (end_ns - start_ns) * k // max(count - 1, 1)) for k in range(count)]
+    covered = poses[0] is not None and poses[-1] is not None
+    return [pose for pose in poses if pose is not None] if covered else None
 
 
 def error_share(odometry: Odometry, map_T_laser: Trajectory) -> float:

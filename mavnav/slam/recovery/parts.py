@@ -21,7 +21,7 @@ from mavnav.slam.matching.scan_matching import no_match
 from mavnav.slam.matching.steps import LOST_SCANS, Step, Steps, lost_intervals
 from mavnav.slam.methods.pauses import first_found_late, highest_speed, is_too_far, pauses
 from mavnav.slam.recovery.part_by_odometry import neighbours, placed_warning, pose_by_odometry
-from mavnav.slam.retries.beginning import accepted, until_missing
+from mavnav.slam.retries.beginning import count_accepted, until_missing
 from mavnav.units import NS, counted
 
 if TYPE_CHECKING:
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from mavnav.scan import Scan
     from mavnav.slam.matching.motion_model import Motion
     from mavnav.slam.matching.steps import LostInterval
+    from mavnav.slam.methods.method import Refiner
     from mavnav.slam.track import Track
 
 LEAST_SCANS, MOST_TRACKED = 20, 4
@@ -77,26 +78,26 @@ def lost_for_good(steps: Steps, lost: Sequence[LostInterval], parts: Sequence[Pa
     return ended or (bool(steps) and few)
 
 
-def with_lost_parts(track: Track) -> Track:
+def join_lost_parts(track: Track, refiner: Refiner) -> Track:
     """Track the lost stretches of a log that was lost for good on separate maps; join them where possible."""
-    if not track.builds_map:
+    if not refiner.builds_map:
         return track
-    found = lost_parts(track) if lost_for_good(track.steps, list(lost_intervals(track.steps))) else []
-    largest = max([track, *found], key=accepted)
-    others = [accepted_steps(t) for t in [track, *found] if t is not largest]
+    lost = lost_parts(track) if lost_for_good(track.steps, list(lost_intervals(track.steps))) else []
+    largest = max([track, *lost], key=count_accepted)
+    others = [accepted_steps(t) for t in [track, *lost] if t is not largest]
     taken = {step.index for part in others for step in part}
-    others += [part for part in track.parts if not taken.intersection(step.index for step in part)]
-    whole = with_all_scans(replace(largest, warnings=track.warnings, parts=()), track.steps)
-    return joined(whole, [part for part in others if part])
+    others += [part for part in track.findings.parts if not taken.intersection(step.index for step in part)]
+    whole = with_all_scans(replace(largest, findings=replace(track.findings, parts=())), track.steps)
+    return join_parts(whole, [part for part in others if part])
 
 
-def without_late_poses(track: Track) -> Track:
+def drop_late_poses(track: Track, refiner: Refiner) -> Track:
     """Give up the poses after a pause in the scans after which the laser was found late: one scan is weak evidence.
 
-    Only the scans before it are tracked again; `with_lost_parts` tracks the others, and joins them if several agree. A
+    Only the scans before it are tracked again; `join_lost_parts` tracks the others, and joins them if several agree. A
     log that is lost for good is left as it is: that is said anyway.
     """
-    if not track.builds_map or track.motion.has_odometry:
+    if not refiner.builds_map or track.motion.has_odometry:
         return track
     if lost_for_good(track.steps, list(lost_intervals(track.steps))):
         return track
@@ -109,25 +110,25 @@ def without_late_poses(track: Track) -> Track:
 
 def lost_parts(track: Track) -> list[Track]:
     """Track the longest stretches of lost scans, each from an empty map; then the stretches lost in these tracks."""
-    found: list[Track] = []
+    parts: list[Track] = []
     waiting = lost_stretches(track.steps, range(len(track.steps)))
     for _ in range(MOST_TRACKED):
         if not waiting:
             break
         stretch = waiting.pop(int(np.argmax([len(some) for some in waiting])))
-        part = over_stretch(track, stretch)
+        part = track_stretch(track, stretch)
         rest = lost_stretches(part.steps, range(stretch.start, len(part.steps)))
         rest += [range(len(part.steps), stretch.stop)] if stretch.stop - len(part.steps) >= LEAST_SCANS else []
         waiting += [some for some in rest if len(some) < len(stretch)]
-        if accepted(part) >= LEAST_SCANS:
-            found.append(part)
-    return found
+        if count_accepted(part) >= LEAST_SCANS:
+            parts.append(part)
+    return parts
 
 
-def over_stretch(track: Track, stretch: range) -> Track:
+def track_stretch(track: Track, stretch: range) -> Track:
     """Track a stretch of scans from an empty map, until ``GIVE_UP_SCANS`` in a row do not match it."""
     least_points = track.config.robust.min_points
-    part = replace(track, begin=stretch.start, parts=())
+    part = replace(track.with_findings(parts=()), begin=stretch.start)
     scans = islice(track.log_scans(), stretch.stop)
     return part.over(scans, "track again", lambda steps: until_missing(steps, least_points, GIVE_UP_SCANS, np.inf))
 
@@ -154,13 +155,13 @@ def with_all_scans(track: Track, steps: Steps) -> Track:
     return replace(track, steps=Steps(none))
 
 
-def joined(track: Track, others: list[tuple[Step, ...]]) -> Track:
+def join_parts(track: Track, others: list[tuple[Step, ...]]) -> Track:
     """Join parts to a track where they fit its map, the longest first; each one extends the map for the next.
 
     A part that shows nothing of the map is placed by odometry if that can be relied on.
     """
     steps, parts = Steps(track.steps), sorted(others, key=len, reverse=True)
-    warnings, errors_m = list(track.warnings), np.zeros(len(steps))
+    warnings, errors_m = list(track.findings.warnings), np.zeros(len(steps))
     for part in parts:
         wanted = {step.index for step in part if not steps[step.index].tracked}
         scans = (
@@ -178,14 +179,15 @@ def joined(track: Track, others: list[tuple[Step, ...]]) -> Track:
         if part_T is not None and is_reached(part, part_T, steps, track):
             for step in insert_part(part, part_T, scans, track):
                 steps[step.index] = step
-    return replace(track, steps=steps, parts=tuple(parts), warnings=tuple(warnings), by_odometry_m=errors_m)
+    whole = track.with_findings(parts=tuple(parts), warnings=tuple(warnings), by_odometry_m=errors_m)
+    return replace(whole, steps=steps)
 
 
 def is_reached(part: Sequence[Step], map_T_part: Pose, steps: Steps, track: Track) -> bool:
     """Return whether the laser can have moved between a part and the poses next to it where the scans pause there."""
-    found = [] if track.motion.has_odometry else pauses(steps, track.motion.period_s)
+    before_pauses = [] if track.motion.has_odometry else pauses(steps, track.motion.period_s)
     for end, other in neighbours(part, steps):
-        if not any(min(end.index, other.index) <= k < max(end.index, other.index) for k in found):
+        if not any(min(end.index, other.index) <= k < max(end.index, other.index) for k in before_pauses):
             continue
         elapsed_s = abs(other.stamp_ns - end.stamp_ns) * NS
         fastest_m_s = max(highest_speed(part), highest_speed(accepted_steps(track)))
@@ -196,8 +198,8 @@ def is_reached(part: Sequence[Step], map_T_part: Pose, steps: Steps, track: Trac
 
 def _most_searched(part: Sequence[Step], track: Track) -> int:
     """Return how many scans of a part are searched: more where the scans pause before or after it."""
-    ends, found = (part[0].index - 1, part[-1].index), pauses(track.steps, track.motion.period_s)
-    return SEARCHED_AFTER_PAUSE if any(end in found for end in ends) else SEARCHED_SCANS
+    ends, before_pauses = (part[0].index - 1, part[-1].index), pauses(track.steps, track.motion.period_s)
+    return SEARCHED_AFTER_PAUSE if any(end in before_pauses for end in ends) else SEARCHED_SCANS
 
 
 def part_pose(part: list[Step], scans: dict[int, Scan], track: Track, most: int = SEARCHED_SCANS) -> Pose | None:
@@ -210,14 +212,14 @@ def part_pose(part: list[Step], scans: dict[int, Scan], track: Track, most: int 
     if refiner is None or len(chosen) < LEAST_AGREEING:
         return None
     anywhere = track.motion._replace(odometry=None).started_at(Pose(), part[0].stamp_ns - LONG_AGO_NS)
-    found: list[tuple[Pose, Pose]] = []
+    pairs: list[tuple[Pose, Pose]] = []
     for left, step in zip(reversed(range(len(chosen))), chosen, strict=True):
         match = refiner.relocalize(scans[step.index], no_match(Pose()), anywhere)
         if match:
-            found.append((step.match.map_T_laser, match.map_T_laser))
-        if len(found) + left < LEAST_AGREEING:
+            pairs.append((step.match.map_T_laser, match.map_T_laser))
+        if len(pairs) + left < LEAST_AGREEING:
             return None
-    return consensus(found)
+    return consensus(pairs)
 
 
 def spread_out(part: list[Step], most: int = SEARCHED_SCANS) -> list[Step]:
@@ -235,14 +237,14 @@ def evenly(count: int, most: int) -> list[int]:
     return numbers if count else []
 
 
-def consensus(found: list[tuple[Pose, Pose]]) -> Pose | None:
+def consensus(pairs: list[tuple[Pose, Pose]]) -> Pose | None:
     """Return the transform from the first to the second poses of most pairs; None if too few agree."""
     best, most = None, 0
-    for before, after in found:
+    for before, after in pairs:
         moved = after @ before.inverse()
-        agree = sum(not apart(moved @ a, b) for a, b in found)
+        agree = sum(not apart(moved @ a, b) for a, b in pairs)
         best, most = (moved, agree) if agree > most else (best, most)
-    return best if most >= LEAST_AGREEING and 2 * most > len(found) else None
+    return best if most >= LEAST_AGREEING and 2 * most > len(pairs) else None
 
 
 def insert_part(part: Sequence[Step], map_T_part: Pose, scans: dict[int, Scan], track: Track) -> Iterator[Step]:
@@ -260,12 +262,13 @@ def insert_part(part: Sequence[Step], map_T_part: Pose, scans: dict[int, Scan], 
 
 def parts_of(track: Track) -> tuple[Part, ...]:
     """Return the parts of a log in order of time; none if it was tracked as a whole."""
-    if not track.parts:
+    parted = track.findings.parts
+    if not parted:
         return ()
-    tracked, elsewhere = track.steps.column("tracked"), {step.index for part in track.parts for step in part}
+    tracked, elsewhere = track.steps.column("tracked"), {step.index for part in parted for step in part}
     own = [step for step in track.steps if step.tracked and step.index not in elsewhere]
     parts = [(own, True)] if own else []
-    parts += [(list(part), bool(2 * tracked[[s.index for s in part]].sum() > len(part))) for part in track.parts]
+    parts += [(list(part), bool(2 * tracked[[s.index for s in part]].sum() > len(part))) for part in parted]
     records = (Part(part[0].stamp_ns, part[-1].stamp_ns, len(part), whole) for part, whole in parts)
     return tuple(sorted(records, key=lambda part: part.start_ns))
 

@@ -1,21 +1,27 @@
-"""Second matching: rejected scans between their accepted neighbours, and all scans against the finished map."""
+"""Second matching of rejected scans: between their accepted neighbours, and before the beginning of the map."""
 
 from __future__ import annotations
 
+from itertools import islice
 from typing import TYPE_CHECKING
 
+import numpy as np
 from msgspec.structs import replace
 
-from mavnav.slam.matching.motion_model import LONGEST_S
+from mavnav.slam.matching.motion_model import LONGEST_S, motion_at
 from mavnav.slam.matching.scan_matching import with_effort
 from mavnav.slam.matching.steps import Step, Steps
-from mavnav.slam.matching.track_state import Verdict
+from mavnav.slam.matching.track_state import MatchVerdict
 from mavnav.units import NS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
+    from mavnav.pose import Pose
     from mavnav.scan import Scan
+    from mavnav.slam.matching.motion_model import Motion
+    from mavnav.slam.matching.scan_matching import Match
+    from mavnav.slam.methods.method import Refiner
     from mavnav.slam.track import Track
 
 SHORT_SCANS = 8
@@ -25,21 +31,21 @@ MOST_FAILED = 5
 """Number of successive scans without a match that ends the rematching of a gap: the laser was elsewhere or blocked."""
 
 
-def rematch_rejected(track: Track) -> Track:
+def rematch_rejected(track: Track, refiner: Refiner) -> Track:
     """Match the rejected scans again between their accepted neighbours.
 
     The scans of a gap are matched backwards from the next accepted pose. Those accepted enter trajectory and map; the
     others stay without a pose.
     """
     steps = track.steps
-    before = {} if track.refiner is None or steps.column("tracked").all() else between_accepted(steps)
+    before = {} if steps.column("tracked").all() else between_accepted(steps)
     if not before:
         return track
     scans = {index: scan for index, scan in enumerate(track.log_scans()) if index in before}
     updated, after, failed = Steps(steps), steps[-1], 0
     for step in reversed(steps):
         if step.index in scans and failed < MOST_FAILED and (after.stamp_ns - step.stamp_ns) * NS <= LONGEST_S:
-            updated[step.index] = rematched(scans[step.index], step, before[step.index], after, track)
+            updated[step.index] = rematch_between(scans[step.index], step, before[step.index], after, track, refiner)
             failed += 1
         if updated[step.index].tracked:
             after, failed = updated[step.index], 0
@@ -60,21 +66,45 @@ def between_accepted(steps: Iterable[Step]) -> dict[int, Step]:
     return before
 
 
-def rematched(scan: Scan, step: Step, before: Step, after: Step, track: Track) -> Step:
+def rematch_between(scan: Scan, step: Step, before: Step, after: Step, track: Track, refiner: Refiner) -> Step:
     """Match a scan between two accepted ones; return its step, tracked if the match is accepted."""
-    here = track.motion.started_at(after.match.map_T_laser, after.stamp_ns)
-    here = here.coming_from(before.match.map_T_laser, before.stamp_ns)
+    here = motion_at(track.motion, after, before)
     short = here.elapsed_s(before.stamp_ns) <= SHORT_SCANS * here.period_s
-    match_it = track.method.match if short or track.refiner is None else track.refiner.match_between
-    match = match_it(scan, here.predict(scan.stamp_ns), here)
-    if track.method.gate(match, scan, here) is not Verdict.SURE:
+    return rematch(scan, step, here, track, track.method.match if short else refiner.match_between)
+
+
+def rematch_beginning(track: Track, _refiner: Refiner) -> Track:
+    """Match the scans before the beginning of the map against it, backwards from the first accepted pose."""
+    tracked = np.flatnonzero(track.steps.column("tracked"))
+    if not track.begin or len(tracked) < 2:
+        return track
+    steps, (first, second) = Steps(track.steps), tracked[:2].tolist()
+    scans = list(islice(track.log_scans(), first))
+    after, later = steps[first], steps[second]
+    for scan, step in zip(reversed(scans), reversed(steps[: len(scans)]), strict=True):
+        if (after.stamp_ns - step.stamp_ns) * NS > LONGEST_S:
+            break
+        here = motion_at(track.motion, later, after)
+        here = here._replace(map_T_laser=after.match.map_T_laser, stamp_ns=after.stamp_ns)
+        earlier = rematch(scan, step, here, track, track.method.match)
+        if not earlier.tracked:  # farther back the search would be so wide that a blocked scan fits somewhere
+            break
+        steps[step.index], after, later = earlier, earlier, after
+    return replace(track, steps=steps)
+
+
+def rematch(
+    scan: Scan, step: Step, here: Motion, track: Track, match_scan: Callable[[Scan, Pose, Motion], Match]
+) -> Step:
+    """Match a scan from the motion at an accepted one; return its step, tracked and inserted if the match is sure."""
+    match = match_scan(scan, here.predict(scan.stamp_ns), here)
+    if track.method.gate(match, scan, here) is not MatchVerdict.SURE:
         return step
     track.method.insert(scan, match.map_T_laser, here)
     return step._replace(match=with_effort(match, step.match, match), tracked=True)
 
 
-def remove_dynamic_cells(track: Track) -> Track:
+def remove_dynamic_cells(track: Track, refiner: Refiner) -> Track:
     """Remove the hits of people and other moving things from the map."""
-    if track.refiner:
-        track.refiner.remove_dynamic_cells()
+    refiner.remove_dynamic_cells()
     return track

@@ -12,20 +12,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec.structs import replace
 
-from mavnav.slam.matching.motion_model import motions_along
 from mavnav.slam.matching.scan_matching import no_match
 from mavnav.slam.matching.steps import LOST_SCANS, Steps, jumps, lost_intervals, tracked_trajectory
 from mavnav.slam.methods.registry import make_method
 from mavnav.units import NS, counted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from numpy.typing import NDArray
 
-    from mavnav.scan import Scan
-    from mavnav.slam.matching.motion_model import Motion
-    from mavnav.slam.matching.scan_matching import Match
     from mavnav.slam.methods.method import Refiner
     from mavnav.slam.track import Track
 
@@ -41,24 +35,24 @@ TIMES_MORE, LEAST_SCANS = 3.0, 10
 the map does not contradict. Where furniture moved all over the map, or people crowd it, no stretch is like that."""
 
 
-def without_contradicted(track: Track) -> Track:
+def drop_contradicted(track: Track, refiner: Refiner) -> Track:
     """Give up the stretches of poses in a given map that it contradicts most, if it does not contradict others.
 
     Stretches end at gaps and jumps. A warning names those that are given up, and another one those that the map
     contradicts less. A laser that is followed all along is at the right place, in a map with noise too.
     """
-    refiner = track.refiner
-    if refiner is None or refiner.builds_map or not any(lost_intervals(track.steps)):
+    if refiner.builds_map or not any(lost_intervals(track.steps)):
         return track
-    conflicts = np.array([refiner.conflicts(points, match) for points, match in _tracked(track, refiner)])
+    placed = ((refiner.match_points(scan, motion), step.match) for step, scan, motion in track.placed_scans())
+    conflicts = np.array([refiner.conflicts(points, match) for points, match in placed])
     if not len(conflicts):  # nothing was tracked, or the run is stopped
         return track
     rows = np.flatnonzero(track.steps.column("tracked"))[: len(conflicts)]  # fewer where the run is stopped
-    parts = stretches(track.steps, rows)
-    given_up, doubtful = contradicted([conflicts[part] for part in parts])
+    runs = stretches(track.steps, rows)
+    given_up, doubtful = contradicted_stretches([conflicts[part] for part in runs])
     if doubtful:
-        track = track.with_warning(_doubt_warning(track.steps, [rows[parts[k]] for k in doubtful]))
-    return _without(track, [rows[parts[k]] for k in given_up]) if given_up else track
+        track = track.with_warning(_doubt_warning(track.steps, [rows[runs[k]] for k in doubtful]))
+    return _without_stretches(track, [rows[runs[k]] for k in given_up]) if given_up else track
 
 
 def stretches(steps: Steps, rows: NDArray[np.intp]) -> list[NDArray[np.intp]]:
@@ -68,7 +62,7 @@ def stretches(steps: Steps, rows: NDArray[np.intp]) -> list[NDArray[np.intp]]:
     return np.split(np.arange(len(rows)), np.flatnonzero(ends) + 1)
 
 
-def contradicted(conflicts: list[NDArray[np.float64]]) -> tuple[list[int], list[int]]:
+def contradicted_stretches(conflicts: list[NDArray[np.float64]]) -> tuple[list[int], list[int]]:
     """Return which stretches are given up, and which others are doubtful, by the conflicts (n,) of their scans."""
     means = [float(some.mean()) for some in conflicts]
     clean = [some for some, mean in zip(conflicts, means, strict=True) if mean <= CONTRADICTED]
@@ -78,28 +72,15 @@ def contradicted(conflicts: list[NDArray[np.float64]]) -> tuple[list[int], list[
     return given_up, [k for k, mean in enumerate(means) if CONTRADICTED < mean <= most]
 
 
-def _placed(track: Track) -> Iterator[tuple[Scan, Match, Motion]]:
-    """Yield the tracked scans with their matches, and the motion at each."""
-    motions = motions_along(tracked_trajectory(track.steps), track.motion)
-    scans = zip(track.log_scans(), track.steps, strict=False)
-    found = ((scan, step.match) for scan, step in scans if step.tracked)
-    yield from ((scan, match, motion) for (scan, match), motion in zip(found, motions, strict=False))
-
-
-def _tracked(track: Track, refiner: Refiner) -> Iterator[tuple[NDArray[np.float64], Match]]:
-    """Yield the points (n, 2) of each tracked scan, de-skewed, m, laser frame, and its match."""
-    yield from ((refiner.match_points(scan, motion), match) for scan, match, motion in _placed(track))
-
-
-def _without(track: Track, given_up: list[NDArray[np.intp]]) -> Track:
+def _without_stretches(track: Track, given_up: list[NDArray[np.intp]]) -> Track:
     """Return a track without the poses of some steps, and its map drawn again without their scans."""
     steps = Steps(track.steps)
     for row in np.concatenate(given_up).tolist():
         step = steps[row]
         steps[row] = step._replace(match=no_match(step.match.map_T_laser, step.match.beams_used), tracked=False)
     other = replace(track, method=make_method(track.config, track.prior_map), steps=steps)
-    for scan, match, motion in _placed(other):
-        other.method.insert(scan, match.map_T_laser, motion)
+    for step, scan, motion in other.placed_scans():
+        other.method.insert(scan, step.match.map_T_laser, motion)
     return other.with_warning(_poses_warning(track.steps, given_up))
 
 

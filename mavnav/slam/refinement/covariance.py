@@ -39,7 +39,7 @@ def covariances_of(steps: Steps, hessians: NDArray[np.float64]) -> NDArray[np.fl
     return out
 
 
-def turned(covariances: NDArray[np.float64], yaw_rad: float) -> NDArray[np.float64]:
+def rotate_covariances(covariances: NDArray[np.float64], yaw_rad: float) -> NDArray[np.float64]:
     """Return covariances (n, 6), in the order of `covariances_of`, seen in a frame that is turned back by an angle."""
     full, c, s = np.empty((len(covariances), 3, 3)), np.cos(yaw_rad), np.sin(yaw_rad)
     full[:, _ROWS, _COLS] = full[:, _COLS, _ROWS] = covariances

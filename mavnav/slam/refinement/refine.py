@@ -1,25 +1,29 @@
-"""Step 13: match every tracked scan once more, against the finished map."""
+"""Match every tracked scan once more against the finished map: steps 13 and 15, and the poses of a calibration."""
 
 from __future__ import annotations
 
 from array import array
+from functools import partial
 from itertools import islice
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from msgspec.structs import replace
 
+from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.slam.matching.degeneracy import UNMEASURED, degeneracy_warning
 from mavnav.slam.matching.motion_model import motions_along
-from mavnav.slam.matching.steps import Step, tracked_trajectory
+from mavnav.slam.matching.steps import Steps, tracked_trajectory
+from mavnav.slam.retries.beam_order import WARNING, is_costlier, reversed_scan, reversed_scans
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     from mavnav.scan import Scan
     from mavnav.slam.matching.motion_model import Motion
     from mavnav.slam.matching.scan_matching import Match
+    from mavnav.slam.matching.steps import Step
     from mavnav.slam.methods.method import Refiner
     from mavnav.slam.track import Track
 
@@ -33,22 +37,20 @@ BATCH_SCANS = 16
 """Number of scans for which each operation runs in turn: its code and data stay in the processor's caches."""
 
 
-def refine_against_final_map(track: Track) -> Track:
+def refine_against_final_map(track: Track, refiner: Refiner) -> Track:
     """Match every tracked scan against the finished map; without odometry, warn where its geometry is degenerate.
 
     The steps are changed in place, because there may be many. Observability, visibility conflicts and Hessians of the
-    scans are stored in the track.
+    scans are stored in its findings.
     """
-    if track.refiner is None:
-        return track
     evidence = array("d")
     motions = motions_along(tracked_trajectory(track.steps), track.motion)
-    coming = refined(track.log_scans(), track.steps, track.refiner, evidence, motions)
-    for step in track.reported(coming, "final pass"):
+    coming = refine_steps(track.log_scans(), track.steps, refiner, evidence, motions)
+    for step in track.report_progress(coming, "final pass"):
         track.steps[step.index] = step
     columns = np.array(evidence).reshape(-1, 8)
     observed = columns[:, 0]
-    track = replace(track, observed=observed, conflicts=columns[:, 1], hessians=columns[:, 2:])
+    track = track.with_findings(observed=observed, conflicts=columns[:, 1], hessians=columns[:, 2:])
     if not len(observed):
         return track
     stamps_ns = track.steps.column("stamp_ns")[: len(observed)]  # fewer where the run is stopped
@@ -57,7 +59,7 @@ def refine_against_final_map(track: Track) -> Track:
     return track.with_warning(warning) if warning else track
 
 
-def refined(
+def refine_steps(
     scans: Iterable[Scan],
     steps: Iterable[Step],
     refiner: Refiner,
@@ -85,7 +87,7 @@ def refined(
             if motion and conflicts >= NOTABLE_CONFLICTS and abs(motion.twist[2]) * scan.sweep_s >= SKEWED_RAD:
                 conflicts = min(conflicts, conflicts_deskewed(scan, match, motion, refiner))
             evidence.extend((observed, conflicts, *hessian.tolist()))
-        yield from (Step(*step[:2], match, *step[3:]) for step, match in zip(some, matches, strict=False))
+        yield from (step._replace(match=match) for step, match in zip(some, matches, strict=False))
         yield from some[len(matches) :]
 
 
@@ -93,3 +95,62 @@ def conflicts_deskewed(scan: Scan, match: Match, motion: Motion, refiner: Refine
     """Return the visibility conflicts of a scan that is de-skewed by its motion, with the finished map."""
     points = refiner.match_points(scan, motion)
     return refiner.conflicts(points, refiner.refine(points, match))
+
+
+def redraw_map(track: Track, refiner: Refiner) -> Track:
+    """Redraw the map: insert every scan, deskewed by the finished track, where it fits the whole map best.
+
+    The trajectory does not change. The method takes the new map if it has fewer hit cells, because blurred and doubled
+    walls have more: scans were inserted before the whole map was known. If the run is stopped early, the old map stays.
+    """
+    if refiner.builds_map:
+        drawn = draw_map(track, refiner)
+        if drawn and np.count_nonzero(drawn.hits) < np.count_nonzero(track.method.grid.hits):
+            track.method.grid = drawn
+    return track
+
+
+def draw_map(track: Track, refiner: Refiner) -> GridBuilder | None:
+    """Return the new map; None if the run is stopped before the last tracked scan."""
+    drawn, inserted = GridBuilder(track.method.grid.cell_m), 0
+    for step, scan, motion in track.placed_scans("draw map"):
+        pose = refiner.refine(refiner.match_points(scan, motion), step.match).map_T_laser
+        drawn.insert(pose, *refiner.placed_points(scan, pose, motion))
+        inserted += 1
+    drawn.remove_dynamic_cells()
+    return drawn if inserted == np.count_nonzero(track.steps.column("tracked")) else None
+
+
+TURNING_RAD_S: Final = 15 * DEG
+"""At this rate and above a scan shows in which order its beams were fired."""
+
+COMPARED_EVERY, MOST_COMPARED = 4, 100
+"""Step between the scans in turns that are matched in both orders, and their maximum number."""
+
+
+def match_deskewed(track: Track, refiner: Refiner) -> Track:
+    """Match every tracked scan once more against the finished map, de-skewed by the motion along the track.
+
+    In turns both beam orders are compared, now that the motion is known. Where the run is being stopped, the later
+    steps stay as they are.
+    """
+    if WARNING not in track.findings.warnings and _fits_backwards(track, refiner):
+        track = replace(track.with_warning(WARNING), log_scans=partial(reversed_scans, track.log_scans))
+    steps = Steps(track.steps)
+    for step, scan, motion in track.placed_scans():
+        match = refiner.refine(refiner.match_points(scan, motion), step.match)
+        steps[step.index] = step._replace(match=match)
+    return replace(track, steps=steps)
+
+
+def _fits_backwards(track: Track, refiner: Refiner) -> bool:
+    """Return whether the scans in turns fit the map better with their last beam fired first."""
+    if track.config.robust.deskew != "auto":
+        return False
+    turning = (each for each in track.placed_scans() if each[1].sweep_s and abs(each[2].twist[2]) >= TURNING_RAD_S)
+    some = list(islice(turning, 0, COMPARED_EVERY * MOST_COMPARED, COMPARED_EVERY))
+
+    def matches(order: Callable[[Scan], Scan]) -> list[Match]:
+        return [refiner.refine(refiner.match_points(order(scan), motion), step.match) for step, scan, motion in some]
+
+    return is_costlier(matches(lambda scan: scan), matches(reversed_scan))

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.slam.matching.steps import Steps
+    from mavnav.slam.methods.method import Refiner
     from mavnav.slam.track import Track
 
 FEWEST = 10
@@ -35,10 +36,9 @@ LONGEST_S = 1.2
 """Longest gap within a stretch, s."""
 
 
-def smooth_jitter(track: Track) -> Track:
+def smooth_jitter(track: Track, _refiner: Refiner) -> Track:
     """Smooth the positions of the finished trajectory; the steps are changed in place."""
-    if track.refiner:
-        smooth_positions(track.steps, track.motion.period_s)
+    smooth_positions(track.steps, track.motion.period_s)
     return track
 
 

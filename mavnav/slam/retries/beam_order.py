@@ -9,12 +9,14 @@ from __future__ import annotations
 from functools import partial
 from itertools import islice
 from math import nan, pi
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from msgspec.structs import replace
 
+from mavnav.slam.matching.motion_model import motion_at
 from mavnav.slam.matching.steps import LOST_SCANS, tracked_trajectory
+from mavnav.slam.retries.attempt import Attempt
 from mavnav.slam.retries.beginning import until_missing
 from mavnav.units import DEG, NS
 
@@ -68,12 +70,14 @@ REVERSED_AT_ONCE, LEAST_SAMPLED = 0.8, 5
 WARNING = "beams were fired in the reverse of the listed order, judged by the turns, and are de-skewed so"
 
 
-def with_reversed_beams(track: Track) -> Track:
-    """Track again with the beams in reverse order if that is the order of the laser."""
+def reverse_beams(track: Track) -> Track | None:
+    """Return a track with the beams in reverse order if that is the order of the laser."""
     if not has_reversed_order(track):
-        return track
-    turned = track.again(replace(track, log_scans=partial(reversed_scans, track.log_scans)))
-    return turned.with_warning(WARNING) if turned else track
+        return None
+    return replace(track.with_warning(WARNING), log_scans=partial(reversed_scans, track.log_scans))
+
+
+REVERSED_BEAMS: Final = Attempt("reversed beams", reverse_beams)
 
 
 def reversed_scans(log_scans: LogScans) -> Iterator[Scan]:
@@ -140,8 +144,7 @@ def match_both(
     listed, other = [], []
     for before, step, scan in islice(zip(steps, steps[1:], scans[1:], strict=False), 0, None, SAMPLE_EVERY):
         if before.tracked and step.tracked:
-            here = motion.started_at(step.match.map_T_laser, step.stamp_ns)
-            here = here.coming_from(before.match.map_T_laser, before.stamp_ns)
+            here = motion_at(motion, step, before)
             listed.append(refiner.refine(refiner.match_points(scan, here), step.match))
             other.append(refiner.refine(refiner.match_points(reversed_scan(scan), here), step.match))
     return listed, other

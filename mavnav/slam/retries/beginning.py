@@ -5,23 +5,18 @@ A partial sweep while the laser spins up, a blocked laser or a fast turn can mak
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from msgspec.structs import replace
 
-from mavnav.slam.matching.motion_model import LONGEST_S
-from mavnav.slam.matching.scan_matching import with_effort
-from mavnav.slam.matching.steps import LOST_SCANS, Step, Steps
-from mavnav.slam.matching.track_state import Verdict
-from mavnav.slam.retries.odometry_check import while_odometry_fits
-from mavnav.units import NS
+from mavnav.slam.matching.steps import LOST_SCANS, Step
+from mavnav.slam.retries.odometry import while_odometry_fits
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from mavnav.scan import Scan
-    from mavnav.slam.matching.motion_model import Motion
     from mavnav.slam.track import Track, Until
 
 EARLY_SCANS, MISSED_SCANS, MISSED_LATER = 30, 16, 8
@@ -36,22 +31,24 @@ MOST_TRIES, EACH_TRIES = 10, 2
 They span 260 scans in all.
 """
 
+LATER_BEGINNING: Final = "later beginning"
+
 MOST_SHARE = 0.5
 """Share of the scans after a beginning that must have a pose for it to be taken at once."""
 
 
-def with_good_beginning(track: Track, limit: Until = iter) -> Track:
+def track_from_good_beginning(track: Track) -> Track:
     """Track the log, from a later scan on if the next scans do not match the map of the first ones.
 
     A beginning with poses for most of the scans after it is taken at once; otherwise that with most poses when its map
-    was given up is tracked to the end. ``limit`` may end each of the tracks.
+    was given up is tracked to the end.
     """
     refiner, least_points = track.method.refiner, track.config.robust.min_points
     if refiner is None or not refiner.builds_map:
-        return while_odometry_fits(track, until=limit)
+        return while_odometry_fits(track)
 
     def until(most_missed: int) -> Until:
-        return lambda steps: limit(until_missing(steps, least_points, most_missed))
+        return partial(until_missing, least_points=least_points, most_missed=most_missed)
 
     first = best = while_odometry_fits(track, "track", until(MISSED_SCANS))
     begin = early_loss(first.steps, least_points)
@@ -60,26 +57,24 @@ def with_good_beginning(track: Track, limit: Until = iter) -> Track:
     for tried in range(MOST_TRIES):
         other = while_odometry_fits(replace(track, begin=begin), "track again", until(MISSED_LATER))
         lost = early_loss(other.steps, least_points, MISSED_LATER)
-        enough = max(MOST_SHARE * (len(other.steps) - begin), accepted(first) + 1)
-        if lost is None and accepted(other) >= enough:
-            return after_another(other, first)
-        if accepted(other) > accepted(best):
-            best = other
+        enough = max(MOST_SHARE * (len(other.steps) - begin), count_accepted(first) + 1)
+        whole = lost is None and count_accepted(other) >= enough
+        best = other if whole or count_accepted(other) > count_accepted(best) else best
         if lost is None:
             break
         begin = max(lost, begin + (1 << max(tried - EACH_TRIES, 0)))
     if early_loss(best.steps, least_points, MISSED_LATER if best.begin else MISSED_SCANS) is not None:
-        best = while_odometry_fits(best, "track again", limit)
-    return after_another(best, first) if best.begin else best
+        best = while_odometry_fits(best, "track again")
+    return after_another(best, first).with_attempt(LATER_BEGINNING, kept=best.begin > 0)
 
 
 def after_another(track: Track, first: Track) -> Track:
     """Return a track with the scans that a first track has before its beginning as a separate part."""
     before = tuple(step for step in first.steps[: track.begin] if step.tracked)
-    return replace(track, parts=(before,) if before else ())
+    return track.with_findings(parts=(before,) if before else ())
 
 
-def accepted(track: Track) -> int:
+def count_accepted(track: Track) -> int:
     """Return the number of scans with a pose."""
     return int(np.count_nonzero(track.steps.column("tracked")))
 
@@ -118,37 +113,3 @@ def until_missing(
             missed += 1
         if held <= most_held and missed >= most_missed:
             return
-
-
-def rematch_beginning(track: Track) -> Track:
-    """Match the scans before the beginning of the map against it, backwards from the first accepted pose."""
-    tracked = np.flatnonzero(track.steps.column("tracked"))
-    if track.refiner is None or not track.begin or len(tracked) < 2:
-        return track
-    steps, (first, second) = Steps(track.steps), tracked[:2].tolist()
-    scans = [scan for scan, _ in zip(track.log_scans(), range(first), strict=False)]
-    after, later = steps[first], steps[second]
-    for scan, step in zip(reversed(scans), reversed(steps[: len(scans)]), strict=True):
-        if (after.stamp_ns - step.stamp_ns) * NS > LONGEST_S:
-            break
-        found = before_the_map(scan, step, moving_back(track.motion, after, later), track)
-        if not found.tracked:  # farther back the search would be so wide that a blocked scan fits somewhere
-            break
-        steps[step.index], after, later = found, found, after
-    return replace(track, steps=steps)
-
-
-def moving_back(motion: Motion, after: Step, later: Step) -> Motion:
-    """Return the motion at an accepted step, with the velocity from it to the next one."""
-    here = motion.started_at(later.match.map_T_laser, later.stamp_ns)
-    here = here.coming_from(after.match.map_T_laser, after.stamp_ns)
-    return here._replace(map_T_laser=after.match.map_T_laser, stamp_ns=after.stamp_ns)
-
-
-def before_the_map(scan: Scan, step: Step, here: Motion, track: Track) -> Step:
-    """Match a scan that is earlier than the map; return its step, tracked and inserted if the match is accepted."""
-    match = track.method.match(scan, here.predict(scan.stamp_ns), here)
-    if track.method.gate(match, scan, here) is not Verdict.SURE:
-        return step
-    track.method.insert(scan, match.map_T_laser, here)
-    return step._replace(match=with_effort(match, step.match, match), tracked=True)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from msgspec.structs import replace
 
 from mavnav.slam.matching.steps import lost_intervals
+from mavnav.slam.retries.attempt import Attempt
 
 if TYPE_CHECKING:
     from mavnav.slam.matching.steps import Steps
@@ -23,14 +24,19 @@ COARSER = 4 / 3
 """Factor on the voxel size of the second track: with other points, other matches are wrong."""
 
 
-def with_coarser_voxels(track: Track) -> Track:
-    """Track again with coarser voxels where scans are sparse; keep the sharper of the two maps."""
+def coarsen_voxels(track: Track) -> Track | None:
+    """Return a track with coarser voxels where scans are sparse."""
     if not track.builds_map or not has_sparse_scans(track.steps):
-        return track
-    other = track.again(replace(track, config=track.config.with_voxels(COARSER)))
-    if other is None:
-        return track
-    return replace(other if rank(other) < rank(track) else track, tracks_compared=2)
+        return None
+    return replace(track, config=track.config.with_voxels(COARSER))
+
+
+def is_sharper(other: Track, track: Track) -> bool:
+    """Return whether another track has the better rank."""
+    return rank(other) < rank(track)
+
+
+COARSER_VOXELS: Final = Attempt("coarser voxels", coarsen_voxels, is_sharper)
 
 
 def has_sparse_scans(steps: Steps) -> bool:

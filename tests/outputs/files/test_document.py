@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from mavnav.commands.quality_rows import doubt_rows, remedy_rows
+from mavnav.commands.quality_rows import doubt_rows
 from mavnav.logs import Damage
 from mavnav.metrics.gates import judge, parse_gate
 from mavnav.metrics.wall_thickness import wall_sections
-from mavnav.outputs.files.document import plain, run_document, to_json
+from mavnav.outputs.files.document import plain, run_document, to_json, write_metrics
 from mavnav.outputs.report.markdown import inert
 from mavnav.pose import Pose, Trajectory
-from mavnav.slam.findings import Doubt, Loop, Loops, Reason, Remedy
+from mavnav.slam.findings import Doubt, Loop, Loops, Reason, TrackedAgain
 from mavnav.slam.matching.steps import LostInterval, Steps
 
 KEYS = {
@@ -101,21 +101,6 @@ def test_doubt_is_reported_with_its_reasons(run):
     assert doubt_rows(doubt) == [("doubtful", "75 %: slip")]
 
 
-def test_remedies_are_reported_where_one_was_tried(run):
-    assert "remedies" not in strict(run_document(run, {}))["tracking"]
-    tried = replace(run, slam=replace(run.slam, remedies=(Remedy("finer voxels", 0.9, 0.1, used=True),)))
-    remedies = strict(run_document(tried, {}))["tracking"]["remedies"]
-    assert remedies == [{"remedy": "finer voxels", "doubt_before": 0.9, "doubt_after": 0.1, "used": True}]
-    assert remedy_rows(remedies) == [("tracked again", "with finer voxels: doubt 90 %, then 10 %, used")]
-
-
-def test_a_remedy_that_was_given_up_has_no_doubt(run):
-    tried = replace(run, slam=replace(run.slam, remedies=(Remedy("finer voxels", 0.9, np.nan, used=False),)))
-    remedies = strict(run_document(tried, {}))["tracking"]["remedies"]
-    assert remedies[0]["doubt_after"] is None
-    assert remedy_rows(remedies) == [("tracked again", "with finer voxels: doubt 90 %, given up")]
-
-
 def test_little_doubt_is_no_warning_and_no_row(run):
     document = strict(run_document(doubtful(run, 0.3), {}))
     assert document["warnings"] == strict(run_document(run, {}))["warnings"]
@@ -171,3 +156,15 @@ def test_no_cell_of_a_csv_file_is_a_formula(text: str) -> None:
 
 def test_negative_zeros_lose_their_sign():
     assert to_json([-0.0, np.float64(-0.0), -0.5]).split() == ["[", "0.0,", "0.0,", "-0.5", "]"]
+
+
+def test_attempts_to_track_again_are_reported_where_there_are_any(run):
+    assert "attempts" not in strict(run_document(run, {}))["tracking"]
+    again = replace(run, slam=replace(run.slam, attempts=(TrackedAgain("coarser voxels", kept=False),)))
+    assert strict(run_document(again, {}))["tracking"]["attempts"] == [{"name": "coarser voxels", "kept": False}]
+
+
+def test_attempts_are_no_metric(run, tmp_path):
+    write_metrics(run, tmp_path / "one.json")
+    write_metrics(replace(run, slam=replace(run.slam, attempts=(TrackedAgain("a", kept=True),))), tmp_path / "two.json")
+    assert (tmp_path / "one.json").read_bytes() == (tmp_path / "two.json").read_bytes()

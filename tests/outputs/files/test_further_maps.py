@@ -16,7 +16,7 @@ from mavnav.outputs.files.gridmap import write_pgm, write_yaml
 from mavnav.outputs.pictures import scale_map, vector_map
 from mavnav.outputs.writers import GROUPS, check_groups, write_run
 from mavnav.pose import Pose
-from mavnav.slam.findings import Edge, Graph, Loops
+from mavnav.slam.findings import Edge, Loops, PoseGraph
 
 SVG = "{http://www.w3.org/2000/svg}"
 RECTANGLE = re.compile(r"M(\d+) (\d+)h(\d+)v(\d+)h-(\d+)z")
@@ -75,7 +75,7 @@ def test_the_scale_map_is_graded_and_occupied_as_the_map_is(run, tmp_path):
 @pytest.fixture
 def looped(run):
     edges = (Edge(0, 1, Pose(1.0, 0.5, 0.1), np.diag([10.0, 10.0, 100.0])), Edge(0, 1, Pose(), np.zeros((3, 3))))
-    return replace(run, slam=replace(run.slam, loops=Loops(graph=Graph((0, 9), edges))))
+    return replace(run, slam=replace(run.slam, loops=Loops(graph=PoseGraph((0, 9), edges))))
 
 
 def test_the_graph_has_vertices_and_edges_by_scan(looped, tmp_path):

@@ -12,9 +12,9 @@ from mavnav.config.models import Config
 from mavnav.logs import open_log
 from mavnav.pose import Rotation
 from mavnav.slam.doubt import judge
-from mavnav.slam.doubt.evidence import Evidence
+from mavnav.slam.doubt.evidence import TrackEvidence
 from mavnav.slam.doubt.features import DISAGREEMENT, FEATURES
-from mavnav.slam.doubt.model import contributions, doubt_of, probability
+from mavnav.slam.doubt.judge import contributions, doubt_of, probability
 from mavnav.slam.findings import NOT_PLANAR, SECOND_MOTION, Doubt, Reason
 from mavnav.slam.pipeline import run_slam
 from mavnav.units import DEG
@@ -24,11 +24,11 @@ N, PERIOD_NS = 60, 100_000_000
 AT = slice(30, 33)
 
 
-def clean(*, compared: bool = False, **changes: object) -> Evidence:
+def clean(*, compared: bool = False, **changes: object) -> TrackEvidence:
     """Return what a good track shows, with some of it changed; a second track is the same."""
     time_s = 0.1 * np.arange(N)
     xyyaw = np.column_stack((0.5 * time_s, np.sin(time_s), 0.3 * np.sin(time_s)))
-    good = Evidence(
+    good = TrackEvidence(
         period_s=0.1,
         odometry=np.zeros(N, np.bool_),
         contradicted=False,

@@ -9,8 +9,8 @@ import pytest
 
 from mavnav.config.models import Config
 from mavnav.pose import Pose
-from mavnav.slam.loop_closure.closure import SIGMA_M, SIGMA_RAD, Closure, agree, agreeing
-from mavnav.slam.loop_closure.key_frames import KeyFrame, Part
+from mavnav.slam.loop_closure.closure import SIGMA_M, SIGMA_RAD, KeyClosure, agree, agreeing_closures
+from mavnav.slam.loop_closure.key_frames import KeyFrame, KeyFrameMap
 from mavnav.slam.loop_closure.matching import LEAST_GROWTH
 from mavnav.slam.matching.relocalization import unobservable_direction
 from mavnav.slam.matching.scan_matching import first_match
@@ -19,9 +19,9 @@ from support.synthetic import DEG, LDS_01, Segments, polyline, scan_at
 KEYS = [KeyFrame(k, path_m, np.zeros((0, 2)), Pose()) for k, path_m in enumerate((0.0, 30.0))]
 
 
-def closure(x_m: float, y_m: float, yaw_rad: float = 0.0, weak_rad: float | None = None) -> Closure:
+def closure(x_m: float, y_m: float, yaw_rad: float = 0.0, weak_rad: float | None = None) -> KeyClosure:
     """Return a closure of two key frames that were tracked at the origin."""
-    return Closure(0, 1, Pose(x_m, y_m, yaw_rad), first_match(100), weak_rad)
+    return KeyClosure(0, 1, Pose(x_m, y_m, yaw_rad), first_match(100), weak_rad)
 
 
 def test_closures_are_compared_only_in_what_both_constrain() -> None:
@@ -37,7 +37,7 @@ def test_closures_are_compared_only_in_what_both_constrain() -> None:
 
 def test_weak_closures_are_checked_against_accepted_ones() -> None:
     right, wrong = closure(1.0, 0.0, weak_rad=0.0), closure(1.0, 0.5, weak_rad=0.0)
-    assert agreeing([right, wrong], KEYS, [closure(0.0, 0.0)] * 2) == [right]
+    assert agreeing_closures([right, wrong], KEYS, [closure(0.0, 0.0)] * 2) == [right]
 
 
 def test_a_weak_correction_leaves_out_the_weak_direction() -> None:
@@ -65,7 +65,7 @@ def test_the_least_observable_direction_is_along_the_corridor(yaw_rad: float) ->
 
 def direction(walls: Segments, yaw_rad: float) -> float | None:
     """Return the least observable direction of a scan at the origin, on a map of scans along the x axis."""
-    config, part, rng = Config(), Part(Config()), np.random.default_rng(0)
+    config, part, rng = Config(), KeyFrameMap(Config()), np.random.default_rng(0)
     poses = [Pose(0.2 * k, 0.0, yaw_rad) for k in range(-5, 6)]
     points = [scan_at(walls, pose, LDS_01, noise=0.005, rng=rng).points() for pose in poses]
     part.grow([KeyFrame(k, 0.0, *seen) for k, seen in enumerate(zip(points, poses, strict=True))], len(poses))

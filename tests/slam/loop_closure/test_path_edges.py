@@ -16,7 +16,7 @@ from mavnav.slam.loop_closure.path_edges import (
     path_edges,
     weakest_translation,
 )
-from mavnav.slam.loop_closure.pose_graph import optimized
+from mavnav.slam.loop_closure.pose_graph import optimize
 from mavnav.units import DEG
 
 PERIOD_NS, STEP_M, EVERY = 100_000_000, 0.08, 4
@@ -109,7 +109,7 @@ def test_a_loop_corrects_the_path_where_it_slipped() -> None:
     closure = Edge(0, len(keys) - 1, Pose(), np.diag((30.0, 30.0, 1 / (0.5 * DEG))))
     off = {}
     for name, information_of in (("corridor", plain_corridor), ("furnished", furnished)):
-        found = optimized([key.map_T_laser for key in keys], [*path_edges(path, keys, information_of), closure])
+        found = optimize([key.map_T_laser for key in keys], [*path_edges(path, keys, information_of), closure])
         off[name] = max(abs(pose.x_m - truth[key.row].x_m) for key, pose in zip(keys, found, strict=True))
     assert off["corridor"] < 0.1
     assert off["furnished"] > 0.3

@@ -26,7 +26,7 @@ from mavnav.slam.matching.budget import (
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.relocalization import STEP_M, around, within_reach, within_reach_of
 from mavnav.slam.matching.steps import Step
-from mavnav.slam.matching.track_state import TrackState, Verdict
+from mavnav.slam.matching.track_state import MatchVerdict, TrackState
 from mavnav.slam.methods.robust import RARELY_SCANS, Robust
 from support.synthetic import TOUR, along, furnished_rooms, polyline, record, scan_at
 
@@ -154,16 +154,16 @@ def test_without_credit_the_whole_map_is_not_searched() -> None:
 @pytest.mark.parametrize(
     ("verdict", "missed", "odometry", "expected"),
     [
-        (Verdict.PROBABLE, 0, True, True),
-        (Verdict.PROBABLE, 9, True, False),
-        (Verdict.PROBABLE, 9, False, True),
-        (Verdict.REFUSED, 9, False, False),
-        (Verdict.REFUSED, 0, False, False),
-        (Verdict.REFUSED, 16, True, True),
-        (Verdict.REFUSED, 128, False, True),
-        (Verdict.SURE, 16, False, False),
+        (MatchVerdict.PROBABLE, 0, True, True),
+        (MatchVerdict.PROBABLE, 9, True, False),
+        (MatchVerdict.PROBABLE, 9, False, True),
+        (MatchVerdict.REFUSED, 9, False, False),
+        (MatchVerdict.REFUSED, 0, False, False),
+        (MatchVerdict.REFUSED, 16, True, True),
+        (MatchVerdict.REFUSED, 128, False, True),
+        (MatchVerdict.SURE, 16, False, False),
     ],
 )
-def test_when_the_whole_map_is_searched(verdict: Verdict, missed: int, odometry: bool, expected: bool) -> None:
+def test_when_the_whole_map_is_searched(verdict: MatchVerdict, missed: int, odometry: bool, expected: bool) -> None:
     motion = Motion(0.1, (lambda _: Pose()) if odometry else None)
     assert tracker.needs_whole_map_search(verdict, TrackState(motion, missed=missed)) is expected

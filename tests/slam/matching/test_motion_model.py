@@ -11,7 +11,7 @@ from mavnav.pose import Pose, Rotation, Trajectory
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.scan_matching import first_match
 from mavnav.slam.matching.steps import Step, Steps, tracked_trajectory
-from mavnav.slam.retries.odometry_check import EARLY_STEPS, misleads, until_misled
+from mavnav.slam.retries.odometry import EARLY_STEPS, misleads, until_misled
 
 MS = 1_000_000
 STEP = Pose(0.1, 0.02, 0.05)

@@ -26,7 +26,7 @@ from mavnav.slam.matching.relocalization import (
     everywhere,
     least_growth,
     lowest,
-    merged,
+    lowest_starts,
     minima,
     motion_cost,
     unambiguous,
@@ -34,7 +34,7 @@ from mavnav.slam.matching.relocalization import (
     within_reach,
 )
 from mavnav.slam.matching.scan_matching import Match, first_match, no_match
-from mavnav.slam.matching.track_state import Verdict
+from mavnav.slam.matching.track_state import MatchVerdict
 from mavnav.slam.methods.localization import Localizer
 from mavnav.slam.methods.robust import Robust
 from mavnav.slam.pipeline import run_slam
@@ -171,8 +171,8 @@ def test_minima_lie_apart_and_begin_with_the_lowest() -> None:
 
 def test_of_minima_of_several_parts_the_lowest_that_lie_apart_count() -> None:
     starts = [(0.3, Pose(0.0, 0.0)), (0.2, Pose(0.2, 0.0)), (0.1, Pose(3.0, 0.0)), (0.4, Pose(0.2, 0.0, 0.5))]
-    assert [cost for cost, _ in merged(starts, 3)] == [0.1, 0.2, 0.4]
-    assert [cost for cost, _ in merged(starts, 2)] == [0.1, 0.2]
+    assert [cost for cost, _ in lowest_starts(starts, 3)] == [0.1, 0.2, 0.4]
+    assert [cost for cost, _ in lowest_starts(starts, 2)] == [0.1, 0.2]
 
 
 @pytest.mark.parametrize("elapsed_s", [0.1, 0.7, 30.0])
@@ -231,9 +231,9 @@ def test_far_from_where_it_was_expected_a_match_must_convince() -> None:
     method, here = Robust(Config()), Motion(0.1).started_at(Pose(), 0)
     scan = scan_at(furnished_rooms(), Pose(3.0, 2.2, 1.0), stamp_ns=200_000_000)
     match = first_match(300)._replace(map_T_laser=Pose(0.3, 0.0, 0.3), inliers=0.76)
-    assert method.gate(match._replace(motion_cost=0.5), scan, here) is Verdict.SURE
-    assert method.gate(match._replace(motion_cost=3.4), scan, here) is Verdict.REFUSED
-    assert method.gate(match._replace(motion_cost=3.4, inliers=0.9), scan, here) is Verdict.PROBABLE
+    assert method.gate(match._replace(motion_cost=0.5), scan, here) is MatchVerdict.SURE
+    assert method.gate(match._replace(motion_cost=3.4), scan, here) is MatchVerdict.REFUSED
+    assert method.gate(match._replace(motion_cost=3.4, inliers=0.9), scan, here) is MatchVerdict.PROBABLE
 
 
 def two_rooms(seed: int) -> np.ndarray:
@@ -262,11 +262,11 @@ def test_after_a_long_gap_little_may_speak_against_a_place() -> None:
     method, here = Robust(Config()), Motion(0.1).started_at(Pose(), 0)
     soon, later, late = (scan_at(room(), Pose(3.0, 2.0), stamp_ns=k * PERIOD_NS) for k in (11, 24, 26))
     match = first_match(300)._replace(inliers=0.85, conflicts=0.13)
-    assert method.gate(match, soon, here) is Verdict.SURE
-    assert method.gate(match, later, here) is Verdict.PROBABLE
-    assert method.gate(match, late, here) is Verdict.REFUSED
-    assert method.gate(match._replace(conflicts=0.03), late, here) is Verdict.PROBABLE
+    assert method.gate(match, soon, here) is MatchVerdict.SURE
+    assert method.gate(match, later, here) is MatchVerdict.PROBABLE
+    assert method.gate(match, late, here) is MatchVerdict.REFUSED
+    assert method.gate(match._replace(conflicts=0.03), late, here) is MatchVerdict.PROBABLE
     led = here._replace(odometry=lambda _: Pose())
-    assert method.gate(match, late, led) is Verdict.REFUSED  # odometry does not notice that a vehicle is carried
+    assert method.gate(match, late, led) is MatchVerdict.REFUSED  # odometry does not notice that a vehicle is carried
     known = prior_map_of(method.grid.by_rows(), Pose())
-    assert Localizer(Config(), known).gate(match, late, here) is Verdict.PROBABLE
+    assert Localizer(Config(), known).gate(match, late, here) is MatchVerdict.PROBABLE

@@ -6,7 +6,7 @@ import pytest
 
 from mavnav.pose import Pose
 from mavnav.slam.matching.motion_model import Motion
-from mavnav.slam.matching.track_state import CONFIRMATIONS, TrackState, Verdict
+from mavnav.slam.matching.track_state import CONFIRMATIONS, MatchVerdict, TrackState
 
 MS = 1_000_000
 HERE, THERE = Pose(1.0, 0.0, 0.0), Pose(4.0, 2.0, 1.0)
@@ -18,25 +18,25 @@ def belief() -> TrackState:
 
 
 def test_a_sure_match_moves_the_belief(belief: TrackState) -> None:
-    after = belief.after(Verdict.SURE, HERE, 100 * MS)
+    after = belief.after(MatchVerdict.SURE, HERE, 100 * MS)
     assert (after.motion.map_T_laser, after.missed) == (HERE, 0)
 
 
 def test_a_refused_match_leaves_it_where_it_was(belief: TrackState) -> None:
-    after = belief.after(Verdict.REFUSED, HERE, 100 * MS).after(Verdict.REFUSED, HERE, 200 * MS)
+    after = belief.after(MatchVerdict.REFUSED, HERE, 100 * MS).after(MatchVerdict.REFUSED, HERE, 200 * MS)
     assert (after.motion, after.missed) == (belief.motion, 2)
 
 
 def test_a_place_found_again_is_believed_when_the_next_scans_agree(belief: TrackState) -> None:
-    trial = belief.after(Verdict.PROBABLE, THERE, 0)
+    trial = belief.after(MatchVerdict.PROBABLE, THERE, 0)
     for k in range(1, CONFIRMATIONS):
         assert trial.here.map_T_laser == THERE
         assert trial.motion == belief.motion
-        trial = trial.after(Verdict.SURE, THERE, k * 100 * MS)
+        trial = trial.after(MatchVerdict.SURE, THERE, k * 100 * MS)
     assert trial.motion.map_T_laser == THERE
     assert (trial.trial, trial.missed) == (None, 0)
 
 
 def test_a_trial_that_fails_leaves_the_old_belief(belief: TrackState) -> None:
-    after = belief.after(Verdict.PROBABLE, THERE, 0).after(Verdict.REFUSED, THERE, 100 * MS)
+    after = belief.after(MatchVerdict.PROBABLE, THERE, 0).after(MatchVerdict.REFUSED, THERE, 100 * MS)
     assert (after.here, after.confirmations, after.missed) == (belief.motion, 0, 2)

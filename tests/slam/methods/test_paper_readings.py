@@ -20,7 +20,7 @@ from mavnav.simulation.world import load_scenario
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.paper_matching import acceptance_scale, match_polar, polar_points
 from mavnav.slam.matching.scan_matching import no_match
-from mavnav.slam.matching.track_state import Verdict
+from mavnav.slam.matching.track_state import MatchVerdict
 from mavnav.slam.methods.paper import Paper
 from mavnav.slam.pipeline import run_slam
 from support.synthetic import room, scan_at
@@ -55,12 +55,12 @@ def test_only_ranges_that_contribute_to_the_cost_scale_the_threshold() -> None:
     assert acceptance_scale(np.array([0.2, 4.0, np.nan]), config) == 1.0
 
 
-@pytest.mark.parametrize(("cost_mm2", "verdict"), [(1990.0, Verdict.SURE), (2010.0, Verdict.REFUSED)])
-def test_a_match_is_accepted_up_to_the_threshold_at_its_range(cost_mm2: float, verdict: Verdict) -> None:
+@pytest.mark.parametrize(("cost_mm2", "verdict"), [(1990.0, MatchVerdict.SURE), (2010.0, MatchVerdict.REFUSED)])
+def test_a_match_is_accepted_up_to_the_threshold_at_its_range(cost_mm2: float, verdict: MatchVerdict) -> None:
     scan, motion = Scan(0, np.full(SPEC.beams, 2.0), SPEC), Motion(0.1)
     match = no_match(Pose())._replace(cost_m2=cost_mm2 * 1e-6)
     assert Paper(reading(gate_mm2=500.0, gate_range_mm=1000.0)).gate(match, scan, motion) is verdict
-    assert Paper(reading(gate_mm2=500.0)).gate(match, scan, motion) is Verdict.REFUSED
+    assert Paper(reading(gate_mm2=500.0)).gate(match, scan, motion) is MatchVerdict.REFUSED
 
 
 # ---- what contributes -----------------------------------------------------------------------------------------------

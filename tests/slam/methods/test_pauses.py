@@ -17,7 +17,7 @@ from mavnav.slam.matching.steps import Step, Steps
 from mavnav.slam.methods.pauses import LATE_SCANS, Pauses, blind_warnings, first_found_late, pause_warnings
 from mavnav.slam.methods.registry import make_method
 from mavnav.slam.pipeline import run_slam
-from mavnav.slam.recovery.parts import joined
+from mavnav.slam.recovery.parts import join_parts
 from mavnav.slam.result import SlamResult
 from mavnav.slam.track import Track
 from mavnav.units import NS
@@ -166,4 +166,4 @@ def test_a_part_after_a_pause_is_joined_whatever_the_clock_says(first_ns: int) -
     missed = [Step(k, stamps_ns[k], no_match(Pose(), 700), tracked=False) for k in range(60, 160)]
     whole = replace(track, steps=Steps([*track.steps[:60], *missed]))
     part = tuple(step for step in other.steps if step.tracked)
-    assert joined(whole, [part]).steps.column("tracked").all()
+    assert join_parts(whole, [part]).steps.column("tracked").all()

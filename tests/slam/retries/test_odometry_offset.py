@@ -13,12 +13,11 @@ from mavnav.logs import open_log
 from mavnav.pose import Pose, Trajectory
 from mavnav.slam.matching.motion_model import GAP_S, Motion
 from mavnav.slam.matching.steps import lost_intervals
-from mavnav.slam.matching.track_state import TrackState, Verdict
+from mavnav.slam.matching.track_state import MatchVerdict, TrackState
 from mavnav.slam.methods.pauses import Pauses
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.result import SlamResult
-from mavnav.slam.retries.odometry_check import JITTER_WARNING
-from mavnav.slam.retries.odometry_offset import at_offset, fitting_offset_s, most_moving, rms_error
+from mavnav.slam.retries.odometry import JITTER_WARNING, at_offset, fitting_offset_s, most_moving, rms_error
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -118,7 +117,7 @@ def test_a_pose_on_trial_has_gap_odometry_too() -> None:
     stamp_ns = int(path.stamps_ns[20])
     state = TrackState(motion).before(stamp_ns)
     assert state.motion.odometry is not None
-    state = state.after(Verdict.PROBABLE, path[20], stamp_ns).before(stamp_ns + 100 * MS)
+    state = state.after(MatchVerdict.PROBABLE, path[20], stamp_ns).before(stamp_ns + 100 * MS)
     assert state.motion.odometry is not None
     assert state.here.odometry is None
     assert state.here.has_odometry
