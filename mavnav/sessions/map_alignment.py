@@ -86,7 +86,7 @@ class _Target:
     def __init__(self, known: PriorMap, config: Config) -> None:
         robust, cell_m = config.robust, known.grid.cell_m
         self.config, self.grid = config, GridBuilder.of(known.grid)
-        self.lines = LineMap(cell_m, robust.line_sigma_mm * MM, robust.line_noise_mm * MM)
+        self.lines = LineMap(cell_m, robust.expert.line_sigma_mm * MM, robust.expert.line_noise_mm * MM)
         self.lines.insert(known.walls_xy_m)
 
     def placed(self, scans: list[tuple[Pose, NDArray[np.float64]]], *, anywhere: bool) -> list[Placed]:

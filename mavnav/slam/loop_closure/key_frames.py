@@ -64,7 +64,7 @@ class Part:
         """Start empty."""
         robust = config.robust
         self.grid = GridBuilder(robust.cell_mm * MM)
-        self.lines = LineMap(robust.cell_mm * MM, robust.line_sigma_mm * MM, robust.line_noise_mm * MM)
+        self.lines = LineMap(robust.cell_mm * MM, robust.expert.line_sigma_mm * MM, robust.expert.line_noise_mm * MM)
         self.count = 0
 
     def grow(self, keys: Sequence[KeyFrame], count: int) -> None:

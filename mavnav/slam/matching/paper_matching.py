@@ -38,10 +38,10 @@ def match_polar(
     level = acceptance_scale(points[:, 3], config)
     search = partial(_search_polar, virtual_m, points, spec, predicted, config, level)
     match = search(config.grid, config.azimuth)
-    worth_it = paper.refine_above_mm2 < match.cost_m2 / MM2 / level <= _give_up_mm2(config)
-    if not worth_it or paper.refine_factor == 1:
+    worth_it = paper.expert.refine_above_mm2 < match.cost_m2 / MM2 / level <= _give_up_mm2(config)
+    if not worth_it or paper.expert.refine_factor == 1:
         return match
-    k = paper.refine_factor
+    k = paper.expert.refine_factor
     fine = search(config.grid.refined(k), config.azimuth * k)
     best = fine if fine.cost_m2 < match.cost_m2 else match
     return with_effort(best, match, fine)
@@ -61,7 +61,7 @@ def acceptance_scale(ranges_m: NDArray[np.float64], config: Config) -> float:
 
 
 def _give_up_mm2(config: Config) -> float:
-    return max(config.paper.refine_above_mm2, GIVE_UP_RATIO * config.paper.gate_mm2)
+    return max(config.paper.expert.refine_above_mm2, GIVE_UP_RATIO * config.paper.gate_mm2)
 
 
 @timed("search")
@@ -78,7 +78,7 @@ def _search_polar(
     from mavnav.kernels.polar_search import search as polar_search  # noqa: PLC0415  loads in 0.2 s, only for paper
 
     paper = config.paper
-    extensions = paper.max_extensions if paper.extend_border else 0
+    extensions = paper.expert.max_extensions if paper.expert.extend_border else 0
     x, y, yaw, cost, used, evaluations, iterations, converged = polar_search.search(
         virtual_m,
         points,
@@ -87,15 +87,15 @@ def _search_polar(
             [
                 paper.window_mm * MM,
                 paper.window_deg * DEG,
-                paper.shrink,
-                paper.leave_no_gaps,
-                paper.stop_mm * MM,
-                paper.stop_deg * DEG,
-                level * _give_up_mm2(config) * MM2 if paper.give_up else np.inf,
-                paper.occlusion_shrink,
-                paper.occlusion_least_mm * MM,
-                paper.pivot == "laser",
-                paper.converged == "either",
+                paper.expert.shrink,
+                paper.expert.leave_no_gaps,
+                paper.expert.stop_mm * MM,
+                paper.expert.stop_deg * DEG,
+                level * _give_up_mm2(config) * MM2 if paper.expert.give_up else np.inf,
+                paper.expert.occlusion_shrink,
+                paper.expert.occlusion_least_mm * MM,
+                paper.expert.pivot == "laser",
+                paper.expert.converged == "either",
             ]
         ),
         np.array(
@@ -104,10 +104,14 @@ def _search_polar(
                 spec.angle_step_rad,
                 paper.near_mm * MM,
                 paper.far_mm * MM,
-                paper.occlusion_mm * MM,
-                paper.mixed_pixel_mm * MM,
-                max(3.0, paper.min_beams_share * (len(points) if paper.min_beams_of == "valid" else spec.beams)),
-                paper.occluded == "counted",
+                paper.expert.occlusion_mm * MM,
+                paper.expert.mixed_pixel_mm * MM,
+                max(
+                    3.0,
+                    paper.expert.min_beams_share
+                    * (len(points) if paper.expert.min_beams_of == "valid" else spec.beams),
+                ),
+                paper.expert.occluded == "counted",
             ]
         ),
     )

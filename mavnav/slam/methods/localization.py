@@ -41,7 +41,7 @@ class Localizer(Robust):
         super().__init__(config)
         robust, cell_m = config.robust, known.grid.cell_m
         self.known = GridBuilder.of(known.grid)
-        self.lines = LineMap(cell_m, robust.line_sigma_mm * MM, robust.line_noise_mm * MM)
+        self.lines = LineMap(cell_m, robust.expert.line_sigma_mm * MM, robust.expert.line_noise_mm * MM)
         self.lines.insert(known.walls_xy_m)
         self.start, self.tries = known.start, 0
 

@@ -38,7 +38,7 @@ class Paper:
     def __init__(self, config: Config) -> None:
         """Start with an empty map."""
         self.config = config
-        self.expects_rest = config.paper.predict == "rest"
+        self.expects_rest = config.paper.expert.predict == "rest"
         self.grid = GridBuilder(config.paper.cell_mm * MM)
         self._seen: tuple[Pose, LaserSpec, NDArray[np.float64]] | None = None
 
@@ -50,12 +50,16 @@ class Paper:
     def _least_beams(self, spec: LaserSpec) -> float:
         """Return the number of valid beams below which a scan is not matched."""
         paper = self.config.paper
-        return paper.min_beams_share * spec.beams if paper.min_beams_of == "scan" else LEAST_BEAMS_SHARE * spec.beams
+        return (
+            paper.expert.min_beams_share * spec.beams
+            if paper.expert.min_beams_of == "scan"
+            else LEAST_BEAMS_SHARE * spec.beams
+        )
 
     def match(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
         """Match against a virtual scan from the predicted pose (cost steps i, ii)."""
         paper = self.config.paper
-        points = polar_points(scan.ranges_m, scan.spec, paper.mixed_pixel_mm * MM)
+        points = polar_points(scan.ranges_m, scan.spec, paper.expert.mixed_pixel_mm * MM)
         if len(points) < self._least_beams(scan.spec):
             return no_match(predicted, len(points))._replace(threshold_m2=self._threshold_m2(scan))
         virtual_m = self._virtual_scan(predicted, scan.spec)
@@ -70,8 +74,8 @@ class Paper:
                 predicted,
                 spec.directions,
                 paper.far_mm * MM,
-                paper.cluster_gap_cells,
-                middle=paper.equal_cells == "middle",
+                paper.expert.cluster_gap_cells,
+                middle=paper.expert.equal_cells == "middle",
             )
             self._seen = predicted, spec, ranges_m
         return self._seen[2]
