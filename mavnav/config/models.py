@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args
 from msgspec import Meta, field, to_builtins
 from msgspec.structs import force_setattr, replace
 
-from mavnav.config.strict import Strict, setting
+from mavnav.config.strict import InSI, Strict, in_si, setting
+from mavnav.units import DEG, MM, MM2
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -103,6 +104,9 @@ class PaperExpert(Strict, frozen=True):
     refine_factor: Annotated[int, setting("factor on the points of an axis; 1: no refinement", ge=1, le=10)] = 2
     give_up: Annotated[bool, setting("end a search that can only end far above the acceptance threshold")] = True
 
+    mixed_pixel_m, occlusion_m, occlusion_least_m = in_si(MM, "mixed_pixel_mm", "occlusion_mm", "occlusion_least_mm")
+    stop_m, stop_rad, refine_above_m2 = InSI("stop_mm", MM), InSI("stop_deg", DEG), InSI("refine_above_mm2", MM2)
+
 
 class PaperConfig(Strict, frozen=True):
     """The paper's method. Every value is a reading of the paper's text; docs/paper.md has the sentences.
@@ -125,6 +129,9 @@ class PaperConfig(Strict, frozen=True):
         | None
     ) = None
     expert: Annotated[PaperExpert, setting("for experts")] = PaperExpert()
+
+    cell_m, near_m, far_m, window_m = in_si(MM, "cell_mm", "near_mm", "far_mm", "window_mm")
+    window_rad, gate_m2, gate_range_m = InSI("window_deg", DEG), InSI("gate_mm2", MM2), InSI("gate_range_mm", MM)
 
 
 class RobustExpert(Strict, frozen=True):
@@ -164,6 +171,12 @@ class RobustExpert(Strict, frozen=True):
     track_above: Annotated[float, setting("accept a match at this share of inliers", ge=0, le=1)] = 0.6
     regain_above: Annotated[float, setting("accept a match after a gap at this share of inliers", ge=0, le=1)] = 0.7
 
+    line_sigma_m, line_noise_m, truncate_m = in_si(MM, "line_sigma_mm", "line_noise_mm", "truncate_mm")
+    near_window_m, window_m, final_window_m = in_si(MM, "near_window_mm", "window_mm", "final_window_mm")
+    near_window_rad, window_rad, final_window_rad = in_si(DEG, "near_window_deg", "window_deg", "final_window_deg")
+    final_truncate_m, hold_below_m, overlap_m = in_si(MM, "final_truncate_mm", "hold_below_mm", "overlap_mm")
+    stop_m, stop_rad = InSI("stop_mm", MM), InSI("stop_deg", DEG)
+
 
 class RobustConfig(Strict, frozen=True):
     """The robust method: point to local line over the whole map, see docs/method.md."""
@@ -179,6 +192,9 @@ class RobustConfig(Strict, frozen=True):
     max_speed_m_s: Annotated[float, setting("reject faster motion", gt=0, le=1000)] = 3.0
     max_turn_deg_s: Annotated[float, setting("reject faster turns", gt=0, le=100_000)] = 300.0
     expert: Annotated[RobustExpert, setting("for experts")] = RobustExpert()
+
+    cell_m, near_m, far_m, voxel_m = in_si(MM, "cell_mm", "near_mm", "far_mm", "voxel_mm")
+    max_turn_rad_s = InSI("max_turn_deg_s", DEG)
 
 
 class OdometryConfig(Strict, frozen=True):
@@ -214,6 +230,8 @@ class Config(Strict, frozen=True):
     loop_closure: Annotated[Literal["auto", "off"], setting("detect and close loops (with the final pass)")] = "auto"
     robust: Annotated[RobustConfig, setting("settings of the method robust")] = RobustConfig()
     paper: Annotated[PaperConfig, setting("settings of the method paper")] = PaperConfig()
+
+    slice_m = InSI("slice_mm", MM)
 
     def __post_init__(self) -> None:
         """Read the search grid where it is text, and choose the yaw samples where none are given."""

@@ -16,9 +16,14 @@ from msgspec.structs import replace
 from mavnav.batch.manifest import Manifest
 from mavnav.config.layers import by_dotted_key
 from mavnav.config.loading import fields, load_config, method_layer, presets, schema_of, to_yaml, validated
-from mavnav.config.models import Config, GridSize, PaperConfig, RobustConfig
+from mavnav.config.models import Config, GridSize, PaperConfig, PaperExpert, RobustConfig, RobustExpert
+from mavnav.config.planner import PlannerConfig
+from mavnav.config.strict import InSI
 from mavnav.errors import ConfigError
 from mavnav.simulation.world import Scenario, load_scenario, scenario_schema
+from mavnav.simulation.world.flight import FlightConfig
+from mavnav.simulation.world.scenario import VehicleConfig
+from mavnav.units import DEG
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -235,6 +240,29 @@ def test_every_number_has_two_bounds(model: type) -> None:
     """Else NaN or infinity would be read; those of a pose are checked together."""
     schema = schema_of(model)
     assert [key for key, node in numbers(schema) if len(bounds(node)) < 2 and ".extrinsic." not in key] == []
+
+
+UNITS = {
+    "_mm2": ("_m2", 1e-6),
+    "_mm": ("_m", 1e-3),
+    "_ms": ("_s", 1e-3),
+    "_deg_s": ("_rad_s", DEG),
+    "_deg": ("_rad", DEG),
+}
+
+
+@pytest.mark.parametrize(
+    "section",
+    [Config, PaperConfig, PaperExpert, RobustConfig, RobustExpert, PlannerConfig, VehicleConfig, FlightConfig],
+)
+def test_values_in_si_are_those_of_their_keys(section: type) -> None:
+    made, names = section(), {name for name, value in vars(section).items() if isinstance(value, InSI)}
+    for key in section.__struct_fields__:
+        suffix = next((suffix for suffix in UNITS if key.endswith(suffix)), None)
+        if suffix and (name := key.removesuffix(suffix) + UNITS[suffix][0]) in names and getattr(made, key) is not None:
+            assert getattr(made, name) == getattr(made, key) * UNITS[suffix][1]
+            names.remove(name)
+    assert names <= {"gate_range_m"}  # it is null
 
 
 def numbers(node: object, key: str = "") -> Iterator[tuple[str, dict]]:

@@ -10,7 +10,6 @@ from msgspec import Struct
 from mavnav.kernels.line_search import search as line_search
 from mavnav.pose import Pose, wrap_angle
 from mavnav.profiling import timed
-from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -88,15 +87,15 @@ class Schedule(Struct, frozen=True):
         finer = FINAL_STOP if final else 1.0
         limits = [
             *window,
-            finer * robust.expert.stop_mm * MM,
-            finer * robust.expert.stop_deg * DEG,
-            (robust.expert.final_truncate_mm if final else robust.expert.truncate_mm) * MM,
+            finer * robust.expert.stop_m,
+            finer * robust.expert.stop_rad,
+            robust.expert.final_truncate_m if final else robust.expert.truncate_m,
             robust.expert.first_level_points,
             FINAL_ALTERNATIONS if final else ALTERNATIONS,
             prior,
-            robust.expert.hold_below_mm * MM,
+            robust.expert.hold_below_m,
             0.0 if final else line_map.cell_m,
-            line_map.closeness_at(robust.expert.overlap_mm * MM) if robust.expert.overlap_mm and not final else 0.0,
+            line_map.closeness_at(robust.expert.overlap_m) if robust.expert.overlap_m and not final else 0.0,
             line_map.known_points,
             robust.expert.sparse_points,
         ]

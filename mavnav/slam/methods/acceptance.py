@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 from mavnav.slam.matching.motion_model import LONGEST_S
 from mavnav.slam.matching.track_state import Verdict
-from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
     from mavnav.config.models import RobustConfig
@@ -43,7 +42,7 @@ class Acceptance:
     def is_inside(self, near: Match, predicted: Pose) -> bool:
         """Return whether a match lies well inside the near window, so that the pose is not outside of it."""
         config, (off_m, off_rad) = self.config, predicted.gap(near.map_T_laser)
-        half_m, half_rad = config.expert.near_window_mm * MM, config.expert.near_window_deg * DEG
+        half_m, half_rad = config.expert.near_window_m, config.expert.near_window_rad
         return off_m <= INNER_SHARE * half_m and off_rad <= INNER_SHARE * half_rad
 
     def is_good(self, match: Match) -> bool:
@@ -57,7 +56,7 @@ class Acceptance:
     def is_possible(self, match: Match, motion: Motion, elapsed_s: float) -> bool:
         """Return whether a vehicle can have moved so far in the elapsed time."""
         config, (moved_m, turned_rad) = self.config, motion.map_T_laser.gap(match.map_T_laser)
-        return moved_m <= config.max_speed_m_s * elapsed_s and turned_rad <= config.max_turn_deg_s * DEG * elapsed_s
+        return moved_m <= config.max_speed_m_s * elapsed_s and turned_rad <= config.max_turn_rad_s * elapsed_s
 
     def conflicts_after_gap(self, match: Match, motion: Motion, elapsed_s: float) -> bool:
         """Return whether a pose after a long gap has too many visibility conflicts."""

@@ -12,7 +12,6 @@ from mavnav.profiling import timed
 from mavnav.slam.matching.paper_matching import acceptance_scale, match_polar, polar_points
 from mavnav.slam.matching.scan_matching import first_match, no_match
 from mavnav.slam.matching.track_state import Verdict
-from mavnav.units import MM, MM2
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -39,7 +38,7 @@ class Paper:
         """Start with an empty map."""
         self.config = config
         self.expects_rest = config.paper.expert.predict == "rest"
-        self.grid = GridBuilder(config.paper.cell_mm * MM)
+        self.grid = GridBuilder(config.paper.cell_m)
         self._seen: tuple[Pose, LaserSpec, NDArray[np.float64]] | None = None
 
     def first(self, scan: Scan) -> Match:
@@ -59,7 +58,7 @@ class Paper:
     def match(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
         """Match against a virtual scan from the predicted pose (cost steps i, ii)."""
         paper = self.config.paper
-        points = polar_points(scan.ranges_m, scan.spec, paper.expert.mixed_pixel_mm * MM)
+        points = polar_points(scan.ranges_m, scan.spec, paper.expert.mixed_pixel_m)
         if len(points) < self._least_beams(scan.spec):
             return no_match(predicted, len(points))._replace(threshold_m2=self._threshold_m2(scan))
         virtual_m = self._virtual_scan(predicted, scan.spec)
@@ -73,7 +72,7 @@ class Paper:
             ranges_m = self.grid.virtual_scan(
                 predicted,
                 spec.directions,
-                paper.far_mm * MM,
+                paper.far_m,
                 paper.expert.cluster_gap_cells,
                 middle=paper.expert.equal_cells == "middle",
             )
@@ -87,7 +86,7 @@ class Paper:
 
     def _threshold_m2(self, scan: Scan) -> float:
         """Return the acceptance threshold for a scan."""
-        return acceptance_scale(scan.ranges_m, self.config) * self.config.paper.gate_mm2 * MM2
+        return acceptance_scale(scan.ranges_m, self.config) * self.config.paper.gate_m2
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Count the hits of every valid beam."""

@@ -39,7 +39,6 @@ from mavnav.slam.matching.scan_matching import (
 from mavnav.slam.matching.track_state import Verdict
 from mavnav.slam.methods.acceptance import FOUND_CONFLICTS, Acceptance
 from mavnav.slam.methods.pauses import Pauses
-from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -112,7 +111,7 @@ class Robust:
         robust = config.robust
         self.config, self.acceptance = config, Acceptance(robust, self.found_conflicts)
         self._begin()
-        self._limits_m = np.array([robust.near_mm * MM, robust.far_mm * MM, robust.voxel_mm * MM])
+        self._limits_m = np.array([robust.near_m, robust.far_m, robust.voxel_m])
         self._deskewed: tuple[Scan, Motion, Points] | None = None
         self._free: Region | None = None  # the free area of the whole map, until it grows
         self._bounded = False  # whether cost bounds were computed since the map last grew
@@ -130,7 +129,7 @@ class Robust:
     def _near(self) -> tuple[Schedule, Schedule]:
         """Schedules of the search close to the prediction: without odometry, and with it."""
         robust = self.config.robust
-        window = (robust.expert.near_window_mm * MM, robust.expert.near_window_deg * DEG)
+        window = (robust.expert.near_window_m, robust.expert.near_window_rad)
         return Schedule.of(self.config, self.lines, window), Schedule.of(
             self.config, self.lines, window, prior=robust.expert.prior
         )
@@ -138,17 +137,17 @@ class Robust:
     @cached_property
     def _final(self) -> Schedule:
         """Schedule of the search of the final pass."""
-        window = (self.config.robust.expert.final_window_mm * MM, self.config.robust.expert.final_window_deg * DEG)
+        window = (self.config.robust.expert.final_window_m, self.config.robust.expert.final_window_rad)
         return Schedule.of(self.config, self.lines, window, final=True)
 
     def _begin(self) -> None:
         """Start an empty map."""
         robust = self.config.robust
-        self.known = self.grid = GridBuilder(robust.cell_mm * MM)
+        self.known = self.grid = GridBuilder(robust.cell_m)
         self.lines = LineMap(
-            robust.cell_mm * MM,
-            robust.expert.line_sigma_mm * MM,
-            robust.expert.line_noise_mm * MM,
+            robust.cell_m,
+            robust.expert.line_sigma_m,
+            robust.expert.line_noise_m,
             robust.expert.overlap_points,
             robust.expert.waiting_share,
         )
@@ -232,7 +231,7 @@ class Robust:
 
     def _search_around(self, points: NDArray[np.float64], predicted: Pose) -> list[Match]:
         """Search the second window around the prediction."""
-        region = around(predicted, self.config.robust.expert.window_mm * MM, self.config.robust.expert.window_deg * DEG)
+        region = around(predicted, self.config.robust.expert.window_m, self.config.robust.expert.window_rad)
         return candidates(points, self.lines, self.known, region, self.config, most=NEAR_MINIMA)
 
     def _search_near(self, points: NDArray[np.float64], predicted: Pose, motion: Motion) -> list[Match]:
