@@ -26,7 +26,7 @@ from mavnav.pose import Pose
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from mavnav.batch.manifest import Entry
+    from mavnav.batch.manifest import LogEntry
     from mavnav.batch.request import BatchRequest
     from mavnav.batch.settings import Setting
     from mavnav.jobs import Outcome
@@ -95,7 +95,7 @@ def display_names(logs: Sequence[str]) -> dict[str, str]:
     return found
 
 
-def _logs(request: BatchRequest, entry: Entry) -> Sequence[str]:
+def _logs(request: BatchRequest, entry: LogEntry) -> Sequence[str]:
     return find_logs(entry.log, request.base) if request.patterns else entry.log
 
 
@@ -120,7 +120,7 @@ def _merged(one: Case, other: Case) -> Case:
     )
 
 
-def _cases(request: BatchRequest, entry: Entry, log: str, name: str) -> Iterator[Case]:
+def _cases(request: BatchRequest, entry: LogEntry, log: str, name: str) -> Iterator[Case]:
     """Yield the cases of one log with its display name, one for each setting."""
     references = {name: request.base / file for name in REFERENCES if (file := getattr(entry, name))}
     topic = recorded_topic(str(entry.truth)) if entry.truth else None
@@ -158,7 +158,7 @@ def _digest(request: BatchRequest, log: str) -> str:
     return content_sha256(path)
 
 
-def _name(entry: Entry, log: str, setting: Setting) -> str:
+def _name(entry: LogEntry, log: str, setting: Setting) -> str:
     """Return the name of a case: its log, its setting, and the given options for reading the log."""
     extrinsic = ",".join(f"{x:g}" for x in entry.extrinsic or ())
     reading = {"topic": entry.topic, "start_s": entry.start_s, "end_s": entry.end_s, "extrinsic": extrinsic}
@@ -166,7 +166,7 @@ def _name(entry: Entry, log: str, setting: Setting) -> str:
     return " ".join([log, setting.name, *more, *(["strict"] if entry.strict else [])])
 
 
-def _reading(entry: Entry) -> dict[str, Any]:
+def _reading(entry: LogEntry) -> dict[str, Any]:
     """Return the fields of a `ReplayRequest` for reading a log."""
     given = {name: getattr(entry, name) for name in ("topic", "start_s", "end_s", "strict")}
     return given | {"extrinsic": Pose(*entry.extrinsic) if entry.extrinsic else None}

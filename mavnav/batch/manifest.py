@@ -5,11 +5,12 @@ from __future__ import annotations
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
-from pydantic import AfterValidator, BeforeValidator, Field
+from msgspec import Meta, Struct, field
+from msgspec.structs import force_setattr
 
 from mavnav.config.given_pose import pose_problem
 from mavnav.config.loading import origin, validated
-from mavnav.config.strict import Strict
+from mavnav.config.strict import Strict, setting
 from mavnav.config.yaml_layers import read_yaml
 from mavnav.errors import ConfigError, UsageError
 from mavnav.metrics.gates import full_name
@@ -28,63 +29,81 @@ if TYPE_CHECKING:
 GATE_EXAMPLE: Final = "write for example wall_thickness.spread.p95_mm<=150, or baseline"
 
 
-def _listed(value: object) -> object:
-    return value if isinstance(value, list | tuple) else [value]
+Seconds = Annotated[float, Meta(ge=0, le=1e9)]
 
 
-def _entry(value: object) -> object:
-    return {"log": value} if isinstance(value, str) else value
+def _list(entry: Struct, *names: str) -> None:
+    """Make lists of the fields that are written as their only item."""
+    for name in names:
+        value = getattr(entry, name)
+        force_setattr(entry, name, value if isinstance(value, tuple) else (value,))
 
 
-def _sound(pose: tuple[float, float, float]) -> tuple[float, float, float]:
-    if problem := pose_problem(*pose):
-        raise ValueError(problem)
-    return pose
-
-
-Texts = Annotated[tuple[str, ...], BeforeValidator(_listed)]
-Codes = Annotated[tuple[int, ...], BeforeValidator(_listed)]
-
-
-class Entry(Strict):
+class LogEntry(Strict, frozen=True):
     """Logs with the same options for reading, and gates for them in addition to those of the batch."""
 
-    log: Texts = Field(description="path, pattern, folder or address; or a list of them")
-    topic: str | None = Field(None, description="scan topic, if there are several")
-    start_s: float | None = Field(None, ge=0, description="start this many seconds after the first scan")
-    end_s: float | None = Field(None, ge=0, description="end this many seconds after the first scan")
-    extrinsic: Annotated[tuple[float, float, float], AfterValidator(_sound)] | None = Field(
-        None, description="laser on its base: x and y in m, yaw in rad"
+    log: Annotated[Texts, setting("path, pattern, folder or address; or a list of them")]
+    topic: Annotated[str | None, setting("scan topic, if there are several")] = None
+    start_s: Annotated[Seconds | None, setting("start this many seconds after the first scan")] = None
+    end_s: Annotated[Seconds | None, setting("end this many seconds after the first scan")] = None
+    extrinsic: Annotated[tuple[float, float, float] | None, setting("laser on its base: x and y in m, yaw in rad")] = (
+        None
     )
-    strict: bool = Field(False, description="leave out scans from parts of the log whose checksum does not match")
-    truth: str | None = Field(
-        None, description="true trajectory: a TUM file, auto, or topic:NAME of the log, as of mavnav replay --truth"
-    )
-    truth_map: str | None = Field(None, description="true map, as of --truth-map")
-    relations: str | None = Field(None, description="true relative poses, as of --relations")
-    gates: Texts = Field((), description="bounds such as wall_thickness.spread.p95_mm<=150")
-    accept: Codes = Field((), description="exit codes that count as done, such as 3 for a log known to be damaged")
+    strict: Annotated[bool, setting("leave out scans from parts of the log whose checksum does not match")] = False
+    truth: Annotated[
+        str | None, setting("true trajectory: a TUM file, auto, or topic:NAME of the log, as of mavnav replay --truth")
+    ] = None
+    truth_map: Annotated[str | None, setting("true map, as of --truth-map")] = None
+    relations: Annotated[str | None, setting("true relative poses, as of --relations")] = None
+    gates: Annotated[Texts, setting("bounds such as wall_thickness.spread.p95_mm<=150")] = ()
+    accept: Annotated[Codes, setting("exit codes that count as done, such as 3 for a log known to be damaged")] = ()
+
+    def __post_init__(self) -> None:
+        """Make lists of single items; raise ValueError if the pose of the laser cannot be meant."""
+        _list(self, "log", "gates", "accept")
+        if self.extrinsic and (problem := pose_problem(*self.extrinsic)):
+            raise ValueError(f"extrinsic: {problem}")
 
 
-class Manifest(Strict):
+if TYPE_CHECKING:
+    Texts = tuple[str, ...]
+    Codes = tuple[int, ...]
+    Entries = tuple[LogEntry, ...]
+else:
+    Texts = tuple[str, ...] | str
+    Codes = tuple[int, ...] | int
+    Entries = tuple[LogEntry | str, ...]
+"""Lists, which may be written as their only item, and entries of logs, which may be the log alone."""
+
+
+class Manifest(Strict, frozen=True):
     """Logs and settings, which are combined. Relative paths start at the manifest's folder."""
 
-    logs: tuple[Annotated[Entry, BeforeValidator(_entry)], ...] = Field((), description="paths, or sections with log")
-    runs: tuple[dict[str, Any], ...] = Field(
-        (), description="settings, every log with each: the keys of a configuration, with name and config (a file)"
+    logs: Annotated[Entries, setting("paths, or sections with log")] = ()
+    runs: Annotated[
+        tuple[dict[str, Any], ...],
+        setting("settings, every log with each: the keys of a configuration, with name and config (a file)"),
+    ] = ()
+    gates: Annotated[Texts, setting("bounds for every run; the word baseline: no run may be worse than in it")] = ()
+    accept: Annotated[Codes, setting("exit codes that count as done")] = ()
+    baseline: Annotated[str | None, setting("an earlier batch: its directory, batch.json, or a baseline file")] = None
+    tolerances: Annotated[
+        dict[str, Annotated[float, Meta(ge=-1e9, le=1e9)] | str],
+        setting("number of run.json: its tolerance, such as 5, 5% or 5%,high"),
+    ] = field(default_factory=dict)
+    output: Annotated[str | None, setting("directory")] = None
+    report: Annotated[bool, setting("write a report of every run")] = False
+    jobs: Annotated[Annotated[int, Meta(ge=1)] | None, setting("runs at a time")] = None
+    timeout_s: Annotated[Annotated[float, Meta(gt=0, le=1e9)] | None, setting("a run that takes longer is stopped")] = (
+        None
     )
-    gates: Texts = Field((), description="bounds for every run; the word baseline: no run may be worse than in it")
-    accept: Codes = Field((), description="exit codes that count as done")
-    baseline: str | None = Field(None, description="an earlier batch: its directory, batch.json, or a baseline file")
-    tolerances: dict[str, float | str] = Field(
-        {}, description="number of run.json: its tolerance, such as 5, 5% or 5%,high"
-    )
-    output: str | None = Field(None, description="directory")
-    report: bool = Field(False, description="write a report of every run")
-    jobs: int | None = Field(None, ge=1, description="runs at a time")
-    timeout_s: float | None = Field(None, gt=0, description="a run that takes longer is stopped")
-    memory_mb: int | None = Field(None, ge=1, le=10**9, description="memory limit of a run")
-    tries: int = Field(3, ge=1, description="maximum number of attempts for a run whose process was killed")
+    memory_mb: Annotated[Annotated[int, Meta(ge=1, le=10**9)] | None, setting("memory limit of a run")] = None
+    tries: Annotated[int, setting("maximum number of attempts for a run whose process was killed", ge=1)] = 3
+
+    def __post_init__(self) -> None:
+        """Make lists of single items, and entries of logs that are only named."""
+        _list(self, "gates", "accept")
+        force_setattr(self, "logs", tuple(LogEntry(log=(e,)) if isinstance(e, str) else e for e in self.logs))
 
 
 def read_manifest(path: Path) -> tuple[Manifest, Layer]:

@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct, field
+from msgspec.structs import replace
 
 from mavnav.batch.baseline import parse_tolerance, read_baseline, tolerances
 from mavnav.batch.cases import BASELINE_GATE
 from mavnav.batch.document import BATCH_FILE
-from mavnav.batch.manifest import GATE_EXAMPLE, Entry, Manifest, located, origins_of, read_manifest
+from mavnav.batch.manifest import GATE_EXAMPLE, LogEntry, Manifest, located, origins_of, read_manifest
 from mavnav.batch.request import BatchPart, BatchRequest, Rules, RunLimits
 from mavnav.batch.settings import Setting, crossed_settings, listed_settings
 from mavnav.config.layers import Layer
@@ -34,7 +35,7 @@ class Options(Struct, frozen=True):
     """The command line; an option that was not given is None or empty.
 
     ``words`` is the whole command line as typed. ``sources`` are a manifest and logs, ``options`` values of the
-    configuration, and ``reading`` values of an `Entry`. ``files`` are additional files to write by their options.
+    configuration, and ``reading`` values of a `LogEntry`. ``files`` are additional files to write by their options.
     """
 
     words: Sequence[str] = ()
@@ -113,12 +114,12 @@ def _default_directory(path: Path | None) -> Path:
     return Path("runs") / (f"batch-{path.stem}" if path else "batch")
 
 
-def _entries(options: Options, manifest: Manifest, base: Path) -> tuple[Entry, ...]:
+def _entries(options: Options, manifest: Manifest, base: Path) -> tuple[LogEntry, ...]:
     """Return the entries of the manifest and of the command line, whose paths start at the current folder."""
     logs = [source for source in options.sources if not source.endswith(MANIFEST_SUFFIXES)]
     absolute = [log if is_address(log) or not base.parts else str(Path(log).absolute()) for log in logs]
-    entries = (*manifest.logs, *((Entry(log=tuple(absolute)),) if absolute else ()))
-    return tuple(entry.model_copy(update=dict(options.reading)) for entry in entries)
+    entries = (*manifest.logs, *((LogEntry(log=tuple(absolute)),) if absolute else ()))
+    return tuple(replace(entry, **options.reading) for entry in entries)
 
 
 def _settings(options: Options, manifest: Manifest, layer: Layer, base: Path) -> list[Setting]:

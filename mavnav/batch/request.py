@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from mavnav.batch.baseline import Baseline, Tolerance
-    from mavnav.batch.manifest import Entry, Origins
+    from mavnav.batch.manifest import LogEntry, Origins
     from mavnav.batch.settings import Setting
     from mavnav.metrics.gates import Gate
 
@@ -70,7 +70,7 @@ class BatchRequest(Struct, frozen=True):
     ``origins`` are the lines of a manifest.
     """
 
-    entries: tuple[Entry, ...]
+    entries: tuple[LogEntry, ...]
     settings: tuple[Setting, ...]
     base: Path
     directory: Path

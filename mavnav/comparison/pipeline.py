@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec.structs import replace
 
 from mavnav.batch.cases import make_cases
-from mavnav.batch.manifest import Entry
+from mavnav.batch.manifest import LogEntry
 from mavnav.batch.plan import BatchPlan, check_gates, plan_cases
 from mavnav.batch.request import BatchRequest, Rules, RunLimits
 from mavnav.batch.runner import run_cases
@@ -54,14 +54,14 @@ def comparison_request(
 ) -> BatchRequest:
     """Return the batch of every log with every setting.
 
-    ``reading`` are values of an `Entry`: the options for reading a log, and its references. Raises UsageError for
+    ``reading`` are values of a `LogEntry`: the options for reading a log, and its references. Raises UsageError for
     reference files with several logs.
     """
     files = [reading.get(name) for name in REFERENCES]
     if len(logs) > 1 and any(file and recorded_topic(str(file)) is None for file in files):
         raise UsageError("--truth, --truth-map and --relations are about one log; compare one log at a time with them")
     return BatchRequest(
-        entries=tuple(Entry.model_construct(log=(str(log),), **reading) for log in logs),  # names need not be UTF-8
+        entries=tuple(LogEntry(log=(str(log),), **reading) for log in logs),
         settings=tuple(settings),
         base=Path(),
         directory=directory,

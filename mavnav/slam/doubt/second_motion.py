@@ -17,7 +17,7 @@ from mavnav.kernels.scans.points import extent
 from mavnav.pose import Pose
 from mavnav.slam.matching.scan_matching import empty_line_map
 from mavnav.slam.matching.steps import tracked_trajectory
-from mavnav.units import MM, NS
+from mavnav.units import NS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -120,7 +120,7 @@ def rival(
 ) -> tuple[float, float] | None:
     """Return the velocity of a second motion that fits as well as the track, frame of the first scan; None if none."""
     robust, (first, *later) = track.config.robust, rows
-    truncate_m, least = robust.truncate_mm * MM, robust.min_points
+    truncate_m, least = robust.expert.truncate_m, robust.min_points
     if min(len(points[row]) for row in rows) < least:
         return None
     lines = empty_line_map(track.config)

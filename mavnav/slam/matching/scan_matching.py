@@ -11,7 +11,6 @@ from mavnav.kernels.line_search import search as line_search
 from mavnav.mapping.line_map import LineMap
 from mavnav.pose import Pose, wrap_angle
 from mavnav.profiling import timed
-from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -58,8 +57,8 @@ def empty_line_map(
 ) -> LineMap:
     """Return an empty map of lines as configured; ``cell_m`` is the edge of its cells if they are those of a grid."""
     robust = config.robust
-    cell_m = robust.cell_mm * MM if cell_m is None else cell_m
-    return LineMap(cell_m, robust.line_sigma_mm * MM, robust.line_noise_mm * MM, known_points, waiting_share)
+    cell_m = robust.cell_m if cell_m is None else cell_m
+    return LineMap(cell_m, robust.expert.line_sigma_m, robust.expert.line_noise_m, known_points, waiting_share)
 
 
 ALTERNATIONS, FINAL_ALTERNATIONS = 2, 1
@@ -97,19 +96,19 @@ class Schedule(Struct, frozen=True):
         finer = FINAL_STOP if final else 1.0
         limits = [
             *window,
-            finer * robust.stop_mm * MM,
-            finer * robust.stop_deg * DEG,
-            (robust.final_truncate_mm if final else robust.truncate_mm) * MM,
-            robust.first_level_points,
+            finer * robust.expert.stop_m,
+            finer * robust.expert.stop_rad,
+            robust.expert.final_truncate_m if final else robust.expert.truncate_m,
+            robust.expert.first_level_points,
             FINAL_ALTERNATIONS if final else ALTERNATIONS,
             prior,
-            robust.hold_below_mm * MM,
+            robust.expert.hold_below_m,
             0.0 if final else line_map.cell_m,
-            line_map.closeness_at(robust.overlap_mm * MM) if robust.overlap_mm and not final else 0.0,
+            line_map.closeness_at(robust.expert.overlap_m) if robust.expert.overlap_m and not final else 0.0,
             line_map.known_points,
-            robust.sparse_points,
+            robust.expert.sparse_points,
         ]
-        points = [config.azimuth, grid.nx, grid.ny, robust.max_extensions, config.search == "pruned"]
+        points = [config.azimuth, grid.nx, grid.ny, robust.expert.max_extensions, config.search == "pruned"]
         return cls(np.array(points, float), np.array(limits))
 
 
