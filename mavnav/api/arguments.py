@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from numbers import Integral
 from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mavnav.config.given_pose import pose_problem
+from mavnav.config.option_kinds import FILE, POSE, TOPICS, TRUTH, Kind, recorded_topic
+from mavnav.config.options import OPTIONS, given_options
 from mavnav.errors import UsageError
-from mavnav.ground_truth.topics import recorded_topic
 from mavnav.pose import Pose
 
 if TYPE_CHECKING:
-    File = str | PathLike[str]
+    from mavnav.config.options import File, ReplayOptions
 
 
 def path_of(file: File, name: str) -> Path:
@@ -103,3 +104,21 @@ def sets_of(settings: Mapping[str, object] | None) -> list[str]:
         return [f"{key}={json.dumps(value)}" for key, value in settings.items()]
     except (TypeError, ValueError) as error:
         raise UsageError(f"settings have a value of no plain type ({error}); give numbers, texts and lists") from None
+
+
+def options_of(options: Mapping[str, Any]) -> ReplayOptions[Path]:
+    """Return the options of a replay that are given, checked."""
+    given = {name: value for name, value in options.items() if value is not None}
+    return given_options({n: _CHECKS.get(OPTIONS[n].kind, _unchecked)(value, n) for n, value in given.items()})
+
+
+def _unchecked(value: Any, _: str) -> Any:  # noqa: ANN401  the configuration checks it
+    return value
+
+
+def _truth_of(truth: File, name: str) -> str | Path:
+    return truth if isinstance(truth, str) and recorded_topic(truth) else path_of(truth, name)
+
+
+_CHECKS: dict[Kind, Callable[[Any, str], Any]] = {FILE: path_of, POSE: pose_of, TOPICS: text_of, TRUTH: _truth_of}
+"""Kind of an option -> what checks its values."""

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from msgspec import Struct, field
+from msgspec.structs import replace
 
 from mavnav.batch.baseline import parse_tolerance, read_baseline, tolerances
 from mavnav.batch.cases import BASELINE_GATE
 from mavnav.batch.document import BATCH_FILE
-from mavnav.batch.manifest import GATE_EXAMPLE, Entry, Manifest, located, origins_of, read_manifest
-from mavnav.batch.request import BatchPart, BatchRequest, Rules, RunLimits
+from mavnav.batch.manifest import GATE_EXAMPLE, Manifest, located, origins_of, read_manifest
+from mavnav.batch.request import BatchPart, BatchRequest, LogEntry, Rules, RunLimits
 from mavnav.batch.settings import Setting, crossed_settings, listed_settings
 from mavnav.config.layers import Layer
+from mavnav.config.options import OPTIONS, ReplayOptions, given_options, restore_options, settings_of
 from mavnav.errors import ExitCode, UsageError
 from mavnav.jobs import usable_cores
 from mavnav.jobs.dask import LOCAL
@@ -25,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from mavnav.batch.baseline import Tolerance
-    from mavnav.batch.manifest import Origins
+    from mavnav.batch.manifest import Entry, Origins
 
 MANIFEST_SUFFIXES = (".yaml", ".yml")
 
@@ -33,8 +35,8 @@ MANIFEST_SUFFIXES = (".yaml", ".yml")
 class Options(Struct, frozen=True):
     """The command line; an option that was not given is None or empty.
 
-    ``words`` is the whole command line as typed. ``sources`` are a manifest and logs, ``options`` values of the
-    configuration, and ``reading`` values of an `Entry`. ``files`` are additional files to write by their options.
+    ``words`` is the whole command line as typed. ``sources`` are a manifest and logs, ``options`` those of all
+    replays. ``files`` are additional files to write by their options.
     """
 
     words: Sequence[str] = ()
@@ -44,8 +46,7 @@ class Options(Struct, frozen=True):
     azimuths: Sequence[int] = ()
     config: str | None = None
     sets: Sequence[str] = ()
-    options: Mapping[str, object] = field(default_factory=dict)
-    reading: Mapping[str, Any] = field(default_factory=dict)
+    options: ReplayOptions[Path] = field(default_factory=ReplayOptions[Path])
     gates: Sequence[str] = ()
     accept: Sequence[int] = ()
     baseline: Path | None = None
@@ -113,20 +114,25 @@ def _default_directory(path: Path | None) -> Path:
     return Path("runs") / (f"batch-{path.stem}" if path else "batch")
 
 
-def _entries(options: Options, manifest: Manifest, base: Path) -> tuple[Entry, ...]:
+def _entries(options: Options, manifest: Manifest, base: Path) -> tuple[LogEntry, ...]:
     """Return the entries of the manifest and of the command line, whose paths start at the current folder."""
     logs = [source for source in options.sources if not source.endswith(MANIFEST_SUFFIXES)]
     absolute = [log if is_address(log) or not base.parts else str(Path(log).absolute()) for log in logs]
-    entries = (*manifest.logs, *((Entry(log=tuple(absolute)),) if absolute else ()))
-    return tuple(entry.model_copy(update=dict(options.reading)) for entry in entries)
+    entries = [_entry(entry, base) for entry in manifest.logs]
+    entries += [LogEntry(tuple(absolute))] if absolute else []
+    return tuple(replace(entry, options=given_options({**entry.options, **options.options})) for entry in entries)
+
+
+def _entry(entry: Entry, base: Path) -> LogEntry:
+    values = {name: getattr(entry, name) for name, option in OPTIONS.items() if option.manifest}
+    return LogEntry(entry.log, restore_options(values, lambda text: base / text), entry.gates, entry.accept)
 
 
 def _settings(options: Options, manifest: Manifest, layer: Layer, base: Path) -> list[Setting]:
+    overrides = settings_of(options.options)
     if manifest.runs and not (options.methods or options.grids or options.azimuths or options.config):
-        return listed_settings(manifest.runs, layer, base, options.sets, options.options)
-    return crossed_settings(
-        options.config, options.sets, options.methods, options.grids, options.azimuths, options.options
-    )
+        return listed_settings(manifest.runs, layer, base, options.sets, overrides)
+    return crossed_settings(options.config, options.sets, options.methods, options.grids, options.azimuths, overrides)
 
 
 def _limits(options: Options, manifest: Manifest) -> RunLimits:

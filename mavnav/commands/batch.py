@@ -13,35 +13,25 @@ from mavnav.commands import signals
 from mavnav.commands.batch_rows import print_verdict, row_printer
 from mavnav.commands.gating import Gates
 from mavnav.commands.options import (
-    Attitude,
     ConfigFile,
-    End,
-    Extrinsic,
     Jobs,
     Methods,
-    Odom,
-    Online,
     Quiet,
     RunAgain,
     Sets,
-    Start,
-    Strict,
-    Topic,
-    azimuths_option,
     check_option,
+    check_window,
     directory_option,
-    given_values,
-    given_window,
-    grids_option,
-    joined_topics,
     output_option,
-    parse_pose,
     resource_option,
     schema_option,
+    shared_option,
+    with_options,
 )
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.run_progress import watching
 from mavnav.commands.terminal import emit_json, note
+from mavnav.config.options import READING, read_options
 from mavnav.units import counted
 
 if TYPE_CHECKING:
@@ -66,6 +56,7 @@ mavnav batch nightly.yaml --scheduler tcp://10.0.0.1:8786
 """
 
 
+@with_options(*READING, "strict", "online")
 def batch(
     context: typer.Context,
     sources: Annotated[
@@ -75,24 +66,18 @@ def batch(
         ),
     ] = None,
     *,
-    topic: Topic = None,
-    start: Start = None,
-    end: End = None,
-    odom: Odom = None,
-    attitude: Attitude = None,
-    extrinsic: Extrinsic = None,
-    strict: Strict = False,
     schema: Annotated[bool, schema_option(help="Print the JSON Schema of manifests.")] = False,
     methods: Methods = None,
     grids: Annotated[
         list[str] | None,
-        grids_option(help="Search grid; repeatable (default 10x10)."),
+        shared_option("grid", help="Search grid; repeatable (default 10x10)."),
     ] = None,
     azimuths: Annotated[
         list[int] | None,
-        azimuths_option(help="Yaw samples: one number for all grids, or one for each (default twice N, at most 40)."),
+        shared_option(
+            "azimuth", help="Yaw samples: one number for all grids, or one for each (default twice N, at most 40)."
+        ),
     ] = None,
-    online: Online = False,
     config: ConfigFile = None,
     sets: Sets = None,
     directory: Annotated[
@@ -158,6 +143,7 @@ def batch(
         str | None,
         resource_option(metavar="I/N", help="Run part I of N (default all); all parts share --output."),
     ] = None,
+    **given: object,
 ) -> None:
     """Replay many logs with many settings; a failed run does not stop the others, finished runs are reused."""
     if schema:
@@ -167,6 +153,8 @@ def batch(
         with loading_modules():
             from mavnav.batch.options import Options
             from mavnav.outputs.directory import check_target
+        shared = read_options(given)
+        check_window(shared)
         files = {name: file for name, file in (("--junit", junit), ("--summary", summary)) if file}
         for file in files.values():
             check_target(file)
@@ -178,9 +166,7 @@ def batch(
             azimuths=azimuths or (),
             config=config,
             sets=sets or (),
-            options=given_values(odom=odom, attitude=attitude, final_pass=False if online else None),
-            reading=given_values(topic=joined_topics(topic), extrinsic=parse_pose(extrinsic), strict=strict or None)
-            | given_window(start, end),
+            options=shared,
             gates=gates or (),
             accept=accept or (),
             baseline=baseline,

@@ -25,7 +25,7 @@ def words(*names: str) -> Completer:
     return complete
 
 
-METHODS: Final = words("robust", "paper")
+attitude_topics: Final = words("auto", "off", "/attitude")
 
 
 def presets(incomplete: str) -> list[str]:

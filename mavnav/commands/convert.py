@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mavnav.commands.options import Force, Json, LogFile, Quiet, Strict
+from mavnav.commands.options import Force, Json, LogFile, Quiet, with_options
 from mavnav.commands.progress import reporting
 from mavnav.commands.terminal import emit_json, note_problems, print_table
 from mavnav.errors import ExitCode
@@ -26,21 +26,26 @@ mavnav convert rosbag2_folder drive.mcap --strict --json | jq .left_out
 """
 
 
+@with_options("strict")
 def convert(
     log: LogFile,
     target: Annotated[Path, typer.Argument(metavar="OUT.mcap", help="The file to write.", show_default=False)],
     *,
-    strict: Strict = False,
     force: Force = False,
     json: Json = False,
     quiet: Quiet = False,
+    **given: object,
 ) -> None:
     """Convert a log, as far as it can be read, to an indexed MCAP with ROS 2 messages."""
     from mavnav.logs.writing.convert import convert_log
 
     with reporting(quiet=quiet) as report:
         done = convert_log(
-            log, target, strict=strict, force=force, progress=lambda n, total: report("converting", n, total)
+            log,
+            target,
+            strict=bool(given["strict"]),
+            force=force,
+            progress=lambda n, total: report("converting", n, total),
         )
     code = ExitCode.DAMAGED_INPUT if done.damage else ExitCode.DONE
     found = document(log, target, done, code)

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from mavnav.commands.options import Json, LogFile, Quiet, Strict, Topic, joined_topics
+from mavnav.commands.options import Json, LogFile, Quiet, with_options
 from mavnav.commands.progress import reporting
 from mavnav.commands.terminal import LISTED, emit_json, note_problems, print_table
+from mavnav.config.options import read_options
 from mavnav.errors import ExitCode, MavnavError
 from mavnav.units import DEG, NS, counted
 
@@ -29,20 +30,20 @@ mavnav info drive.bag --json | jq .scans
 """
 
 
-def info(
-    log: LogFile,
-    *,
-    topic: Topic = None,
-    strict: Strict = False,
-    json: Json = False,
-    quiet: Quiet = False,
-) -> None:
+@with_options("topic", "strict")
+def info(log: LogFile, *, json: Json = False, quiet: Quiet = False, **given: object) -> None:
     """Examine a log: topics, sensor, scans, rate, validity of ranges, odometry, and everything that is damaged."""
     from mavnav.logs import survey
 
-    name = joined_topics(topic)
+    options = read_options(given)
+    name = options.get("topic")
     with reporting(quiet=quiet) as report:
-        found = survey(log, topic=name, strict=strict, progress=lambda done, total: report("reading", done, total))
+        found = survey(
+            log,
+            topic=name,
+            strict=options.get("strict", False),
+            progress=lambda done, total: report("reading", done, total),
+        )
     logs, error = _choices(found, name)
     if error is not None:
         shown = document(found, logs, error.exit_code)

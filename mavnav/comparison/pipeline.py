@@ -13,27 +13,27 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec.structs import replace
 
 from mavnav.batch.cases import make_cases
-from mavnav.batch.manifest import Entry
 from mavnav.batch.plan import BatchPlan, check_gates, plan_cases
-from mavnav.batch.request import BatchRequest, Rules, RunLimits
+from mavnav.batch.request import BatchRequest, LogEntry, Rules, RunLimits
 from mavnav.batch.runner import run_cases
 from mavnav.comparison.document import comparison_document
 from mavnav.comparison.figures import RELATIVE_COSTS
 from mavnav.comparison.files import COMPARISON_FILE, write_comparison
 from mavnav.config.named_files import read_json
+from mavnav.config.options import reference_files
 from mavnav.errors import UsageError
-from mavnav.ground_truth.topics import recorded_topic
-from mavnav.jobs.run_cache import REFERENCES, RUNS_FOLDER, check_cache_directory
+from mavnav.jobs.run_cache import RUNS_FOLDER, check_cache_directory
 from mavnav.logs.formats.detect import log_name
 from mavnav.outputs.documents.provenance import Typed
 from mavnav.outputs.files.document import plain
 from mavnav.outputs.writers import REPORT_FILE
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Sequence
 
     from mavnav.batch.cases import Case
     from mavnav.batch.settings import Setting
+    from mavnav.config.options import ReplayOptions
     from mavnav.jobs import Event
     from mavnav.metrics.gates import Gate
     from mavnav.profiling import Progress
@@ -45,7 +45,7 @@ def comparison_request(
     logs: Sequence[Path],
     settings: Sequence[Setting],
     directory: Path,
-    reading: Mapping[str, Any],
+    options: ReplayOptions[Path],
     *,
     workers: int = 1,
     gates: Sequence[Gate] = (),
@@ -54,14 +54,12 @@ def comparison_request(
 ) -> BatchRequest:
     """Return the batch of every log with every setting.
 
-    ``reading`` are values of an `Entry`: the options for reading a log, and its references. Raises UsageError for
-    reference files with several logs.
+    Raises UsageError for reference files with several logs.
     """
-    files = [reading.get(name) for name in REFERENCES]
-    if len(logs) > 1 and any(file and recorded_topic(str(file)) is None for file in files):
+    if len(logs) > 1 and reference_files(options):
         raise UsageError("--truth, --truth-map and --relations are about one log; compare one log at a time with them")
     return BatchRequest(
-        entries=tuple(Entry.model_construct(log=(str(log),), **reading) for log in logs),  # names need not be UTF-8
+        entries=tuple(LogEntry((str(log),), options) for log in logs),
         settings=tuple(settings),
         base=Path(),
         directory=directory,

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from functools import partial
 from math import isfinite
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from msgspec import Struct
+from msgspec import Struct, field
 
 from mavnav.config.models import OdometryConfig
+from mavnav.config.options import ReplayOptions
 from mavnav.errors import ExitCode, TopicError, UsageError, worst
 from mavnav.logs import check_log, open_log
 from mavnav.logs.formats.detect import log_name
@@ -28,8 +30,6 @@ from mavnav.units import DEG
 from mavnav.version import __version__
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from mavnav.config.models import Config
     from mavnav.logs import Log
     from mavnav.metrics.calibration.motion import Motions
@@ -47,10 +47,7 @@ class CalibrationRequest(Struct, frozen=True):
 
     log: Path
     config: Config
-    topic: str | None = None
-    start_s: float | None = None
-    end_s: float | None = None
-    strict: bool = False
+    options: ReplayOptions[Path] = field(default_factory=ReplayOptions[Path])
     document: Path | None = None
     picture: Path | None = None
     report: Path | None = None
@@ -92,9 +89,10 @@ def _check(request: CalibrationRequest) -> None:
         raise UsageError("calibrate compares the laser with odometry; leave --odom off away, or name a topic")
     if request.config.odometry != OdometryConfig() or request.config.upside_down:
         raise UsageError("calibrate looks at a log as recorded; leave the settings odometry and upside_down out")
-    if request.topic and "," in request.topic:
+    options = request.options
+    if "," in (options.get("topic") or ""):
         raise UsageError("calibrate takes one laser; name one --topic at a time")
-    check_log(request.log, request.start_s, request.end_s)
+    check_log(request.log, options.get("start_s"), options.get("end_s"))
     check_file(request.document, ".json", "JSON", force=request.force)
     check_file(request.picture, ".png", "PNG", force=request.force)
     check_file(request.report, ".html", "HTML", force=request.force)
@@ -104,13 +102,14 @@ def _check(request: CalibrationRequest) -> None:
 
 def _opened(request: CalibrationRequest, progress: Progress) -> Log:
     """Survey the log; raises TopicError where it has no odometry to use."""
+    options = request.options
     log = open_log(
         request.log,
-        topic=request.topic,
+        topic=options.get("topic"),
         odom=request.config.odom,
-        start_s=request.start_s,
-        end_s=request.end_s,
-        strict=request.strict,
+        start_s=options.get("start_s"),
+        end_s=options.get("end_s"),
+        strict=options.get("strict", False),
         progress=lambda done, total: progress("reading", done, total),
     )
     if log.odometry is None:
@@ -142,7 +141,7 @@ def _document(request: CalibrationRequest, log: Log, outcome: SlamResult, found:
     quantities = [_row(quantity, log) for quantity in found.quantities]
     upside_down = None if found.mirrored is None else found.mirrored != log.upside_down
     code = ExitCode.GATE_FAILED if all(q["refused"] for q in quantities) else ExitCode.DONE
-    reading = reading_options(request.topic, request.config.odom, strict=request.strict)
+    reading = reading_options(request.options, request.config.odom)
     codes = [code, ExitCode.TRACKING_LOST] if outcome.lost_for_good else [code]
     return {
         "schema_version": SCHEMA_VERSION,
