@@ -21,7 +21,7 @@ from mavnav.errors import ExitCode, MavnavError, lacks_memory
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-LIBRARIES = ("numpy", "numba", "scipy", "mcap", "rosbags", "pydantic", "pillow", "typer")
+LIBRARIES = ("numpy", "numba", "scipy", "mcap", "rosbags", "msgspec", "pillow", "typer")
 
 _STREAM_ERRORS = (errno.ENOSPC, errno.EBADF, errno.EIO, errno.EFBIG, errno.EDQUOT)
 

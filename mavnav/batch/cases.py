@@ -25,7 +25,7 @@ from mavnav.pipelines.replay import ReplayRequest
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from mavnav.batch.request import BatchRequest, LogEntry
+    from mavnav.batch.request import BatchLogs, BatchRequest
     from mavnav.batch.settings import Setting
     from mavnav.jobs import Outcome
     from mavnav.profiling import Progress
@@ -93,7 +93,7 @@ def display_names(logs: Sequence[str]) -> dict[str, str]:
     return found
 
 
-def _logs(request: BatchRequest, entry: LogEntry) -> Sequence[str]:
+def _logs(request: BatchRequest, entry: BatchLogs) -> Sequence[str]:
     return find_logs(entry.log, request.base) if request.patterns else entry.log
 
 
@@ -118,7 +118,7 @@ def _merged(one: Case, other: Case) -> Case:
     )
 
 
-def _cases(request: BatchRequest, entry: LogEntry, log: str, name: str) -> Iterator[Case]:
+def _cases(request: BatchRequest, entry: BatchLogs, log: str, name: str) -> Iterator[Case]:
     """Yield the cases of one log with its display name, one for each setting."""
     shared: dict[str, Any] = {
         "log": name,
@@ -159,7 +159,7 @@ def _digest(request: BatchRequest, log: str) -> str:
     return content_sha256(path)
 
 
-def _name(entry: LogEntry, log: str, setting: Setting) -> str:
+def _name(entry: BatchLogs, log: str, setting: Setting) -> str:
     """Return the name of a case: its log, its setting, and the given options but for references."""
     options = ((n, value) for n, value in run_options(entry.options) if not OPTIONS[n].reference)
     more = (name if value is True else f"{name}={_short(value)}" for name, value in options)

@@ -5,11 +5,14 @@ from __future__ import annotations
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
-from pydantic import AfterValidator, BeforeValidator, Field
+from msgspec import Meta, Struct, defstruct, field
+from msgspec.structs import force_setattr
 
 from mavnav.config.given_pose import pose_problem
 from mavnav.config.loading import origin, validated
-from mavnav.config.strict import Strict
+from mavnav.config.option_kinds import NUMBER, POSE, SWITCH
+from mavnav.config.options import OPTIONS
+from mavnav.config.strict import Strict, setting
 from mavnav.config.yaml_layers import read_yaml
 from mavnav.errors import ConfigError, UsageError
 from mavnav.metrics.gates import full_name
@@ -19,6 +22,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from mavnav.config.layers import Layer
+    from mavnav.config.option_kinds import Option
 
     Origins = Mapping[tuple[str, str | int], str]
     """File and line of each gate, accepted code and tolerance of a manifest, by ``gates``, ``accept`` and
@@ -28,63 +32,92 @@ if TYPE_CHECKING:
 GATE_EXAMPLE: Final = "write for example wall_thickness.spread.p95_mm<=150, or baseline"
 
 
-def _listed(value: object) -> object:
-    return value if isinstance(value, list | tuple) else [value]
+Seconds = Annotated[float, Meta(ge=0, le=1e9)]
 
 
-def _entry(value: object) -> object:
-    return {"log": value} if isinstance(value, str) else value
+def _list(entry: Struct, *names: str) -> None:
+    """Make lists of the fields that are written as their only item."""
+    for name in names:
+        value = getattr(entry, name)
+        force_setattr(entry, name, value if isinstance(value, tuple) else (value,))
 
 
-def _sound(pose: tuple[float, float, float]) -> tuple[float, float, float]:
-    if problem := pose_problem(*pose):
-        raise ValueError(problem)
-    return pose
+class _Logs(Strict, frozen=True):
+    log: Annotated[Texts, setting("path, pattern, folder or address; or a list of them")]
 
 
-Texts = Annotated[tuple[str, ...], BeforeValidator(_listed)]
-Codes = Annotated[tuple[int, ...], BeforeValidator(_listed)]
+def _field(name: str, option: Option) -> tuple[str, Any, object]:
+    kind = {NUMBER: Seconds, SWITCH: bool, POSE: tuple[float, float, float]}.get(option.kind, str)
+    default = False if kind is bool else None
+    return name, Annotated[kind if kind is bool else kind | None, setting(option.help)], default
 
 
-class Entry(Strict):
-    """Logs with the same options for reading, and gates for them in addition to those of the batch."""
+_FIELDS: Final = [_field(name, option) for name, option in OPTIONS.items() if option.manifest]
 
-    log: Texts = Field(description="path, pattern, folder or address; or a list of them")
-    topic: str | None = Field(None, description="scan topic, if there are several")
-    start_s: float | None = Field(None, ge=0, description="start this many seconds after the first scan")
-    end_s: float | None = Field(None, ge=0, description="end this many seconds after the first scan")
-    extrinsic: Annotated[tuple[float, float, float], AfterValidator(_sound)] | None = Field(
-        None, description="laser on its base: x and y in m, yaw in rad"
-    )
-    strict: bool = Field(False, description="leave out scans from parts of the log whose checksum does not match")
-    truth: str | None = Field(
-        None, description="true trajectory: a TUM file, auto, or topic:NAME of the log, as of mavnav replay --truth"
-    )
-    truth_map: str | None = Field(None, description="true map, as of --truth-map")
-    relations: str | None = Field(None, description="true relative poses, as of --relations")
-    gates: Texts = Field((), description="bounds such as wall_thickness.spread.p95_mm<=150")
-    accept: Codes = Field((), description="exit codes that count as done, such as 3 for a log known to be damaged")
+if TYPE_CHECKING:
+    _Options = _Logs
+else:
+    _Options = defstruct("_Options", _FIELDS, bases=(_Logs,), module=__name__, frozen=True)
 
 
-class Manifest(Strict):
+class LogEntry(_Options, frozen=True):
+    """Logs with the same options, and gates for them in addition to those of the batch."""
+
+    gates: Annotated[Texts, setting("bounds such as wall_thickness.spread.p95_mm<=150")] = ()
+    accept: Annotated[Codes, setting("exit codes that count as done, such as 3 for a log known to be damaged")] = ()
+
+    def __post_init__(self) -> None:
+        """Make lists of single items; raise ValueError if the pose of the laser cannot be meant."""
+        _list(self, "log", "gates", "accept")
+        pose = self.values["extrinsic"]
+        if pose and (problem := pose_problem(*pose)):
+            raise ValueError(f"extrinsic: {problem}")
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """The options by their names."""
+        return {name: getattr(self, name) for name, *_ in _FIELDS}
+
+
+if TYPE_CHECKING:
+    Texts = tuple[str, ...]
+    Codes = tuple[int, ...]
+    Entries = tuple[LogEntry, ...]
+else:
+    Texts = tuple[str, ...] | str
+    Codes = tuple[int, ...] | int
+    Entries = tuple[LogEntry | str, ...]
+"""Lists, which may be written as their only item, and entries of logs, which may be the log alone."""
+
+
+class Manifest(Strict, frozen=True):
     """Logs and settings, which are combined. Relative paths start at the manifest's folder."""
 
-    logs: tuple[Annotated[Entry, BeforeValidator(_entry)], ...] = Field((), description="paths, or sections with log")
-    runs: tuple[dict[str, Any], ...] = Field(
-        (), description="settings, every log with each: the keys of a configuration, with name and config (a file)"
+    logs: Annotated[Entries, setting("paths, or sections with log")] = ()
+    runs: Annotated[
+        tuple[dict[str, Any], ...],
+        setting("settings, every log with each: the keys of a configuration, with name and config (a file)"),
+    ] = ()
+    gates: Annotated[Texts, setting("bounds for every run; the word baseline: no run may be worse than in it")] = ()
+    accept: Annotated[Codes, setting("exit codes that count as done")] = ()
+    baseline: Annotated[str | None, setting("an earlier batch: its directory, batch.json, or a baseline file")] = None
+    tolerances: Annotated[
+        dict[str, Annotated[float, Meta(ge=-1e9, le=1e9)] | str],
+        setting("number of run.json: its tolerance, such as 5, 5% or 5%,high"),
+    ] = field(default_factory=dict)
+    output: Annotated[str | None, setting("directory")] = None
+    report: Annotated[bool, setting("write a report of every run")] = False
+    jobs: Annotated[Annotated[int, Meta(ge=1)] | None, setting("runs at a time")] = None
+    timeout_s: Annotated[Annotated[float, Meta(gt=0, le=1e9)] | None, setting("a run that takes longer is stopped")] = (
+        None
     )
-    gates: Texts = Field((), description="bounds for every run; the word baseline: no run may be worse than in it")
-    accept: Codes = Field((), description="exit codes that count as done")
-    baseline: str | None = Field(None, description="an earlier batch: its directory, batch.json, or a baseline file")
-    tolerances: dict[str, float | str] = Field(
-        {}, description="number of run.json: its tolerance, such as 5, 5% or 5%,high"
-    )
-    output: str | None = Field(None, description="directory")
-    report: bool = Field(False, description="write a report of every run")
-    jobs: int | None = Field(None, ge=1, description="runs at a time")
-    timeout_s: float | None = Field(None, gt=0, description="a run that takes longer is stopped")
-    memory_mb: int | None = Field(None, ge=1, le=10**9, description="memory limit of a run")
-    tries: int = Field(3, ge=1, description="maximum number of attempts for a run whose process was killed")
+    memory_mb: Annotated[Annotated[int, Meta(ge=1, le=10**9)] | None, setting("memory limit of a run")] = None
+    tries: Annotated[int, setting("maximum number of attempts for a run whose process was killed", ge=1)] = 3
+
+    def __post_init__(self) -> None:
+        """Make lists of single items, and entries of logs that are only named."""
+        _list(self, "gates", "accept")
+        force_setattr(self, "logs", tuple(LogEntry(log=(e,)) if isinstance(e, str) else e for e in self.logs))
 
 
 def read_manifest(path: Path) -> tuple[Manifest, Layer]:

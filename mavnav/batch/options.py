@@ -12,10 +12,10 @@ from mavnav.batch.baseline import parse_tolerance, read_baseline, tolerances
 from mavnav.batch.cases import BASELINE_GATE
 from mavnav.batch.document import BATCH_FILE
 from mavnav.batch.manifest import GATE_EXAMPLE, Manifest, located, origins_of, read_manifest
-from mavnav.batch.request import BatchPart, BatchRequest, LogEntry, Rules, RunLimits
+from mavnav.batch.request import BatchLogs, BatchPart, BatchRequest, Rules, RunLimits
 from mavnav.batch.settings import Setting, crossed_settings, listed_settings
 from mavnav.config.layers import Layer
-from mavnav.config.options import OPTIONS, ReplayOptions, given_options, restore_options, settings_of
+from mavnav.config.options import ReplayOptions, given_options, restore_options, settings_of
 from mavnav.errors import ExitCode, UsageError
 from mavnav.jobs import usable_cores
 from mavnav.jobs.dask import LOCAL
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from mavnav.batch.baseline import Tolerance
-    from mavnav.batch.manifest import Entry, Origins
+    from mavnav.batch.manifest import LogEntry, Origins
 
 MANIFEST_SUFFIXES = (".yaml", ".yml")
 
@@ -114,18 +114,18 @@ def _default_directory(path: Path | None) -> Path:
     return Path("runs") / (f"batch-{path.stem}" if path else "batch")
 
 
-def _entries(options: Options, manifest: Manifest, base: Path) -> tuple[LogEntry, ...]:
+def _entries(options: Options, manifest: Manifest, base: Path) -> tuple[BatchLogs, ...]:
     """Return the entries of the manifest and of the command line, whose paths start at the current folder."""
     logs = [source for source in options.sources if not source.endswith(MANIFEST_SUFFIXES)]
     absolute = [log if is_address(log) or not base.parts else str(Path(log).absolute()) for log in logs]
     entries = [_entry(entry, base) for entry in manifest.logs]
-    entries += [LogEntry(tuple(absolute))] if absolute else []
+    entries += [BatchLogs(tuple(absolute))] if absolute else []
     return tuple(replace(entry, options=given_options({**entry.options, **options.options})) for entry in entries)
 
 
-def _entry(entry: Entry, base: Path) -> LogEntry:
-    values = {name: getattr(entry, name) for name, option in OPTIONS.items() if option.manifest}
-    return LogEntry(entry.log, restore_options(values, lambda text: base / text), entry.gates, entry.accept)
+def _entry(entry: LogEntry, base: Path) -> BatchLogs:
+    options = restore_options(entry.values, lambda text: base / text)
+    return BatchLogs(entry.log, options, entry.gates, entry.accept)
 
 
 def _settings(options: Options, manifest: Manifest, layer: Layer, base: Path) -> list[Setting]:

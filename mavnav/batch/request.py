@@ -61,7 +61,7 @@ class BatchPart(Struct, frozen=True):
             )
 
 
-class LogEntry(Struct, frozen=True):
+class BatchLogs(Struct, frozen=True):
     """Logs with the same options, and gates and accepted exit codes for them in addition to those of the batch."""
 
     log: tuple[str, ...]
@@ -80,7 +80,7 @@ class BatchRequest(Struct, frozen=True):
     ``origins`` are the lines of a manifest.
     """
 
-    entries: tuple[LogEntry, ...]
+    entries: tuple[BatchLogs, ...]
     settings: tuple[Setting, ...]
     base: Path
     directory: Path

@@ -249,8 +249,9 @@ def _cluster(request: BatchRequest, *, quiet: bool) -> Iterator[Cluster | None]:
 
 def _print_schema() -> None:
     from mavnav.batch.manifest import Manifest
+    from mavnav.config.loading import schema_of
 
-    emit_json(Manifest.model_json_schema())
+    emit_json(schema_of(Manifest))
 
 
 def _write_for_ci(document: dict[str, Any], junit: Path | None, summary: Path | None, *, annotations: bool) -> None:

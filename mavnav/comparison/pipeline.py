@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from mavnav.batch.cases import make_cases
 from mavnav.batch.plan import BatchPlan, check_gates, plan_cases
-from mavnav.batch.request import BatchRequest, LogEntry, Rules, RunLimits
+from mavnav.batch.request import BatchLogs, BatchRequest, Rules, RunLimits
 from mavnav.batch.runner import run_cases
 from mavnav.comparison.document import comparison_document
 from mavnav.comparison.figures import RELATIVE_COSTS
@@ -59,7 +59,7 @@ def comparison_request(
     if len(logs) > 1 and reference_files(options):
         raise UsageError("--truth, --truth-map and --relations are about one log; compare one log at a time with them")
     return BatchRequest(
-        entries=tuple(LogEntry((str(log),), options) for log in logs),
+        entries=tuple(BatchLogs((str(log),), options) for log in logs),
         settings=tuple(settings),
         base=Path(),
         directory=directory,

@@ -7,12 +7,15 @@ from __future__ import annotations
 
 import difflib
 import re
-from dataclasses import fields as fields_of
-from dataclasses import is_dataclass
 from functools import cache, reduce
+from inspect import cleandoc
 from json import dumps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_type_hints
+from typing import TYPE_CHECKING, Any, TypeVar, get_args
+
+from msgspec import Struct, ValidationError, convert
+from msgspec.json import schema
+from msgspec.structs import fields as fields_of
 
 from mavnav.config.layers import Layer
 from mavnav.config.models import Config
@@ -21,12 +24,10 @@ from mavnav.errors import ConfigError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
-    from pydantic import TypeAdapter
-    from pydantic_core import ErrorDetails
-
     from mavnav.config.layers import Key
 
-Model = TypeVar("Model")
+Model = TypeVar("Model", bound=Struct)
+Part = TypeVar("Part")
 
 HELP = {"Config": "mavnav config show", "Scenario": "mavnav simulate --schema", "Manifest": "mavnav batch --schema"}
 """Name of a model -> the command that shows its keys."""
@@ -34,33 +35,22 @@ HELP = {"Config": "mavnav config show", "Scenario": "mavnav simulate --schema", 
 OPTIONS = {"planner.technique": "--planner"}
 """Key -> option, for options that are not named like the last part of their key."""
 
-
-_NUMBER, _SECTION = "should be a number", "should be a section of 'key: value' lines"
-_PROBLEMS = {
-    "float_parsing": _NUMBER,
-    "float_type": _NUMBER,
-    "finite_number": "should be a finite number",
-    "int_parsing": "should be a whole number",
-    "int_type": "should be a whole number",
-    "int_from_float": "should be a whole number",
-    "bool_parsing": "should be true or false",
-    "bool_type": "should be true or false",
-    "string_type": "should be a word",
-    "model_type": _SECTION,
-    "model_attributes_type": _SECTION,
-    "dataclass_type": _SECTION,
-    "dict_type": _SECTION,
-    "tuple_type": "should be a list",
-    "list_type": "should be a list",
-    "too_long": "should have at most {max_length} items, not {actual_length}",
-    "too_short": "should have at least {min_length} items, not {actual_length}",
-    "literal_error": "should be {expected}",
-    "enum": "should be {expected}",
+_KINDS = {
+    "float": "a number",
+    "int": "a whole number",
+    "bool": "true or false",
+    "str": "a word",
+    "object": "a section of 'key: value' lines",
+    "array": "a list",
 }
-"""Type of a rejected value -> what it should be."""
+"""Type in an error of msgspec -> what it is in a file."""
 
-_UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
-"""Types of the error for an unknown key, in a model and in a dataclass."""
+_BOUNDS = {
+    ">=": "greater than or equal to",
+    "<=": "less than or equal to",
+    ">": "greater than",
+    "<": "less than",
+}
 
 
 @cache
@@ -171,48 +161,20 @@ def _option_layer(overrides: Mapping[str, object]) -> Layer:
     )
 
 
-@cache
-def _adapter(model: Any) -> TypeAdapter[Any]:  # noqa: ANN401  a class
-    from pydantic import TypeAdapter  # noqa: PLC0415  it takes 0.1 s to load
-
-    return TypeAdapter(model)
-
-
-def schema_of(model: type) -> dict[str, Any]:
+def schema_of(model: type[Struct]) -> dict[str, Any]:
     """Return the JSON Schema of the input of a model."""
-    return _adapter(model).json_schema()
+    definitions = schema(model)["$defs"]
+    for definition in definitions.values():
+        definition["description"] = cleandoc(definition["description"])
+    return {**definitions.pop(model.__name__), "$defs": definitions}
 
 
 def validated(model: type[Model], layer: Layer, name: str = "configuration") -> Model:
     """Build a model from the values of a layer; ``name`` is its name in errors without a line. Raises ConfigError."""
-    from pydantic import ValidationError  # noqa: PLC0415  it takes 0.1 s to load
-
     try:
-        made: Model = _adapter(model).validate_python(layer.tree())  # type: ignore[arg-type]
+        return convert(layer.tree(), model)
     except ValidationError as error:
-        details = sorted(error.errors(include_url=False), key=lambda d: d["type"] not in _UNKNOWN)
-        more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
-        raise ConfigError(_error_message(model, details[0], layer, name) + more) from error
-    except ConfigError as error:
-        grid = next((origin for key, origin in layer.origins.items() if key[-1] == "grid"), "grid")
-        raise ConfigError(f"{grid}: {error}") from error
-    for key, value in _taken_for_numbers(layer.tree(), made):
-        wrong: Any = {"type": "float_type", "loc": key, "input": value, "msg": ""}
-        raise ConfigError(_error_message(model, wrong, layer, name))
-    return made
-
-
-def _taken_for_numbers(given: object, made: object, key: Key = ()) -> Iterator[tuple[Key, object]]:
-    """Yield the words and truth values that pydantic has taken for numbers, such as ``1_0`` and ``true``."""
-    if isinstance(given, dict):
-        for name, value in given.items():
-            inner = made.get(name) if isinstance(made, dict) else getattr(made, name, None)
-            yield from _taken_for_numbers(value, inner, (*key, name))
-    elif isinstance(given, list) and isinstance(made, tuple) and len(given) == len(made):
-        for number, (value, inner) in enumerate(zip(given, made, strict=True)):
-            yield from _taken_for_numbers(value, inner, (*key, str(number)))
-    elif isinstance(given, str | bool) and isinstance(made, int | float) and not isinstance(made, bool):
-        yield key, given
+        raise ConfigError(_error_message(model, str(error), layer, name)) from error
 
 
 def origin(layer: Layer, key: Key, name: str = "configuration") -> str:
@@ -222,26 +184,40 @@ def origin(layer: Layer, key: Key, name: str = "configuration") -> str:
     return next(around, next(within, name))
 
 
-def _error_message(model: type, details: ErrorDetails, layer: Layer, name: str) -> str:
-    key = tuple(str(part) for part in details["loc"])
-    where, dotted, known = origin(layer, key, name), ".".join(key), dict(fields(model))
-    help_ = HELP[model.__name__]
-    named = tuple(part for part in key if not part.isdecimal())
-    hint = known.get(named) or f"see '{help_}'"
-    if details["type"] in _UNKNOWN:
-        advice = _nearest(named or key, list(known), key) or f"see '{help_}' for the known keys"
+def _error_message(model: type[Struct], error: str, layer: Layer, name: str) -> str:
+    """Say in a line what msgspec, or a ``__post_init__``, has found wrong: ``problem - at `$.walls[1].box` ``."""
+    problem, _, path = error.partition(" - at `$")
+    key = tuple(re.findall(r"\w+", path))
+    named, kinds = re.fullmatch("Object (.*) field `(.*)`|([a-z_0-9]+): (.*)", problem), dict(_annotations(model))
+    if named:
+        key, problem = (*key, named[2] or named[3]), named[4] or named[1]
+    names, help_ = tuple(part for part in key if not part.isdecimal()), HELP[model.__name__]
+    where, dotted = origin(layer, key, name), ".".join(key)
+    hint = _description(kinds.get(names)) or f"see '{help_}'"
+    if problem == "contains unknown":
+        advice = _nearest(names or key, list(kinds), key) or f"see '{help_}' for the known keys"
         return f"{where}: unknown key {dotted}; {advice}"
-    if details["type"] == "missing":
+    if problem == "missing required":
         return f"{where}: {dotted} is missing; give the {hint}"
-    return f"{where}: {dotted} is {_truncated(details['input'])}, it {_problem(details)}; {hint}"
+    value = reduce(lambda node, part: node[part if isinstance(node, dict) else int(part)], key, layer.tree())
+    return f"{where}: {dotted} is {_truncated(value)}, it {_problem(problem, kinds.get(names))}; {hint}"
 
 
-def _problem(details: ErrorDetails) -> str:
-    """Return the text of what a value should be."""
-    template = _PROBLEMS.get(details["type"])
-    if template is not None:
-        return template.format_map(details.get("ctx", {}))
-    return details["msg"].removeprefix("Input ").removeprefix("Value error, ")
+def _problem(text: str, annotation: object) -> str:
+    """Translate a problem of a value in msgspec's words into what the value should be."""
+    if text.startswith("Invalid enum value"):
+        *others, last = map(repr, _parts(annotation, str))
+        return f"should be {', '.join(others)} or {last}"
+    expected = re.fullmatch(r"Expected `(.*?)`(?: ([<>]=?) (\S+)| of length (.*?))?(?:, got .*)?", text)
+    if expected is None:
+        return text
+    kinds, comparison, bound, length = expected.groups()
+    if comparison:
+        return f"should be {_BOUNDS[comparison]} {bound.removesuffix('.0')}"
+    if length:
+        number = length.replace(">=", "at least").replace("<=", "at most")
+        return f"should have {number} {'item' if number.split()[-1] == '1' else 'items'}"
+    return f"should be {' or '.join(_KINDS.get(kind, kind) for kind in kinds.split(' | '))}"
 
 
 def _truncated(value: object) -> str:
@@ -273,29 +249,30 @@ def _indexed(parts: list[str], given: Key) -> str:
     return ".".join(found)
 
 
-def fields(model: type = Config, above: Key = ()) -> list[tuple[Key, str]]:
+def fields(model: type[Struct] = Config) -> list[tuple[Key, str]]:
     """Return every key of a model with its description, in order; items of a list have the key of the list."""
-    found: list[tuple[Key, str]] = []
-    for name, annotation, description in _described(model):
-        found.append(((*above, name), description))
-        for kind in _models(annotation):
-            found += fields(kind, (*above, name))
-    return found
+    return [(key, _description(annotation)) for key, annotation in _annotations(model)]
 
 
-def _described(model: Any) -> list[tuple[str, object, str]]:  # noqa: ANN401  a dataclass or a pydantic model
-    """Return the name, annotation and description of every field."""
-    if is_dataclass(model):
-        kinds = get_type_hints(model)
-        return [(f.name, kinds[f.name], f.metadata.get("description", "")) for f in fields_of(model)]
-    return [(name, info.annotation, info.description or "") for name, info in model.model_fields.items()]
+def _annotations(model: type[Struct], above: Key = ()) -> Iterator[tuple[Key, object]]:
+    """Yield every key of a model with its annotation."""
+    for each in fields_of(model):
+        key = (*above, each.name)
+        yield key, each.type
+        for section in _parts(each.type, type):
+            if issubclass(section, Struct):
+                yield from _annotations(section, key)
 
 
-def _models(annotation: object) -> list[type]:
-    """Return the models in an annotation such as ``A``, ``A | None`` or ``tuple[A, ...]``."""
-    if isinstance(annotation, type) and (is_dataclass(annotation) or hasattr(annotation, "model_fields")):
+def _description(annotation: object) -> str:
+    return next((meta.description for meta in getattr(annotation, "__metadata__", ()) if meta.description), "")
+
+
+def _parts(annotation: object, kind: type[Part]) -> list[Part]:
+    """Return the types, or the words of a Literal, in an annotation such as ``A | None`` or ``tuple[A, ...]``."""
+    if isinstance(annotation, kind):
         return [annotation]
-    return [model for part in get_args(annotation) for model in _models(part)]
+    return [inner for part in get_args(annotation) for inner in _parts(part, kind)]
 
 
 def to_yaml(config: Config) -> str:

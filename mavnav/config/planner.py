@@ -2,49 +2,53 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
-
-from mavnav.config.strict import Strict
+from mavnav.config.strict import Strict, setting
 
 TechniqueName = Literal["wavefront", "field", "wall_following", "virtual_obstacles"]
 
 
-class PlannerConfig(Strict):
+class PlannerConfig(Strict, frozen=True):
     """Parameters of the planner (paper, "Path Planning"); see docs/planner.md.
 
     Forces have no unit: at force 1 the vehicle moves by ``max_step_mm`` in free space.
     """
 
-    technique: TechniqueName = Field("wavefront", description="method against local minima")
-    attraction_gain: float = Field(1.0, gt=0, description="force of the goal")
-    repulsion_gain: float = Field(0.5, ge=0, description="force of the occupied cells, see docs/planner.md")
-    repulsion_range_mm: float = Field(600.0, gt=0, le=5000, description="cells farther away do not repel")
-    mass_kg: float = Field(1.0, gt=0, description="virtual mass; a larger one gives a path of less curvature")
-    max_step_mm: float = Field(100.0, gt=0, le=1000, description="longest command in the plane")
-    max_turn_deg: float = Field(15.0, gt=0, le=180, description="largest turn of a command")
-    view_deg: float = Field(
-        110.0, gt=30, le=180, description="the vehicle turns first if it is to move at a larger angle to its heading"
+    technique: Annotated[TechniqueName, setting("method against local minima")] = "wavefront"
+    attraction_gain: Annotated[float, setting("force of the goal", gt=0, le=1_000_000)] = 1.0
+    repulsion_gain: Annotated[
+        float, setting("force of the occupied cells, see docs/planner.md", ge=0, le=1_000_000)
+    ] = 0.5
+    repulsion_range_mm: Annotated[float, setting("cells farther away do not repel", gt=0, le=5000)] = 600.0
+    mass_kg: Annotated[
+        float, setting("virtual mass; a larger one gives a path of less curvature", gt=0, le=1_000_000)
+    ] = 1.0
+    max_step_mm: Annotated[float, setting("longest command in the plane", gt=0, le=1000)] = 100.0
+    max_turn_deg: Annotated[float, setting("largest turn of a command", gt=0, le=180)] = 15.0
+    view_deg: Annotated[
+        float, setting("the vehicle turns first if it is to move at a larger angle to its heading", gt=30, le=180)
+    ] = 110.0
+    safety_mm: Annotated[float, setting("clearance that commands keep where possible", ge=0, le=5000)] = 250.0
+    least_safety_mm: Annotated[float, setting("clearance kept in narrow passages", ge=0, le=5000)] = 150.0
+    min_hits: Annotated[
+        int, setting("hits in and around a cell (5x5) that make it an obstacle; the paper has 1", ge=1, le=1_000_000)
+    ] = 2
+    min_share: Annotated[
+        float,
+        setting(
+            "share of the beams reaching a cell that must end in it to make it an obstacle; the paper has 0", ge=0, le=1
+        ),
+    ] = 0.1
+    plan_cell_mm: Annotated[float, setting("cell edge of the wavefront grid", ge=10, le=1000)] = 50.0
+    stall_steps: Annotated[int, setting("steps within stall_mm that count as a stall", ge=2)] = 25
+    stall_mm: Annotated[float, setting("a vehicle that stays within this distance has stalled", gt=0, le=1_000_000)] = (
+        200.0
     )
-    safety_mm: float = Field(250.0, ge=0, le=5000, description="clearance that commands keep where possible")
-    least_safety_mm: float = Field(150.0, ge=0, le=5000, description="clearance kept in narrow passages")
-    min_hits: int = Field(
-        2, ge=1, le=1_000_000, description="hits in and around a cell (5x5) that make it an obstacle; the paper has 1"
-    )
-    min_share: float = Field(
-        0.1,
-        ge=0,
-        le=1,
-        description="share of the beams reaching a cell that must end in it to make it an obstacle; the paper has 0",
-    )
-    plan_cell_mm: float = Field(50.0, ge=10, le=1000, description="cell edge of the wavefront grid")
-    stall_steps: int = Field(25, ge=2, description="steps within stall_mm that count as a stall")
-    stall_mm: float = Field(200.0, gt=0, description="a vehicle that stays within this distance has stalled")
 
-    @model_validator(mode="after")
-    def _safeties_in_order(self) -> Self:
+    def __post_init__(self) -> None:
+        """Raise ValueError if the clearances are not in order."""
         if self.least_safety_mm > self.safety_mm:
-            msg = f"least_safety_mm {self.least_safety_mm:g} exceeds safety_mm {self.safety_mm:g}; lower it"
-            raise ValueError(msg)
-        return self
+            raise ValueError(
+                f"has least_safety_mm {self.least_safety_mm:g} above safety_mm {self.safety_mm:g}; lower it"
+            )

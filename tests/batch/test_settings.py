@@ -76,7 +76,7 @@ runs:
     ("text", "said"),
     [
         ("runs:\n  - {robust: {cel_mm: 4}}", r"night.yaml:2: unknown key robust.cel_mm; did you mean robust.cell_mm\?"),
-        ("runs:\n  - {}\n  - {grid: 1x1}", r"night.yaml:3: grid '1x1' is out of range"),
+        ("runs:\n  - {}\n  - {grid: 1x1}", r"night.yaml:3: grid is '1x1', it should be NxM"),
         ("runs:\n  - {name: [a]}", r"night.yaml:2: name is \['a'\]; give it a word"),
         ("runs:\n  - {config: gone.yaml}", r"gone.yaml: no such file"),
         ("runs:\n  - {name: a}\n  - {name: a, grid: 5x5}", "two runs are named 'a'"),

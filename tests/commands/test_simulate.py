@@ -354,7 +354,7 @@ def test_scenarios_that_cannot_be(
         (["korner.yaml"], ["korner.yaml: no such file"]),
         (["corner", "--planner", "magic"], ["--planner: planner.technique is 'magic'", "'wavefront', 'field'"]),
         (["corner", "--method", "magic"], ["--method: slam.method is 'magic'"]),
-        (["corner", "--grid", "5"], ["--grid: grid '5' is not of the form NxM"]),
+        (["corner", "--grid", "5"], ["--grid: slam.grid is '5', it should be NxM with 2 to 200 points"]),
         (["corner", "--seed", "-1"], ["--seed: seed is -1"]),
         (["corner", "--seed", "x"], ["--seed", "see 'mavnav simulate --help'"]),
         (["corner", "--set", "nonsense"], ["--set 'nonsense' is not key=value"]),

@@ -6,19 +6,21 @@ import os
 import pickle
 import re
 from copy import copy
-from dataclasses import FrozenInstanceError, replace
 from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
+from mavnav.batch.manifest import Manifest
 from mavnav.config.loading import fields, load_config, method_layer, presets, schema_of, to_yaml, validated
 from mavnav.config.models import Config, GridSize, PaperConfig, RobustConfig
 from mavnav.errors import ConfigError
-from mavnav.simulation.world import load_scenario, scenario_schema
+from mavnav.simulation.world import Scenario, load_scenario, scenario_schema
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
 
@@ -67,8 +69,8 @@ def test_a_file_wins_over_the_preset(tmp_path: Path) -> None:
         ("1=2", "--set 1=2: unknown key 1; "),
         ("ROBUST.CELL_MM=5", "--set ROBUST.CELL_MM=5: unknown key ROBUST; "),
         ("robust.cell_mm.x=5", "--set robust.cell_mm.x=5: robust.cell_mm is {'x': 5}, it should be a number"),
-        ("grid=10", "--set grid=10: grid '10' is not of the form NxM; "),
-        ("grid=", "--set grid=: grid 'None' is not of the form NxM; "),
+        ("grid=10", "--set grid=10: grid is 10, it should be a word or a section"),
+        ("grid=", "--set grid=: grid is None, it should be a word or a section"),
     ],
 )
 def test_odd_settings_are_refused_in_one_line(setting: str, words: str) -> None:
@@ -124,14 +126,14 @@ def test_words_and_truth_values_are_no_numbers(tmp_path: Path, text: str) -> Non
 def test_the_schema_takes_the_grids_that_are_read() -> None:
     schemas = (schema_of(Config)["properties"]["grid"], scenario_schema()["$defs"]["Config"]["properties"]["grid"])
     for schema in schemas:
-        mapping, text = schema["anyOf"]
+        text, mapping = schema["anyOf"]
         assert mapping == {"$ref": "#/$defs/GridSize"}
         assert text["type"] == "string"
         for grid in ("2x2", "10x10", "3X4", "199x200", "007x12"):
             assert GridSize.parse(grid)
             assert re.search(text["pattern"], grid)
         for grid in ("5", "5x", "1x5", "5x201", "5x5x5", "x5", "-5x5", "5x300"):
-            with pytest.raises(ConfigError):
+            with pytest.raises(ValueError, match="2 to 200"):
                 GridSize.parse(grid)
             assert not re.search(text["pattern"], grid)
 
@@ -169,7 +171,7 @@ def test_grid_takes_text_and_mapping(tmp_path: Path) -> None:
         ("? [a]\n: b", 1, ["no plain word"]),
         ("azimuth: [1\n", 2, ["not valid YAML"]),
         ("[" * 40, 1, ["nested deeper"]),
-        ("a: 1\nb: 2", 1, ["unknown key a", "(and 1 more)"]),
+        ("a: 1\nb: 2", 1, ["unknown key a; "]),
         ("azimuth: " + 100 * "x", 1, [f"azimuth is '{76 * 'x'}..., it should be"]),
     ],
 )
@@ -211,6 +213,24 @@ def test_every_default_survives_a_round_trip_as_yaml(tmp_path: Path) -> None:
         assert load_config(write(tmp_path, to_yaml(config))) == config
 
 
+@pytest.mark.parametrize("model", [Config, Scenario, Manifest])
+def test_every_number_has_two_bounds(model: type) -> None:
+    """Else NaN or infinity would be read; those of a pose are checked together."""
+    schema = schema_of(model)
+    assert [key for key, node in numbers(schema) if len(bounds(node)) < 2 and ".extrinsic." not in key] == []
+
+
+def numbers(node: object, key: str = "") -> Iterator[tuple[str, dict]]:
+    if isinstance(node, dict) and node.get("type") == "number":
+        yield key, node
+    for name, child in node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ():
+        yield from numbers(child, f"{key}.{name}")
+
+
+def bounds(node: dict) -> set[str]:
+    return {"minimum", "maximum", "exclusiveMinimum"} & set(node)
+
+
 def test_every_number_is_described() -> None:
     sections = {"method", "grid", "paper", "robust", "odometry", "nx", "ny"}
     assert [".".join(key) for key, text in fields() if not text and key[-1] not in sections] == []
@@ -234,7 +254,7 @@ def test_grid_sizes_round_trip(nx: int, ny: int) -> None:
 
 @pytest.mark.parametrize("text", ["0x5", "5", "5x", "x5", "5x5x5", "-3x4", "1x2", "201x3", "5.0x5", ""])
 def test_bad_grid_sizes_are_refused(text: str) -> None:
-    with pytest.raises(ConfigError, match="--grid 10x10"):
+    with pytest.raises(ValueError, match="--grid 10x10"):
         GridSize.parse(text)
 
 
@@ -249,9 +269,9 @@ def test_sections_are_frozen_and_equal_by_value(tmp_path: Path) -> None:
     assert replace(made, azimuth=7).azimuth == 7
     assert made != Config()
     assert made.robust != made.paper
-    with pytest.raises(FrozenInstanceError):
+    with pytest.raises(AttributeError):
         made.azimuth = 3  # type: ignore[misc]
-    with pytest.raises(FrozenInstanceError):
+    with pytest.raises(AttributeError):
         del made.azimuth
-    with pytest.raises(TypeError, match="Config has no colour"):
+    with pytest.raises(TypeError, match="colour"):
         Config(colour=1)

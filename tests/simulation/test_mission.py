@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from msgspec import convert
 
 from mavnav.outputs.documents.run_json import TruthErrors
 from mavnav.pipelines.simulate import truth_errors
@@ -263,7 +264,7 @@ def turned(scenario: Scenario, world_T_old: Pose) -> Scenario:
     start = world_T_old @ scenario.world_T_base
     document["start"] = {"x_m": start.x_m, "y_m": start.y_m, "yaw_deg": start.yaw_rad / DEG}
     document["goal_m"] = there(document["goal_m"])
-    return Scenario.model_validate(document)
+    return convert(document, Scenario)
 
 
 def test_where_the_world_lies_changes_nothing() -> None:

@@ -7,10 +7,7 @@ from inspect import cleandoc
 from typing import TYPE_CHECKING, Any, Final
 
 from msgspec.json import schema as json_schema
-from pydantic import TypeAdapter
-from pydantic.json_schema import GenerateJsonSchema
 
-from mavnav.config.models import Config
 from mavnav.outputs.documents.run_json import RunDocument
 
 if TYPE_CHECKING:
@@ -39,22 +36,18 @@ UNITS: Final = {
 }
 """Suffix of a name -> unit; what has none of them is a count or a ratio: 1."""
 
-
-class _Untitled(GenerateJsonSchema):
-    """pydantic's generator without its titles, which repeat the names."""
-
-    def field_title_should_be_set(self, _: Any) -> bool:  # noqa: ANN401  pydantic's type
-        """Leave the title out."""
-        return False
+CONFIGURATION: Final = ("Config", "OdometryConfig", "PaperConfig", "RobustConfig")
+"""Definitions of the configuration in the schema."""
 
 
 @cache
 def run_schema() -> Schema:
     """Return the JSON Schema of run.json; every number in it has a title, a description and a unit."""
-    found = json_schema(RunDocument)
-    config = TypeAdapter(Config).json_schema(mode="serialization", schema_generator=_Untitled)
-    defs = {**found.pop("$defs"), **config.pop("$defs"), "Config": config}
-    schema = _inlined(found, defs, "", {})
+    definitions = json_schema(RunDocument)["$defs"]
+    for name in CONFIGURATION:  # it is written whole, with the search grid as text
+        definitions[name]["required"] = list(definitions[name]["properties"])
+    definitions["Config"]["properties"]["grid"] = {"type": "string"}
+    schema = _inlined(definitions.pop("RunDocument"), definitions, "", {})
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "run.json", **schema}
 
 

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from mavnav.slam.findings import Doubt
 
 SCHEMA_VERSION: Final = 1
-LIBRARIES: Final = ("numpy", "numba", "scipy", "mcap", "rosbags", "pillow", "pydantic", "pyyaml")
+LIBRARIES: Final = ("numpy", "numba", "scipy", "mcap", "rosbags", "pillow", "msgspec", "pyyaml")
 
 FAR_FROM_START_M: Final = 3.0
 """Distance of the pose found from the given start pose above which a run warns; the search near that ends at 1 m."""

@@ -5,36 +5,36 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Final
 
 import numpy as np
-from pydantic import Field
+from msgspec import Meta
 
-from mavnav.config.strict import Strict
+from mavnav.config.strict import Strict, setting
 from mavnav.scan import Attitude
 from mavnav.units import DEG, MM, MS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-Tilt = Annotated[float, Field(ge=0.0, le=20.0)]
+Tilt = Annotated[float, Meta(ge=0.0, le=20.0)]
 
 GRAVITY_M_S2: Final = 9.81
 
 
-class FlightConfig(Strict):
+class FlightConfig(Strict, frozen=True):
     """Flight of an aerial vehicle; without this section it moves level, in the plane of its laser."""
 
-    height_m: float = Field(1.2, gt=0, le=1000, description="commanded height of the laser above the floor")
-    slice_mm: float = Field(
-        400.0, gt=0, le=5000, description="height of the slice around it in which walls are obstacles to the vehicle"
+    height_m: Annotated[float, setting("commanded height of the laser above the floor", gt=0, le=1000)] = 1.2
+    slice_mm: Annotated[
+        float, setting("height of the slice around it in which walls are obstacles to the vehicle", gt=0, le=5000)
+    ] = 400.0
+    tilt_noise_deg: Annotated[Tilt, setting("standard deviation of roll and of pitch in steady flight")] = 2.0
+    height_noise_mm: Annotated[float, setting("standard deviation of the height", ge=0, le=500)] = 20.0
+    correlation_ms: Annotated[float, setting("time in which both fall to 1/e of what they were", gt=0, le=60_000)] = (
+        300.0
     )
-    tilt_noise_deg: Tilt = Field(2.0, description="standard deviation of roll and of pitch in steady flight")
-    height_noise_mm: float = Field(20.0, ge=0, le=500, description="standard deviation of the height")
-    correlation_ms: float = Field(
-        300.0, gt=0, le=60_000, description="time in which both fall to 1/e of what they were"
-    )
-    max_tilt_deg: Tilt = Field(5.0, description="largest tilt to accelerate; 0: none")
-    response_ms: float = Field(200.0, gt=0, le=60_000, description="time constant in which the tilt follows a command")
-    sensor_tilt_deg: Tilt = Field(0.5, description="standard deviation of measured roll and pitch")
-    sensor_height_mm: float = Field(10.0, ge=0, le=500, description="standard deviation of the measured height")
+    max_tilt_deg: Annotated[Tilt, setting("largest tilt to accelerate; 0: none")] = 5.0
+    response_ms: Annotated[float, setting("time constant in which the tilt follows a command", gt=0, le=60_000)] = 200.0
+    sensor_tilt_deg: Annotated[Tilt, setting("standard deviation of measured roll and pitch")] = 0.5
+    sensor_height_mm: Annotated[float, setting("standard deviation of the measured height", ge=0, le=500)] = 10.0
 
     @property
     def slice_m(self) -> tuple[float, float]:

@@ -7,20 +7,20 @@ from __future__ import annotations
 
 from functools import cached_property
 from math import floor, inf, pi
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from msgspec.structs import replace
-from pydantic import Field, field_validator
+from msgspec import Meta, to_builtins
+from msgspec.structs import asdict, replace
 
 from mavnav.config.models import Config
 from mavnav.config.planner import PlannerConfig
-from mavnav.config.strict import Strict
+from mavnav.config.strict import Strict, setting
 from mavnav.pose import Pose
-from mavnav.simulation.world.flight import FlightConfig  # noqa: TC001  pydantic reads it
+from mavnav.simulation.world.flight import FlightConfig
 from mavnav.simulation.world.laser import LASERS, LaserModel
-from mavnav.simulation.world.shapes import XY, Metre  # noqa: TC001  pydantic reads them
-from mavnav.simulation.world.walls import Wall, world_of
+from mavnav.simulation.world.shapes import XY, Degrees, Metre
+from mavnav.simulation.world.walls import WallEntry, world_of
 from mavnav.units import DEG, MM, MS
 
 if TYPE_CHECKING:
@@ -33,39 +33,48 @@ AERIAL = ("flight", "ceiling_m")
 LaserName = Literal["urg-04lx", "utm-30lx", "ust-10lx", "lds-01"]
 
 
-class Start(Strict):
+class StartConfig(Strict, frozen=True):
     """Where the vehicle's base begins, in the world frame."""
 
-    x_m: Metre = Field(description="position, m")
-    y_m: Metre = Field(description="position, m")
-    yaw_deg: float = Field(0.0, description="heading, counter-clockwise from the x axis")
+    x_m: Annotated[Metre, setting("position, m")]
+    y_m: Annotated[Metre, setting("position, m")]
+    yaw_deg: Annotated[Degrees, setting("heading, counter-clockwise from the x axis")] = 0.0
 
 
-class LaserConfig(Strict):
+class LaserConfig(Strict, frozen=True):
     """A sensor by name, changes to its geometry, and its errors; the defaults are what the paper measured."""
 
-    preset: LaserName = Field("urg-04lx", description="sensor preset; the paper's is urg-04lx")
-    field_of_view_deg: float | None = Field(None, gt=0, le=360, description="angle from first to last beam, or null")
-    step_deg: float | None = Field(None, ge=0.05, le=90, description="angle between two beams, or null")
-    range_min_mm: float | None = Field(None, ge=0, le=1e6, description="nearest range, or null for the preset's")
-    range_max_mm: float | None = Field(None, gt=0, le=1e6, description="farthest range, or null for the preset's")
-    period_ms: float | None = Field(
-        None, ge=1, le=10_000, description="time from scan to scan, or null for the preset's"
+    preset: Annotated[LaserName, setting("sensor preset; the paper's is urg-04lx")] = "urg-04lx"
+    field_of_view_deg: Annotated[
+        Annotated[float, Meta(gt=0, le=360)] | None, setting("angle from first to last beam, or null")
+    ] = None
+    step_deg: Annotated[Annotated[float, Meta(ge=0.05, le=90)] | None, setting("angle between two beams, or null")] = (
+        None
     )
-    noise_percent: float = Field(1.5, ge=0, le=50, description="standard deviation of a range, of the distance")
-    bias_percent: float = Field(0.0, ge=0, le=50, description="largest scale error of all ranges of a run")
-    mixed_pixel_share: float = Field(
-        0.3, ge=0, le=1, description="share of the beams at an edge that read between near and far"
-    )
-    min_reading_share: float = Field(0.002, ge=0, le=0.5, description="share of beams that read the minimum range")
-    max_reading_share: float = Field(0.002, ge=0, le=0.5, description="share of beams that read the maximum range")
-    incidence_max_deg: float | None = Field(
-        60.0, gt=0, le=90, description="no return at larger angles to the wall's normal; null: always a return"
-    )
-    incidence_ramp_deg: float = Field(
-        10.0, ge=0, le=90, description="returns become rarer over this many degrees before it"
-    )
-    moving: bool = Field(False, description="every beam is measured at its own time while the vehicle moves")
+    range_min_mm: Annotated[
+        Annotated[float, Meta(ge=0, le=1e6)] | None, setting("nearest range, or null for the preset's")
+    ] = None
+    range_max_mm: Annotated[
+        Annotated[float, Meta(gt=0, le=1e6)] | None, setting("farthest range, or null for the preset's")
+    ] = None
+    period_ms: Annotated[
+        Annotated[float, Meta(ge=1, le=10_000)] | None, setting("time from scan to scan, or null for the preset's")
+    ] = None
+    noise_percent: Annotated[float, setting("standard deviation of a range, of the distance", ge=0, le=50)] = 1.5
+    bias_percent: Annotated[float, setting("largest scale error of all ranges of a run", ge=0, le=50)] = 0.0
+    mixed_pixel_share: Annotated[
+        float, setting("share of the beams at an edge that read between near and far", ge=0, le=1)
+    ] = 0.3
+    min_reading_share: Annotated[float, setting("share of beams that read the minimum range", ge=0, le=0.5)] = 0.002
+    max_reading_share: Annotated[float, setting("share of beams that read the maximum range", ge=0, le=0.5)] = 0.002
+    incidence_max_deg: Annotated[
+        Annotated[float, Meta(gt=0, le=90)] | None,
+        setting("no return at larger angles to the wall's normal; null: always a return"),
+    ] = 60.0
+    incidence_ramp_deg: Annotated[
+        float, setting("returns become rarer over this many degrees before it", ge=0, le=90)
+    ] = 10.0
+    moving: Annotated[bool, setting("every beam is measured at its own time while the vehicle moves")] = False
 
     @property
     def spec(self) -> LaserSpec:
@@ -91,81 +100,68 @@ class LaserConfig(Strict):
         return replace(spec, range_min_m=near, range_max_m=far)
 
 
-class VehicleConfig(Strict):
+class VehicleConfig(Strict, frozen=True):
     """The vehicle: its size, the mounting of its laser, and the noise of its commands."""
 
-    radius_mm: float = Field(150.0, gt=0, description="closer to a wall is a collision")
-    noise_xy_mm: float = Field(20.0, ge=0, le=10_000, description="standard deviation of a step in x and in y")
-    noise_yaw_deg: float = Field(5.0, ge=0, le=180, description="standard deviation of a step in azimuth")
-    command_ms: float = Field(
-        100.0,
-        gt=0,
-        le=10_000,
-        description="time that a command takes, rounded to a whole number of scan periods, one at least",
-    )
-    laser_x_mm: float = Field(0.0, ge=-10_000, le=10_000, description="laser on the base, forward")
-    laser_y_mm: float = Field(0.0, ge=-10_000, le=10_000, description="laser on the base, to the left")
-    laser_yaw_deg: float = Field(0.0, description="laser on the base, counter-clockwise")
+    radius_mm: Annotated[float, setting("closer to a wall is a collision", gt=0, le=1_000_000)] = 150.0
+    noise_xy_mm: Annotated[float, setting("standard deviation of a step in x and in y", ge=0, le=10_000)] = 20.0
+    noise_yaw_deg: Annotated[float, setting("standard deviation of a step in azimuth", ge=0, le=180)] = 5.0
+    command_ms: Annotated[
+        float,
+        setting("time that a command takes, rounded to a whole number of scan periods, one at least", gt=0, le=10_000),
+    ] = 100.0
+    laser_x_mm: Annotated[float, setting("laser on the base, forward", ge=-10_000, le=10_000)] = 0.0
+    laser_y_mm: Annotated[float, setting("laser on the base, to the left", ge=-10_000, le=10_000)] = 0.0
+    laser_yaw_deg: Annotated[Degrees, setting("laser on the base, counter-clockwise")] = 0.0
 
 
-class RecoveryConfig(Strict):
+class RecoveryConfig(Strict, frozen=True):
     """What the vehicle does while its scans are not accepted (paper, "Corridor Mapping": it repositions itself)."""
 
-    fly_on_steps: int = Field(6, ge=0, description="commands by dead reckoning after a rejected scan, then it hovers")
-    hover_steps: int = Field(40, ge=1, description="scans that it hovers for before it gives up")
-    hover_noise: bool = Field(False, description="hovering drifts like a command: by the vehicle's noise at each scan")
+    fly_on_steps: Annotated[int, setting("commands by dead reckoning after a rejected scan, then it hovers", ge=0)] = 6
+    hover_steps: Annotated[int, setting("scans that it hovers for before it gives up", ge=1)] = 40
+    hover_noise: Annotated[bool, setting("hovering drifts like a command: by the vehicle's noise at each scan")] = False
 
 
-class Scenario(Strict):
+class Scenario(Strict, frozen=True, kw_only=True, dict=True):
     """Everything that decides a mission besides mavnav's version."""
 
-    name: str = Field("", description="name of the mission; that of the file where it is not given")
-    about: str = Field("", description="one line about the scenario")
-    walls: tuple[Wall, ...] = Field(
-        description="shapes: polyline, box, circle, arc, table or opening", json_schema_extra={"minItems": 1}
-    )
-    ceiling_m: float | None = Field(None, gt=0, le=1000, description="height of the ceiling above the floor, or null")
-    measured: tuple[Wall, ...] = Field(
-        (), description="walls as measured by hand, drawn on true_map.png besides the true ones"
-    )
-    start: Start = Field(description="pose of the vehicle's base at the start: x_m, y_m, yaw_deg")
-    goal_m: XY = Field(description="position to reach with the laser, [x, y]")
-    via_m: tuple[XY, ...] = Field((), description="positions to visit before the goal, in order, [[x, y], ...]")
-    goal_radius_mm: float = Field(
-        250.0,
-        gt=0,
-        description="the vehicle stops when its estimated position is within this distance of the goal; reached if the "
-        "true one is within twice that, and the true path passed via_m within twice that",
-    )
-    max_steps: int = Field(500, ge=1, le=100_000, description="commands after which the mission is given up")
-    seed: int = Field(0, ge=0, le=2**63, description="seed of all random numbers")
-    laser: LaserConfig = Field(LaserConfig(), description="sensor: its name, or a section")
-    vehicle: VehicleConfig = Field(VehicleConfig(), description="vehicle")
-    flight: FlightConfig | None = Field(None, description="height and tilt of an aerial vehicle; null: it moves level")
-    recovery: RecoveryConfig = Field(RecoveryConfig(), description="what happens after a rejected scan")
-    planner: PlannerConfig = Field(PlannerConfig(), description="path planning")
-    slam: Config = Field(Config(), description="method, grid, azimuth and what else configures a replay")
+    name: Annotated[str, setting("name of the mission; that of the file where it is not given")] = ""
+    about: Annotated[str, setting("one line about the scenario")] = ""
+    walls: Annotated[
+        tuple[WallEntry, ...], setting("shapes: polyline, box, circle, arc, table or opening", min_length=1)
+    ]
+    ceiling_m: Annotated[
+        Annotated[float, Meta(gt=0, le=1000)] | None, setting("height of the ceiling above the floor, or null")
+    ] = None
+    measured: Annotated[
+        tuple[WallEntry, ...], setting("walls as measured by hand, drawn on true_map.png besides the true ones")
+    ] = ()
+    start: Annotated[StartConfig, setting("pose of the vehicle's base at the start: x_m, y_m, yaw_deg")]
+    goal_m: Annotated[XY, setting("position to reach with the laser, [x, y]")]
+    via_m: Annotated[tuple[XY, ...], setting("positions to visit before the goal, in order, [[x, y], ...]")] = ()
+    goal_radius_mm: Annotated[
+        float,
+        setting(
+            "the vehicle stops when its estimated position is within this distance of the goal; reached if the "
+            "true one is within twice that, and the true path passed via_m within twice that",
+            gt=0,
+            le=1_000_000,
+        ),
+    ] = 250.0
+    max_steps: Annotated[int, setting("commands after which the mission is given up", ge=1, le=100_000)] = 500
+    seed: Annotated[int, setting("seed of all random numbers", ge=0, le=2**63 - 1)] = 0
+    laser: Annotated[LaserConfig, setting("sensor: its name, or a section")] = LaserConfig()
+    vehicle: Annotated[VehicleConfig, setting("vehicle")] = VehicleConfig()
+    flight: Annotated[FlightConfig | None, setting("height and tilt of an aerial vehicle; null: it moves level")] = None
+    recovery: Annotated[RecoveryConfig, setting("what happens after a rejected scan")] = RecoveryConfig()
+    planner: Annotated[PlannerConfig, setting("path planning")] = PlannerConfig()
+    slam: Annotated[Config, setting("method, grid, azimuth and what else configures a replay")] = Config()
 
-    @field_validator("name")
-    @classmethod
-    def _name_of_a_file(cls, name: str) -> str:
-        if name in (".", "..") or any(c in "/\\" or c < " " for c in name):
-            msg = "should be a name for files, without slashes and control characters"
-            raise ValueError(msg)
-        return name
-
-    @field_validator("laser", mode="before")
-    @classmethod
-    def _laser_by_name(cls, value: object) -> object:
-        return {"preset": value} if isinstance(value, str) else value
-
-    @field_validator("walls")
-    @classmethod
-    def _some_walls(cls, walls: tuple[Wall, ...]) -> tuple[Wall, ...]:
-        if not walls:
-            msg = "needs one shape at least"
-            raise ValueError(msg)
-        return walls
+    def __post_init__(self) -> None:
+        """Raise ValueError if no file can have the scenario's name."""
+        if self.name in (".", "..") or any(c in "/\\" or c < " " for c in self.name):
+            raise ValueError("name: should be a name for files, without slashes and control characters")
 
     @cached_property
     def world(self) -> World:
@@ -215,12 +211,18 @@ class Scenario(Strict):
 
     def document(self) -> dict[str, Any]:
         """Return the scenario as plain data, the search grid as text; it makes the same scenario again."""
-        shapes = {
-            name: [wall.model_dump(mode="json", exclude_none=True) for wall in walls]
-            for name, walls in (("walls", self.walls), ("measured", self.measured))
-        }
-        left_out = () if self.flight else AERIAL
-        return {**self.model_dump(mode="json", exclude={*left_out}), **shapes, "slam": self.slam.document()}
+        plain = {name: to_builtins(value) for name, value in asdict(self).items() if self.flight or name not in AERIAL}
+        shapes = {name: [_without_nulls(entry) for entry in plain[name]] for name in ("walls", "measured")}
+        return {**plain, **shapes, "slam": self.slam.document()}
+
+
+def _without_nulls(entry: dict[str, Any]) -> dict[str, Any]:
+    """Leave the shapes that an entry of ``walls`` is not, and what its shape does not have, out of it."""
+    return {
+        name: {key: value for key, value in shape.items() if value is not None}
+        for name, shape in entry.items()
+        if shape
+    }
 
 
 def laser_model(scenario: Scenario) -> LaserModel:

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from msgspec.structs import asdict
 
 from mavnav.config.layers import Key, Layer
-from mavnav.config.loading import file_layer, method_layer, origin, overlaid, presets_folder, scenarios, validated
+from mavnav.config.loading import (
+    file_layer,
+    method_layer,
+    origin,
+    overlaid,
+    presets_folder,
+    scenarios,
+    schema_of,
+    validated,
+)
 from mavnav.config.models import OdometryConfig
 from mavnav.config.yaml_layers import read_yaml
 from mavnav.errors import ConfigError
@@ -22,7 +31,7 @@ if TYPE_CHECKING:
 
     from mavnav.config.models import Config
     from mavnav.simulation.world.shapes import XY, Shape
-    from mavnav.simulation.world.walls import Wall
+    from mavnav.simulation.world.walls import WallEntry
 
 LASER_BY_NAME = (("laser",), "preset")
 """The section that may be written as a word, and the key that the word is."""
@@ -80,7 +89,8 @@ def scenario_path(file: str | Path) -> Path:
 
 def scenario_schema() -> dict[str, Any]:
     """Return the JSON Schema of scenario files, for editors that check while one types."""
-    schema = Scenario.model_json_schema()
+    schema = schema_of(Scenario)
+    schema["$defs"]["WallEntry"] |= {"minProperties": 1, "maxProperties": 1}
     laser = schema["properties"]["laser"]
     laser["anyOf"] = [{"$ref": laser.pop("$ref")}, {"enum": list(LASERS)}]
     return schema
@@ -155,7 +165,7 @@ def _is_met(part: Shape, scenario: Scenario) -> bool:
     return part.height_m[0] < high_m and part.height_m[1] > low_m
 
 
-def _outline(scenario: Scenario) -> Wall | None:
+def _outline(scenario: Scenario) -> WallEntry | None:
     """Return the closed polyline around all walls; columns and the like may stand out of it a little."""
     whole = scenario.world.bounds_m
     for wall in scenario.walls:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Protocol, Self
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-from pydantic import Field, field_validator
+from msgspec import Meta
 
-from mavnav.config.strict import Strict
+from mavnav.config.strict import Strict, setting
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
@@ -16,97 +16,73 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-Metre = Annotated[float, Field(ge=-1000.0, le=1000.0)]
-Length = Annotated[float, Field(gt=0.0, le=1000.0)]
-Height = Annotated[float, Field(ge=0.0, le=1000.0)]
+Metre = Annotated[float, Meta(ge=-1000.0, le=1000.0)]
+Length = Annotated[float, Meta(gt=0.0, le=1000.0)]
+Height = Annotated[float, Meta(ge=0.0, le=1000.0)]
+Degrees = Annotated[float, Meta(ge=-3600.0, le=3600.0)]
 XY = tuple[Metre, Metre]
 Band = tuple[Height, Height]
 
+TURNED = setting("how far it is turned about its center, counter-clockwise")
+CENTER = setting("center, [x, y]")
 
-def in_order(band: Band | None) -> Band | None:
-    """Return heights as they are; raise ValueError if the first is not the lower one."""
+
+def check_order(key: str, band: Band | None) -> None:
+    """Raise ValueError if the first of two heights is not the lower one."""
     if band and band[0] >= band[1]:
-        msg = f"has {band[0]:g} m at its bottom and {band[1]:g} m at its top; give the lower height first"
-        raise ValueError(msg)
-    return band
+        raise ValueError(
+            f"{key}: has {band[0]:g} m at its bottom and {band[1]:g} m at its top; give the lower height first"
+        )
 
 
-def all_apart(points_m: tuple[XY, ...]) -> tuple[XY, ...]:
-    """Return points as they are; raise ValueError if one equals the one before: a wall without length."""
+def check_apart(points_m: tuple[XY, ...]) -> None:
+    """Raise ValueError if a point of a wall equals the one before."""
     for a, b in pairwise(points_m):
         if a == b:
-            msg = f"has [{a[0]:g}, {a[1]:g}] twice in succession, a wall without length; leave one out or move it"
-            raise ValueError(msg)
-    return points_m
+            what = f"has [{a[0]:g}, {a[1]:g}] twice in succession, a wall without length"
+            raise ValueError(f"points_m: {what}; leave one out or move it")
 
 
-class Shape(Protocol):
-    """What every simple shape has."""
-
-    @property
-    def height_m(self) -> Band | None:
-        """Its lowest and highest point; None from the floor to above everything."""
-
-    def segments(self) -> Array:
-        """Return the straight walls, (n, 4) in metres."""
-
-    def arcs(self) -> Array:
-        """Return the round walls, (m, 5): centre (m), radius (m), start and sweep (rad)."""
-
-    def plate(self) -> tuple[float, ...] | None:
-        """Return what its top and bottom are, less their height: the first six numbers of `World.plates`, or None."""
-
-    def contains(self, xy_m: XY) -> bool:
-        """Return whether the shape is closed and a point lies inside."""
+def rectangle(center_m: XY, size_m: tuple[float, float], yaw_deg: float) -> Array:
+    """Return the corners of a rectangle that is turned about its center, (4, 2), counter-clockwise."""
+    c, s = np.cos(yaw_deg * DEG), np.sin(yaw_deg * DEG)
+    corners = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]) * size_m
+    turned: Array = corners @ np.array([(c, s), (-s, c)]) + center_m
+    return turned
 
 
-class Simple(Strict):
+class Shape(Strict, frozen=True):
     """What the simple shapes have in common."""
 
-    height_m: Band | None = Field(
-        None, description="lowest and highest point above the floor, [low, high]; null: from the floor to above all"
-    )
+    height_m: Annotated[
+        Band | None, setting("lowest and highest point above the floor, [low, high]; null: from the floor to above all")
+    ] = None
 
-    _in_order = field_validator("height_m")(in_order)
+    def __post_init__(self) -> None:
+        """Raise ValueError if the heights are not in order."""
+        check_order("height_m", self.height_m)
 
-    def parts(self) -> tuple[Self, ...]:
+    def parts(self) -> tuple[Shape, ...]:
         """Return the shape itself."""
         return (self,)
 
-    def plate(self) -> tuple[float, ...] | None:
-        """Return None: there is neither a top nor a bottom."""
-        return None
-
-
-class Polyline(Simple):
-    """Points joined by walls."""
-
-    points_m: tuple[XY, ...] = Field(description="corners, [[x, y], ...], two at least")
-    closed: bool = Field(False, description="join the last point to the first")
-
-    @field_validator("points_m")
-    @classmethod
-    def _two_points(cls, points_m: tuple[XY, ...]) -> tuple[XY, ...]:
-        if len(points_m) < 2:
-            msg = "needs two points at least"
-            raise ValueError(msg)
-        return points_m
-
-    _apart = field_validator("points_m")(all_apart)
-
     def segments(self) -> Array:
-        """Return the walls from point to point, (n, 4)."""
-        points = np.array([*self.points_m, *self.points_m[:1]] if self.closed else self.points_m, dtype=np.float64)
-        return np.column_stack((points[:-1], points[1:]))
+        """Return the straight walls, (n, 4) in metres."""
+        return np.empty((0, 4))
 
     def arcs(self) -> Array:
-        """Return none, (0, 5)."""
+        """Return the round walls, (m, 5): centre (m), radius (m), start and sweep (rad)."""
         return np.empty((0, 5))
 
+    def plate(self) -> tuple[float, ...] | None:
+        """Return what its top and bottom are, less their height: the first six numbers of `World.plates`, or None."""
+        return None
+
     def contains(self, xy_m: XY) -> bool:
-        """Count how often a ray to the right crosses the outline: an odd number of times from inside."""
-        if not self.closed:
-            return False
+        """Return whether the shape is closed by straight walls and a point lies inside.
+
+        From inside a ray to the right crosses the outline an odd number of times.
+        """
         x1, y1, x2, y2 = self.segments().T
         spans = (y1 > xy_m[1]) != (y2 > xy_m[1])
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -114,74 +90,68 @@ class Polyline(Simple):
         return bool(np.count_nonzero(spans & (crossing_x > xy_m[0])) % 2)
 
 
-class Box(Simple):
+class Polyline(Shape, frozen=True, kw_only=True):
+    """Points joined by walls."""
+
+    points_m: Annotated[tuple[XY, ...], setting("corners, [[x, y], ...], two at least", min_length=2)]
+    closed: Annotated[bool, setting("join the last point to the first")] = False
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if a wall has no length, or the heights are not in order."""
+        Shape.__post_init__(self)
+        check_apart(self.points_m)
+
+    def segments(self) -> Array:
+        """Return the walls from point to point, (n, 4)."""
+        points = np.array([*self.points_m, *self.points_m[:1]] if self.closed else self.points_m, dtype=np.float64)
+        return np.column_stack((points[:-1], points[1:]))
+
+    def contains(self, xy_m: XY) -> bool:
+        """Return whether it is closed and a point lies inside."""
+        return self.closed and Shape.contains(self, xy_m)
+
+
+class Box(Shape, frozen=True, kw_only=True):
     """A solid rectangle."""
 
-    center_m: XY = Field(description="center, [x, y]")
-    size_m: tuple[Length, Length] = Field(description="edges, [along x, along y] before it is turned")
-    yaw_deg: float = Field(0.0, description="how far it is turned about its center, counter-clockwise")
-
-    def _outline(self) -> Polyline:
-        c, s = np.cos(self.yaw_deg * DEG), np.sin(self.yaw_deg * DEG)
-        corners = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]) * self.size_m
-        xy = corners @ np.array([(c, s), (-s, c)]) + self.center_m
-        return Polyline.model_construct(points_m=tuple(map(tuple, xy.tolist())), closed=True)
+    center_m: Annotated[XY, CENTER]
+    size_m: Annotated[tuple[Length, Length], setting("edges, [along x, along y] before it is turned")]
+    yaw_deg: Annotated[Degrees, TURNED] = 0.0
 
     def segments(self) -> Array:
         """Return the four sides, (4, 4)."""
-        return self._outline().segments()
-
-    def arcs(self) -> Array:
-        """Return none, (0, 5)."""
-        return np.empty((0, 5))
+        corners = rectangle(self.center_m, self.size_m, self.yaw_deg)
+        return np.column_stack((corners, np.roll(corners, -1, axis=0)))
 
     def plate(self) -> tuple[float, ...] | None:
         """Return the rectangle."""
         return (*self.center_m, *self.size_m, self.yaw_deg * DEG, 0.0)
 
-    def contains(self, xy_m: XY) -> bool:
-        """Return whether a point lies inside."""
-        return self._outline().contains(xy_m)
 
-
-class Arc(Simple):
+class Arc(Shape, frozen=True, kw_only=True):
     """A round wall that one can stand on both sides of; a sweep of 360 makes a round room."""
 
-    center_m: XY = Field(description="center, [x, y]")
-    radius_m: Length = Field(description="radius")
-    start_deg: float = Field(0.0, description="bearing of its first end from the center, counter-clockwise from x")
-    sweep_deg: float = Field(360.0, ge=-360.0, le=360.0, description="how far it goes on, counter-clockwise")
+    center_m: Annotated[XY, CENTER]
+    radius_m: Annotated[Length, setting("radius")]
+    start_deg: Annotated[Degrees, setting("bearing of its first end from the center, counter-clockwise from x")] = 0.0
+    sweep_deg: Annotated[float, setting("how far it goes on, counter-clockwise", ge=-360.0, le=360.0)] = 360.0
 
-    @field_validator("sweep_deg")
-    @classmethod
-    def _some_sweep(cls, sweep_deg: float) -> float:
-        if sweep_deg == 0.0:
-            msg = "makes a wall without length; give a sweep other than 0"
-            raise ValueError(msg)
-        return sweep_deg
-
-    def segments(self) -> Array:
-        """Return none, (0, 4)."""
-        return np.empty((0, 4))
+    def __post_init__(self) -> None:
+        """Raise ValueError if the wall has no length, or the heights are not in order."""
+        Shape.__post_init__(self)
+        if self.sweep_deg == 0.0:
+            raise ValueError("sweep_deg: makes a wall without length; give a sweep other than 0")
 
     def arcs(self) -> Array:
         """Return the arc, (1, 5)."""
         return np.array([(*self.center_m, self.radius_m, self.start_deg * DEG, self.sweep_deg * DEG)])
 
-    def contains(self, xy_m: XY) -> bool:  # noqa: ARG002  one interface
-        """Return False: an arc is not solid."""
-        return False
 
-
-class Circle(Simple):
+class Circle(Shape, frozen=True, kw_only=True):
     """A solid, round column."""
 
-    center_m: XY = Field(description="center, [x, y]")
-    radius_m: Length = Field(description="radius")
-
-    def segments(self) -> Array:
-        """Return none, (0, 4)."""
-        return np.empty((0, 4))
+    center_m: Annotated[XY, CENTER]
+    radius_m: Annotated[Length, setting("radius")]
 
     def arcs(self) -> Array:
         """Return the whole turn, (1, 5)."""

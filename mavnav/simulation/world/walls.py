@@ -3,97 +3,111 @@
 from __future__ import annotations
 
 from math import inf
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-from pydantic import ConfigDict, Field, field_validator, model_validator
+from msgspec.structs import asdict
 
-from mavnav.config.strict import Strict
+from mavnav.config.strict import Strict, setting
 from mavnav.simulation.world.geometry import World
-from mavnav.simulation.world.shapes import XY, Arc, Band, Box, Circle, Length, Polyline, all_apart, in_order
-from mavnav.units import DEG
+from mavnav.simulation.world.shapes import (
+    CENTER,
+    TURNED,
+    XY,
+    Arc,
+    Band,
+    Box,
+    Circle,
+    Degrees,
+    Length,
+    Polyline,
+    Shape,
+    check_apart,
+    check_order,
+    rectangle,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from mavnav.simulation.world.shapes import Shape
-
 EVERYWHERE = (0.0, 0.0, inf, inf, 0.0, 0.0)
 """The plate of floor and ceiling, less its height."""
 
 
-class Table(Strict):
+class TableShape(Strict, frozen=True):
     """A top on four legs; the legs stand at its corners."""
 
-    center_m: XY = Field(description="center, [x, y]")
-    size_m: tuple[Length, Length] = Field(description="edges of the top, [along x, along y] before it is turned")
-    yaw_deg: float = Field(0.0, description="how far it is turned about its center, counter-clockwise")
-    top_m: Band = Field((0.7, 0.75), description="lower and upper side of the top above the floor")
-    leg_m: Length = Field(0.05, description="edge of a leg")
+    center_m: Annotated[XY, CENTER]
+    size_m: Annotated[tuple[Length, Length], setting("edges of the top, [along x, along y] before it is turned")]
+    yaw_deg: Annotated[Degrees, TURNED] = 0.0
+    top_m: Annotated[Band, setting("lower and upper side of the top above the floor")] = (0.7, 0.75)
+    leg_m: Annotated[Length, setting("edge of a leg")] = 0.05
 
-    _in_order = field_validator("top_m")(in_order)
+    def __post_init__(self) -> None:
+        """Raise ValueError if the heights are not in order."""
+        check_order("top_m", self.top_m)
 
     def parts(self) -> tuple[Shape, ...]:
-        """Return the top and the legs."""
-        c, s = np.cos(self.yaw_deg * DEG), np.sin(self.yaw_deg * DEG)
-        offsets = 0.5 * (np.array(self.size_m) - self.leg_m) * [(-1, -1), (1, -1), (1, 1), (-1, 1)]
-        centres = offsets @ np.array([(c, s), (-s, c)]) + self.center_m
-        legs = [self._box((x, y), (self.leg_m, self.leg_m), (0.0, self.top_m[0])) for x, y in centres.tolist()]
-        return (self._box(self.center_m, self.size_m, self.top_m), *legs)
+        """Return the top and the legs; a top that lies on the floor has none."""
+        top, leg_size_m, leg_band = (
+            self._box(self.center_m, self.size_m, self.top_m),
+            (self.leg_m,) * 2,
+            (0.0, self.top_m[0]),
+        )
+        between_m = (self.size_m[0] - self.leg_m, self.size_m[1] - self.leg_m)
+        corners = rectangle(self.center_m, between_m, self.yaw_deg).tolist() if self.top_m[0] else []
+        return (top, *(self._box((x, y), leg_size_m, leg_band) for x, y in corners))
 
     def _box(self, center_m: XY, size_m: tuple[float, float], height_m: Band) -> Box:
-        return Box.model_construct(center_m=center_m, size_m=size_m, yaw_deg=self.yaw_deg, height_m=height_m)
+        return Box(center_m=center_m, size_m=size_m, yaw_deg=self.yaw_deg, height_m=height_m)
 
 
-class Opening(Strict):
+class Opening(Strict, frozen=True):
     """A wall with an opening along its whole length: a door frame (open from 0), or a window."""
 
-    points_m: tuple[XY, XY] = Field(description="ends of the opening, [[x, y], [x, y]]")
-    open_m: Band = Field(description="lower and upper edge of the opening above the floor; wall below and above it")
+    points_m: Annotated[tuple[XY, XY], setting("ends of the opening, [[x, y], [x, y]]")]
+    open_m: Annotated[Band, setting("lower and upper edge of the opening above the floor; wall below and above it")]
 
-    _in_order = field_validator("open_m")(in_order)
-    _apart = field_validator("points_m")(all_apart)
+    def __post_init__(self) -> None:
+        """Raise ValueError if the wall has no length, or the heights are not in order."""
+        check_order("open_m", self.open_m)
+        check_apart(self.points_m)
 
     def parts(self) -> tuple[Shape, ...]:
         """Return the wall below, unless the opening begins at the floor, and the wall above."""
         bands = [(0.0, self.open_m[0])] * (self.open_m[0] > 0.0) + [(self.open_m[1], inf)]
-        return tuple(Polyline.model_construct(points_m=self.points_m, closed=False, height_m=band) for band in bands)
+        return tuple(Polyline(points_m=self.points_m, height_m=band) for band in bands)
 
 
-class Wall(Strict):
+class WallEntry(Strict, frozen=True):
     """One entry of ``walls``: the name of a shape, and the shape."""
 
-    model_config = ConfigDict(json_schema_extra={"minProperties": 1, "maxProperties": 1})
+    polyline: Annotated[Polyline | None, setting("points joined by walls")] = None
+    box: Annotated[Box | None, setting("solid rectangle")] = None
+    circle: Annotated[Circle | None, setting("solid column")] = None
+    arc: Annotated[Arc | None, setting("round wall")] = None
+    table: Annotated[TableShape | None, setting("a top on four legs")] = None
+    opening: Annotated[Opening | None, setting("a door frame or a window")] = None
 
-    polyline: Polyline | None = Field(None, description="points joined by walls")
-    box: Box | None = Field(None, description="solid rectangle")
-    circle: Circle | None = Field(None, description="solid column")
-    arc: Arc | None = Field(None, description="round wall")
-    table: Table | None = Field(None, description="a top on four legs")
-    opening: Opening | None = Field(None, description="a door frame or a window")
+    def __post_init__(self) -> None:
+        """Raise ValueError if there is not one shape."""
+        if len(self._shapes()) != 1:
+            raise ValueError("must be one shape: polyline, box, circle, arc, table or opening")
 
-    @model_validator(mode="after")
-    def _one_shape(self) -> Wall:
-        if len(self._given()) != 1:
-            msg = "must be one shape: polyline, box, circle, arc, table or opening"
-            raise ValueError(msg)
-        return self
-
-    def _given(self) -> dict[str, Polyline | Box | Circle | Arc | Table | Opening]:
-        named = {name: getattr(self, name) for name in type(self).model_fields}
-        return {name: shape for name, shape in named.items() if shape is not None}
+    def _shapes(self) -> dict[str, Shape | TableShape | Opening]:
+        return {name: shape for name, shape in asdict(self).items() if shape is not None}
 
     @property
     def kind(self) -> str:
         """Name of the shape."""
-        return next(iter(self._given()))
+        return next(iter(self._shapes()))
 
     @property
     def parts(self) -> tuple[Shape, ...]:
         """The simple shapes it is made of."""
-        return next(iter(self._given().values())).parts()
+        return next(iter(self._shapes().values())).parts()
 
     @property
     def has_heights(self) -> bool:
@@ -101,7 +115,7 @@ class Wall(Strict):
         return any(part.height_m for part in self.parts)
 
 
-def world_of(walls: Sequence[Wall], *, spatial: bool = False, ceiling_m: float | None = None) -> World:
+def world_of(walls: Sequence[WallEntry], *, spatial: bool = False, ceiling_m: float | None = None) -> World:
     """Build the world of some walls; a ``spatial`` one has heights, tops and bottoms, a floor, perhaps a ceiling."""
     parts = [part for wall in walls for part in wall.parts]
     straight, curved = [part.segments() for part in parts], [part.arcs() for part in parts]
@@ -115,9 +129,9 @@ def world_of(walls: Sequence[Wall], *, spatial: bool = False, ceiling_m: float |
 
 def _plates(parts: Sequence[Shape], ceiling_m: float | None) -> NDArray[np.float64]:
     """Return floor, ceiling, and tops and bottoms of solid shapes in between, (p, 7)."""
-    found: list[tuple[float, ...]] = [(*EVERYWHERE, z_m) for z_m in (0.0, ceiling_m) if z_m is not None]
+    plates: list[tuple[float, ...]] = [(*EVERYWHERE, z_m) for z_m in (0.0, ceiling_m) if z_m is not None]
     for part in parts:
         plate, band = part.plate(), part.height_m
         if plate and band:
-            found += [(*plate, height_m) for height_m in band if 0.0 < height_m < inf]
-    return np.array(found)
+            plates += [(*plate, height_m) for height_m in band if 0.0 < height_m < inf]
+    return np.array(plates)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from mavnav.pose import Pose, transform_points
 from mavnav.simulation.world import World
 from mavnav.simulation.world.shapes import Box, Circle, Polyline
-from mavnav.simulation.world.walls import Wall, world_of
+from mavnav.simulation.world.walls import WallEntry, world_of
 
 BEARINGS = np.linspace(-math.pi, math.pi, 181)
 
@@ -176,7 +176,7 @@ def test_no_ray_is_shorter_than_the_clearance() -> None:
 def test_no_ray_slips_through_a_joint() -> None:
     box = Polyline(points_m=((0.1, 0.1), (3.3, 0.7), (2.9, 2.3), (0.2, 1.9)), closed=True)
     corners = np.array(box.points_m) - (1.0, 1.0)
-    ranges, _ = world_of([Wall(polyline=box)]).cast((1.0, 1.0), np.arctan2(corners[:, 1], corners[:, 0]))
+    ranges, _ = world_of([WallEntry(polyline=box)]).cast((1.0, 1.0), np.arctan2(corners[:, 1], corners[:, 0]))
     np.testing.assert_allclose(ranges, np.hypot(*corners.T), atol=1e-8)
     halves = World(np.empty((0, 4)), np.array([(0, 0, 1, 0.3, math.pi), (0, 0, 1, 0.3, -math.pi)]))
     assert np.isfinite(halves.cast((0.0, 0.0), np.array([0.3, 0.3 + math.pi, 0.3 - math.pi]))[0]).all()

@@ -6,18 +6,19 @@ import math
 
 import numpy as np
 import pytest
+from msgspec import convert
 
 from mavnav.pose import Pose
 from mavnav.scan import Attitude, levelled
 from mavnav.simulation.world import LASERS, LaserModel, load_scenario, take_scan
 from mavnav.simulation.world.flight import Body, FlightConfig
 from mavnav.simulation.world.laser import tilted_directions
-from mavnav.simulation.world.walls import Wall, world_of
+from mavnav.simulation.world.walls import WallEntry, world_of
 from mavnav.units import DEG
 
 CEILING_M = 2.4
 WALLS = tuple(
-    Wall.model_validate(wall)
+    convert(wall, WallEntry)
     for wall in (
         {"polyline": {"closed": True, "points_m": [[-3, -2], [3, -2], [3, 2], [-3, 2]]}},
         {"polyline": {"points_m": [[-1, -1.5], [1, -1.2]], "height_m": [0, 0.6]}},
