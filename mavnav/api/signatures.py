@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import inspect
 import re
+from functools import wraps
 from inspect import Parameter
 from textwrap import fill, indent
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from mavnav.config.option_kinds import SWITCH
 from mavnav.config.options import OPTIONS, TYPES, File
@@ -27,12 +28,17 @@ def with_options(*names: str) -> Callable[[Function], Function]:
         signature = inspect.signature(function)
         own = [each for each in signature.parameters.values() if each.kind is not Parameter.VAR_KEYWORD]
         places = [each for each in own if each.kind is not Parameter.KEYWORD_ONLY]
-        function.__signature__ = signature.replace(  # type: ignore[attr-defined]
-            parameters=[*places, *map(_parameter, names), *own[len(places) :]]
-        )
+        signature = signature.replace(parameters=[*places, *map(_parameter, names), *own[len(places) :]])
+
+        @wraps(function)
+        def checked(*args: Any, **values: Any) -> Any:  # noqa: ANN401  those of the function
+            signature.bind(*args, **values)
+            return function(*args, **values)
+
+        checked.__signature__ = signature  # type: ignore[attr-defined]
         text = "".join(f"    {name}\n{_description(name)}\n" for name in names)
-        function.__doc__ = re.sub(r" {4}\*\*options\n( {8}.*\n)+", lambda _: text, function.__doc__ or "")
-        return function
+        checked.__doc__ = re.sub(r" {4}\*\*options\n( {8}.*\n)+", lambda _: text, function.__doc__ or "")
+        return cast("Function", checked)
 
     return described
 
