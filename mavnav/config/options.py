@@ -83,7 +83,6 @@ class ReplayOptions(SearchOptions, Generic[PathType], total=False):
         Input("--extrinsic X,Y,YAW", "Pose of the laser on its base, m, m, rad (default from tf).", manifest=True),
     ]
     strict: Annotated[bool, Input("--strict", "Drop scans whose checksum does not match.", manifest=True)]
-    note: Annotated[str | None, Input("--note TEXT", "Remark, kept in run.json.", absent=True, manifest=True)]
     search: Annotated[
         str | None,
         Search(

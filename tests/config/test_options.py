@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import json
 from pathlib import Path
 
 import pytest
@@ -62,25 +61,6 @@ def test_a_document_gives_the_options_back() -> None:
     }
     assert reference_files(options) == {"truth": Path("night/a.tum"), "truth_map": Path("night/map.yaml")}
     assert restore_options({"truth": "auto"}, Path) == {"truth": "auto"}
-
-
-def test_a_note_is_kept(tmp_path: Path) -> None:
-    from mavnav.batch.manifest import LogEntry
-    from mavnav.cli import run
-
-    log = Path(__file__).parents[2] / "sample_logs" / "complex.bag"
-    made = mavnav.replay(log, end_s=0.5, online=True, note="by hand", directory=tmp_path / "run")
-    again = ("replay", "--again", str(tmp_path / "run"), "-q", "-o", str(tmp_path / "again"))
-    assert run(again) == 0
-    for each in (made, mavnav.load_run(tmp_path / "again")):
-        provenance = json.loads((each.directory / "run.json").read_text())["provenance"]
-        assert provenance["options"]["note"] == "by hand"
-        assert "'--note=by hand'" in provenance["again"]
-    assert (
-        run(("replay", str(log), "--end", "0.5", "--online", "--note", "typed", "-q", "-o", str(tmp_path / "b"))) == 0
-    )
-    assert '"note": "typed"' in (tmp_path / "b" / "run.json").read_text()
-    assert LogEntry(log=("a.mcap",), note="of a manifest").values["note"] == "of a manifest"  # type: ignore[call-arg]
 
 
 def test_a_pose_that_cannot_be_meant_is_refused_by_its_option() -> None:
