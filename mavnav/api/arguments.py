@@ -27,14 +27,14 @@ def path_of(file: File, name: str) -> Path:
         raise UsageError(f"{name} is {file!r}; give a path") from None
 
 
-def named(file: File, name: str) -> str:
+def name_or_path(file: File, name: str) -> str:
     """Return what may be the name of a preset or scenario as well as a path."""
     return file if isinstance(file, str) else str(path_of(file, name))
 
 
 def config_of(config: File | None) -> str | None:
     """Return the configuration, a file or preset, if one is given."""
-    return None if config is None else named(config, "config")
+    return None if config is None else name_or_path(config, "config")
 
 
 def optional_path(file: File | None, name: str) -> Path | None:
@@ -44,16 +44,16 @@ def optional_path(file: File | None, name: str) -> Path | None:
 
 def paths_of(files: File | Sequence[File], name: str) -> list[Path]:
     """Return the paths of one file or several."""
-    several = [files] if isinstance(files, str | PathLike) else _listed(files, name)
+    several = [files] if isinstance(files, str | PathLike) else _as_list(files, name)
     return [path_of(each, name) for each in several]
 
 
 def values_of(values: Any, name: str) -> list[Any]:  # noqa: ANN401
     """Return the values of an argument that may be a single one."""
-    return [values] if isinstance(values, str | int) else _listed(values, name)
+    return [values] if isinstance(values, str | int) else _as_list(values, name)
 
 
-def _listed(values: Any, name: str) -> list[Any]:  # noqa: ANN401
+def _as_list(values: Any, name: str) -> list[Any]:  # noqa: ANN401
     if isinstance(values, Mapping) or not hasattr(values, "__iter__"):
         raise UsageError(f"{name} is {values!r}; give a list")
     return list(values)
@@ -109,10 +109,10 @@ def sets_of(settings: Mapping[str, object] | None) -> list[str]:
 def options_of(options: Mapping[str, Any]) -> ReplayOptions[Path]:
     """Return the options of a replay that are given, checked."""
     given = {name: value for name, value in options.items() if value is not None}
-    return given_options({n: _CHECKS.get(OPTIONS[n].kind, _unchecked)(value, n) for n, value in given.items()})
+    return given_options({n: _CHECKS.get(OPTIONS[n].kind, _same_value)(value, n) for n, value in given.items()})
 
 
-def _unchecked(value: Any, _: str) -> Any:  # noqa: ANN401  the configuration checks it
+def _same_value(value: Any, _: str) -> Any:  # noqa: ANN401  the configuration checks it
     return value
 
 

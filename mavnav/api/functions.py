@@ -15,7 +15,7 @@ from msgspec.structs import replace as changed
 from mavnav import logs
 from mavnav.api.arguments import (
     config_of,
-    named,
+    name_or_path,
     optional_path,
     options_of,
     path_of,
@@ -140,7 +140,7 @@ def replay(
     continued = given.get("continue_from")
     base = run_layer(continued) if continued and config is None else None
     chosen = load_config(config_of(config), sets_of(settings), settings_of(given), base)
-    request = ReplayRequest(path_of(log, "log"), Path(), chosen, given, force, report, typed=_typed(config))
+    request = ReplayRequest(path_of(log, "log"), Path(), chosen, given, force, report, typed=_typed_config(config))
 
     def work(target: Path) -> Run:
         replay_log(changed(request, directory=target), progress or silent, 0.0)
@@ -205,18 +205,18 @@ def simulate(
 
     overrides = {f"slam.{key}": value for key, value in settings_of(options_of(options)).items()}
     overrides |= {"seed": seed, "planner.technique": planner, "slam.attitude": attitude}
-    name, log = named(scenario, "scenario"), optional_path(record, "record")
+    name, log = name_or_path(scenario, "scenario"), optional_path(record, "record")
     chosen, path = load_scenario(name, sets_of(settings), overrides, config_of(config)), scenario_path(name)
 
     def work(target: Path) -> Run:
-        request = SimulationRequest(chosen, path, target, log, force=force, report=report, typed=_typed(config))
+        request = SimulationRequest(chosen, path, target, log, force=force, report=report, typed=_typed_config(config))
         simulate_mission(request, progress or silent, 0.0)
         return Run(target)
 
     return in_directory(work, directory)
 
 
-def _typed(config: File | None) -> Typed:
+def _typed_config(config: File | None) -> Typed:
     from mavnav.outputs.documents.provenance import Typed  # noqa: PLC0415  heavy
 
     return Typed(config=config_of(config))

@@ -24,23 +24,23 @@ def with_options(*names: str) -> Callable[[Function], Function]:
     In both they follow the positional arguments. Other names raise TypeError, as they do in any function.
     """
 
-    def described(function: Function) -> Function:
+    def decorate(function: Function) -> Function:
         signature = inspect.signature(function)
         own = [each for each in signature.parameters.values() if each.kind is not Parameter.VAR_KEYWORD]
         places = [each for each in own if each.kind is not Parameter.KEYWORD_ONLY]
         signature = signature.replace(parameters=[*places, *map(_parameter, names), *own[len(places) :]])
 
         @wraps(function)
-        def checked(*args: Any, **values: Any) -> Any:  # noqa: ANN401  those of the function
+        def call(*args: Any, **values: Any) -> Any:  # noqa: ANN401  those of the function
             signature.bind(*args, **values)
             return function(*args, **values)
 
-        checked.__signature__ = signature  # type: ignore[attr-defined]
+        call.__signature__ = signature  # type: ignore[attr-defined]
         text = "".join(f"    {name}\n{_description(name)}\n" for name in names)
-        checked.__doc__ = re.sub(r" {4}\*\*options\n( {8}.*\n)+", lambda _: text, function.__doc__ or "")
-        return cast("Function", checked)
+        call.__doc__ = re.sub(r" {4}\*\*options\n( {8}.*\n)+", lambda _: text, function.__doc__ or "")
+        return cast("Function", call)
 
-    return described
+    return decorate
 
 
 def _parameter(name: str) -> Parameter:

@@ -71,7 +71,7 @@ def track(
     load_kernels(chosen, lambda _phase, _done, _total: None)
     if period_s is not None and not (isfinite(period_s) and period_s > 0.0):
         raise UsageError(f"period_s is {period_s!r}; give the time between scans in s")
-    coming = checked(scans)
+    coming = valid_scans(scans)
     first = list(islice(coming, 0 if period_s else 2))
     if period_s is None:
         period_s = (first[1].stamp_ns - first[0].stamp_ns) * NS if len(first) > 1 else USUAL_PERIOD_S
@@ -79,7 +79,7 @@ def track(
     return tracked(chain(first, coming), slam, Motion(period_s, None, slam.expects_rest))
 
 
-def checked(scans: Iterable[Scan]) -> Iterator[Scan]:
+def valid_scans(scans: Iterable[Scan]) -> Iterator[Scan]:
     """Yield scans that fit their geometry and follow each other in time.
 
     Ranges of other number types are converted; those that are infinite, 0 or negative are no returns.

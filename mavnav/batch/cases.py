@@ -75,22 +75,22 @@ def make_cases(request: BatchRequest, progress: Progress) -> list[Case]:
     """
     logs = [(entry, log) for entry in request.entries for log in _logs(request, entry)]
     names = display_names([log for _, log in logs])
-    found: dict[str, Case] = {}
+    cases: dict[str, Case] = {}
     for number, (entry, log) in enumerate(logs):
         progress("reading", number, len(logs) if len(logs) > 1 else None)
         for case in _cases(request, entry, log, names[log]):
-            found[case.name] = _merged(found[case.name], case) if case.name in found else case
-    return list(found.values())
+            cases[case.name] = _combine_cases(cases[case.name], case) if case.name in cases else case
+    return list(cases.values())
 
 
 def display_names(logs: Sequence[str]) -> dict[str, str]:
     """Return each log's display name: an address without its secrets, numbered if two would be equal."""
-    found, taken = dict[str, str](), Counter[str]()
+    names, taken = dict[str, str](), Counter[str]()
     for log in dict.fromkeys(logs):
         name = public_address(log) if is_address(log) else log
         taken[name] += 1
-        found[log] = name if taken[name] == 1 else f"{name} ({taken[name]})"
-    return found
+        names[log] = name if taken[name] == 1 else f"{name} ({taken[name]})"
+    return names
 
 
 def _logs(request: BatchRequest, entry: BatchLogs) -> Sequence[str]:
@@ -106,7 +106,7 @@ def read_paths(request: BatchRequest) -> Iterator[Path]:
             yield from map_files(truth_map)
 
 
-def _merged(one: Case, other: Case) -> Case:
+def _combine_cases(one: Case, other: Case) -> Case:
     """Merge two cases of one name, for example from a pattern and from a path, with the gates of both."""
     if one.has_references and other.has_references and one.run != other.run:
         raise UsageError(f"{one.name}: two entries compare it with different references; give it one")

@@ -128,15 +128,15 @@ def read_manifest(path: Path) -> tuple[Manifest, Layer]:
 
 def origins_of(manifest: Manifest, layer: Layer) -> Origins:
     """Return where the gates, accepted codes and tolerances are in a manifest; of several places the first one."""
-    found: dict[tuple[str, str | int], str] = {}
+    origins: dict[tuple[str, str | int], str] = {}
     for name in manifest.tolerances:
-        found["tolerances", full_name(name)] = origin(layer, ("tolerances", name))
+        origins["tolerances", full_name(name)] = origin(layer, ("tolerances", name))
     for key, part in (((), manifest), *((("logs", str(number)), log) for number, log in enumerate(manifest.logs))):
         for name in ("gates", "accept"):
             for number, value in enumerate(getattr(part, name)):
                 given = value.strip() if isinstance(value, str) else value
-                found.setdefault((name, given), origin(layer, (*key, name, str(number))))
-    return found
+                origins.setdefault((name, given), origin(layer, (*key, name, str(number))))
+    return origins
 
 
 @contextmanager

@@ -167,7 +167,7 @@ def _rules(options: Options, manifest: Manifest, origins: Origins, path: Path | 
         gates=tuple(_gates(texts, origins)),
         accept=frozenset(_codes([*manifest.accept, *options.accept], origins)),
         baseline=None if path is None or fresh else read_baseline(path),
-        watched=tolerances([*_given(manifest.tolerances, origins), *(_tolerance(text) for text in options.tolerances)]),
+        watched=tolerances([*_parse(manifest.tolerances, origins), *(_tolerance(text) for text in options.tolerances)]),
         baseline_gate=gated and not options.update_baseline,
     )
 
@@ -192,7 +192,7 @@ def _codes(codes: Sequence[int], origins: Origins) -> list[int]:
     return list(codes)
 
 
-def _given(named: Mapping[str, float | str], origins: Origins) -> Iterator[Tolerance]:
+def _parse(named: Mapping[str, float | str], origins: Origins) -> Iterator[Tolerance]:
     for name, text in named.items():
         with located(origins[("tolerances", full_name(name))]):
             tolerance = parse_tolerance(name, str(text))

@@ -183,7 +183,7 @@ def batch(
             update_baseline=update_baseline,
             files=files,
         )
-        plan = _planned(options, report)
+        plan = _plan(options, report)
     document = _run(plan, json=json, quiet=quiet)
     if plan.request.new_baseline and not quiet:
         _print_baseline(document, plan.request.new_baseline)
@@ -194,7 +194,7 @@ def batch(
     raise typer.Exit(document["exit_code"])
 
 
-def _planned(options: Options, report: Progress) -> BatchPlan:
+def _plan(options: Options, report: Progress) -> BatchPlan:
     """Read manifest and logs, and load the kernels here."""
     from mavnav.batch.options import request_of
     from mavnav.batch.plan import load_kernels, plan_batch

@@ -122,12 +122,12 @@ def _text(row: dict[str, Any]) -> str:
     from mavnav.outputs.report.summary_page import QUANTITY_NAMES
 
     digits, unit = QUANTITY_NAMES[row["name"]][1], f" {row['unit']}".rstrip()
-    found = f"{row['value']:.{digits}f}{unit} +- {row['ci95']:.{digits}f}"
+    estimate = f"{row['value']:.{digits}f}{unit} +- {row['ci95']:.{digits}f}"
     if row["in_log"] is None:
-        return f"{found}; the log has no transform"
+        return f"{estimate}; the log has no transform"
     said = "transforms say" if row["name"] in MOUNTING else "configured"
     verdict = "agrees" if row["agrees"] else f"differs by {row['difference']:+.{digits}f}"
-    return f"{found}; {said} {row['in_log']:.{digits}f}: {verdict}"
+    return f"{estimate}; {said} {row['in_log']:.{digits}f}: {verdict}"
 
 
 def _switch_text(switch: dict[str, Any]) -> str:

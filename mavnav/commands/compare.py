@@ -117,7 +117,7 @@ def compare(
         )
         plan = pipeline.plan_comparison(request, report)
         load_kernels(plan, report)
-    document, page = _compared(plan, quiet=quiet)
+    document, page = _run_and_draw(plan, quiet=quiet)
     _print_result(document, page, json=json)
     if preview:
         _show_maps(document, target, stderr=json)
@@ -134,7 +134,7 @@ def _sample(directory: Path, report: Progress) -> tuple[list[Path], Path]:
     return [sample_log(directory, report)], sample_truth(directory)
 
 
-def _compared(plan: BatchPlan, *, quiet: bool) -> tuple[dict[str, Any], Path]:
+def _run_and_draw(plan: BatchPlan, *, quiet: bool) -> tuple[dict[str, Any], Path]:
     """Run what is missing, and draw the report unless it shows these results; return comparison.json and its path."""
     from mavnav.comparison.pipeline import is_report_current, run_comparison
     from mavnav.outputs.writers import REPORT_FILE, write_page

@@ -48,12 +48,12 @@ def convert(
             progress=lambda n, total: report("converting", n, total),
         )
     code = ExitCode.DAMAGED_INPUT if done.damage else ExitCode.DONE
-    found = document(log, target, done, code)
+    result = document(log, target, done, code)
     if json:
-        emit_json(found)
+        emit_json(result)
     else:
-        print_table(_rows(found))
-        note_problems(found)
+        print_table(_rows(result))
+        note_problems(result)
     raise typer.Exit(code)
 
 
@@ -74,9 +74,9 @@ def document(log: Path, target: Path, done: Conversion, code: ExitCode) -> dict[
     }
 
 
-def _rows(found: dict[str, Any]) -> list[tuple[str, str]]:
+def _rows(result: dict[str, Any]) -> list[tuple[str, str]]:
     """Return the rows of the table."""
-    file = found["output"]
-    rows = [("written", f"{file['path']}, {file['size_bytes'] / 1e6:.1f} MB, {found['messages']} messages")]
-    rows += [("", f"{t['name']}  {t['type']}  {t['encoding']}  {t['count']}") for t in found["topics"]]
-    return rows + [("left out", f"{count} {reason}") for reason, count in found["left_out"].items()]
+    file = result["output"]
+    rows = [("written", f"{file['path']}, {file['size_bytes'] / 1e6:.1f} MB, {result['messages']} messages")]
+    rows += [("", f"{t['name']}  {t['type']}  {t['encoding']}  {t['count']}") for t in result["topics"]]
+    return rows + [("left out", f"{count} {reason}") for reason, count in result["left_out"].items()]

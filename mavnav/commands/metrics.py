@@ -51,25 +51,25 @@ def metrics(
             raise UsageError(f"--truth {truth}: the ground truth of a log is for replay and compare; name a TUM file")
         references = load_references(**reference_files(options))
         document = evaluate(paths, references, report)
-    for found in document["maps"]:
-        if references.of_poses and found["kind"] == "map":
-            note(f"mavnav: warning: {found['path']}: a map has no poses; --truth and --relations are not used for it")
+    for entry in document["maps"]:
+        if references.of_poses and entry["kind"] == "map":
+            note(f"mavnav: warning: {entry['path']}: a map has no poses; --truth and --relations are not used for it")
     if json:
         emit_json(document)
         return
-    for number, found in enumerate(document["maps"]):
+    for number, entry in enumerate(document["maps"]):
         if number:
             emit("")
-        print_table(_summary(found))
+        print_table(_summary(entry))
 
 
-def _summary(found: dict[str, Any]) -> list[tuple[str, str]]:
+def _summary(entry: dict[str, Any]) -> list[tuple[str, str]]:
     """Return the rows of the table on one map."""
-    quality = found["map_quality"]
+    quality = entry["map_quality"]
     return [
-        (found["kind"], found["path"]),
-        *wall_rows(found),
+        (entry["kind"], entry["path"]),
+        *wall_rows(entry),
         *quality_rows(quality),
         *more_rows(quality),
-        *reference_rows(found.get("reference")),
+        *reference_rows(entry.get("reference")),
     ]

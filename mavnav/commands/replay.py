@@ -89,7 +89,7 @@ def replay(
     **given: object,
 ) -> None:
     """Map a recorded log: trajectory, map, pictures and wall thickness."""
-    fields = {} if again is None else _repeated(context, again, log, directory)
+    fields = {} if again is None else _earlier_fields(context, again, log, directory)
     log = fields.get("log", log)
     if log is None:
         raise UsageError("no log; name one, or a run directory with --again")
@@ -129,7 +129,7 @@ def replay(
     raise typer.Exit(gated_code(document, bounds))
 
 
-def _repeated(context: typer.Context, again: Path, log: Path | None, directory: Path | None) -> dict[str, Any]:
+def _earlier_fields(context: typer.Context, again: Path, log: Path | None, directory: Path | None) -> dict[str, Any]:
     """Return the fields of a request that repeat a run, and report what differs; ``log`` is given if it has moved."""
     from mavnav.pipelines.again import replay_again, typed_again
 
@@ -216,9 +216,9 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
         *remedy_rows(tracking.get("remedies", [])),
     ]
     if "continued" in document and document["continued"]["joined"]:
-        rows.append(("continued", _continued(document["continued"])))
+        rows.append(("continued", _continuation_text(document["continued"])))
     if "localisation" in document:
-        rows.append(("found in the map", _found(document["localisation"])))
+        rows.append(("found in the map", _pose_text(document["localisation"])))
     rows += [*wall_rows(document), *quality_rows(document["map_quality"]), *reference_rows(document.get("reference"))]
     rows.append(("speed", f"{timing['scans_per_s']:.0f} scans/s, {timing['realtime_factor']:.1f} times real time"))
     return [*rows, *closing_rows(directory, document, "wall_thickness.png")]
@@ -230,18 +230,18 @@ def left_out_text(parts: list[dict[str, Any]]) -> str:
     return f"scans tracked on other maps: {', '.join(times)}" if times else ""
 
 
-def _continued(continued: dict[str, Any]) -> str:
+def _continuation_text(continued: dict[str, Any]) -> str:
     evidence = continued["evidence"]
     place = f", at the end of {evidence['after']}" if evidence["after"] else ""
     agree = f"{evidence['closures']} of {evidence['tested']} key frames agree, {evidence['residual_mm']:.0f} mm"
     return f"{continued['run']}, {counted(len(continued['sessions']), 'session')}{place}: {agree}"
 
 
-def _found(localisation: dict[str, Any]) -> str:
-    found = localisation["found"]
-    if not found:
+def _pose_text(localisation: dict[str, Any]) -> str:
+    pose = localisation["found"]
+    if not pose:
         return "nowhere"
-    return f"x {found['x_m']:z.2f} m, y {found['y_m']:z.2f} m, yaw {found['yaw_deg']:z.1f} deg, scan {found['scan']}"
+    return f"x {pose['x_m']:z.2f} m, y {pose['y_m']:z.2f} m, yaw {pose['yaw_deg']:z.1f} deg, scan {pose['scan']}"
 
 
 def print_stages(stages: dict[str, float], *, stderr: bool) -> None:

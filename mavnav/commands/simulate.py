@@ -125,7 +125,7 @@ def simulate(
     if scenario is None and again is None:
         raise UsageError("no scenario; name a YAML file or one of 'mavnav simulate --list'")
     bounds, written = gates_of(gates), output_values(outputs, report=report, preview=preview)
-    fields = {} if again is None else _repeated(context, again, directory)
+    fields = {} if again is None else _earlier_fields(context, again, directory)
     options = {f"slam.{key}": value for key, value in settings_of(read_options(given)).items()}
     options |= {"seed": seed, "planner.technique": planner}
     chosen = fields.get("scenario") or _load(str(scenario), sets or (), config, options)
@@ -153,7 +153,7 @@ def simulate(
     raise typer.Exit(gated_code(document, bounds))
 
 
-def _repeated(context: typer.Context, again: Path, directory: Path | None) -> dict[str, Any]:
+def _earlier_fields(context: typer.Context, again: Path, directory: Path | None) -> dict[str, Any]:
     """Return the fields of a request that repeat a mission, and report what differs."""
     from mavnav.pipelines.again import simulation_again
 
@@ -242,5 +242,5 @@ def _truth_rows(truth: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _wall_distance(truth: dict[str, Any]) -> str:
-    found, true = truth["wall_distance_m"], truth["true_wall_distance_m"]
-    return "not on the map" if found is None or true is None else f"{found:.3f} m, true {true:.3f} m"
+    on_map_m, true = truth["wall_distance_m"], truth["true_wall_distance_m"]
+    return "not on the map" if on_map_m is None or true is None else f"{on_map_m:.3f} m, true {true:.3f} m"

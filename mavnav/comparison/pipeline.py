@@ -93,19 +93,19 @@ def plan_comparison(request: BatchRequest, progress: Progress) -> BatchPlan:
         if case.run is None:
             raise UsageError(case.error)
     check_gates(request, cases, [f"price.{name}" for name in RELATIVE_COSTS])
-    return plan_cases(request, _named(_distinct(cases)))
+    return plan_cases(request, _name_cases(_unique(cases)))
 
 
-def _distinct(cases: Iterable[Case]) -> list[Case]:
+def _unique(cases: Iterable[Case]) -> list[Case]:
     """Return the cases without duplicates; copies of a log have the same keys."""
-    found: dict[str, Case] = {}
+    by_key: dict[str, Case] = {}
     for case in cases:
         if case.run:
-            found.setdefault(case.run.key, case)
-    return list(found.values())
+            by_key.setdefault(case.run.key, case)
+    return list(by_key.values())
 
 
-def _named(cases: Sequence[Case]) -> list[Case]:
+def _name_cases(cases: Sequence[Case]) -> list[Case]:
     """Name cases as ``drive.mcap robust 40/20x20``, yaw samples before the grid as in the paper."""
     runs = [case.run for case in cases if case.run]
     logs = short_names({run.request.log for run in runs})

@@ -24,7 +24,7 @@ def recorded_topic(truth: str) -> str | None:
     return truth.removeprefix(TOPIC_PREFIX) if truth.startswith(TOPIC_PREFIX) else None
 
 
-def _unchanged(value: Any, _: object) -> Any:  # noqa: ANN401  a value of any kind
+def _same(value: Any, _: object) -> Any:  # noqa: ANN401  a value of any kind
     return value
 
 
@@ -36,8 +36,8 @@ class Kind(NamedTuple):
     """
 
     typed: Any
-    read: Callable[[Any, str], Any] = _unchanged
-    restore: Callable[[Any, Callable[[str], Path]], Any] = _unchanged
+    read: Callable[[Any, str], Any] = _same
+    restore: Callable[[Any, Callable[[str], Path]], Any] = _same
 
 
 def _join(topics: list[str], _: str) -> str:
@@ -74,7 +74,7 @@ NUMBER: Final = Kind(float | None)
 COUNT: Final = Kind(int | None)
 SWITCH: Final = Kind(bool)
 POSE: Final = Kind(str | None, _read_pose, _restore_pose)
-FILE: Final = Kind(Path | None, _unchanged, lambda text, path: path(text))
+FILE: Final = Kind(Path | None, _same, lambda text, path: path(text))
 TRUTH: Final = Kind(str | None, lambda text, _: _restore_truth(text, Path), _restore_truth)
 """A trajectory: a path, or a text that names a topic of the log."""
 

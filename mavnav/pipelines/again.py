@@ -49,9 +49,9 @@ class EarlierRun(Struct, frozen=True):
         """Return what may keep the repetition from being the same, a line each."""
         made, now = _versions(self.document), {"mavnav": __version__, "Python": platform.python_version()}
         changed = [
-            f"{name} {then} then, {found} now"
+            f"{name} {then} then, {installed} now"
             for name, then in made.items()
-            if (found := now.get(name) or _installed(name)) != then
+            if (installed := now.get(name) or _installed_version(name)) != then
         ]
         lines = (
             [f"other versions than in {self.directory}, results may differ: {', '.join(changed)}"] if changed else []
@@ -74,7 +74,7 @@ def _versions(document: dict[str, Any]) -> dict[str, str]:
     return {"mavnav": document["mavnav_version"], "Python": document["python"], **document["libraries"]}
 
 
-def _installed(library: str) -> str:
+def _installed_version(library: str) -> str:
     from importlib.metadata import PackageNotFoundError, version  # noqa: PLC0415  it takes 8 ms to load
 
     try:
@@ -87,7 +87,7 @@ def earlier_run(directory: Path, *, simulated: bool) -> EarlierRun:
     """Read a run directory; raises UsageError for what is none, or of the other command."""
     try:
         document = read_json(directory / RUN_FILE)
-        kind = _checked(document)
+        kind = _check_document(document)
     except OSError as error:
         raise UsageError(f"{directory} holds no run ({RUN_FILE}: {error.strerror}); name a run directory") from error
     except (ValueError, ValidationError, LookupError, TypeError, AttributeError) as error:
@@ -99,7 +99,7 @@ def earlier_run(directory: Path, *, simulated: bool) -> EarlierRun:
     return EarlierRun(directory, document)
 
 
-def _checked(document: dict[str, Any]) -> str:
+def _check_document(document: dict[str, Any]) -> str:
     """Return the format of the log.
 
     Raises ValueError, ValidationError, LookupError or TypeError where something that is needed here is missing.
@@ -137,14 +137,14 @@ def typed_again(run: EarlierRun, words: Sequence[str]) -> Typed:
 
 def simulation_again(run: EarlierRun) -> dict[str, Any]:
     """Return the fields of the request that repeats a mission: its effective scenario, whatever became of the file."""
-    name, found = str(run.directory / RUN_FILE), run.document["input"]
+    name, source = str(run.directory / RUN_FILE), run.document["input"]
     from mavnav.config.yaml_layers import layer_of  # noqa: PLC0415  yaml takes 10 ms to load
     from mavnav.simulation.world import Scenario  # noqa: PLC0415  models take time to build
 
     return {
         "scenario": validated(Scenario, layer_of(json.dumps(run.document["scenario"]), name), name),
-        "path": run.path(found["path"]),
-        "content": (found["sha256"], found["size_bytes"]),
+        "path": run.path(source["path"]),
+        "content": (source["sha256"], source["size_bytes"]),
         "report": (run.directory / REPORT_FILE).is_file(),
     }
 
@@ -170,7 +170,7 @@ def _layer(document: dict[str, Any], path: Path) -> Layer:
 
 def _same_log(run: EarlierRun, log: Path | None) -> Path:
     """Return the log of a run; raises UsageError unless it is there with the same content."""
-    found, was = run.document["input"], run.document["input"]["path"]
+    source, was = run.document["input"], run.document["input"]["path"]
     if log is None and is_address(was):
         raise UsageError(
             f"the log was fetched from {was}; fetch it and write mavnav replay LOG --again {run.directory}"
@@ -180,8 +180,8 @@ def _same_log(run: EarlierRun, log: Path | None) -> Path:
         where = f"write mavnav replay LOG --again {run.directory} with its place now"
         raise UsageError(f"{path}: the log of the run is not there; {where}")
     digest = content_sha256(path)
-    if digest != found["sha256"]:
-        changed = f"its SHA-256 was {found['sha256']} and is {digest}"
+    if digest != source["sha256"]:
+        changed = f"its SHA-256 was {source['sha256']} and is {digest}"
         raise UsageError(
             f"{path} is not the log of {run.directory}, {changed}; name the right one, or leave out --again"
         )
@@ -197,7 +197,7 @@ def replay_words(log: str, options: ReplayOptions[Path], config: Config) -> list
     command = "batch" if is_address(log) else "replay"
     changed = changed_values(config, _base(options.get("continue_from"), config))
     return ["mavnav", command, log, *words_of(options)] + [
-        f"--set={key}={_written(value)}" for key, value in changed.items()
+        f"--set={key}={_yaml_text(value)}" for key, value in changed.items()
     ]
 
 
@@ -215,6 +215,6 @@ def changed_values(config: Config, base: Config) -> dict[str, Any]:
     return {key: value for key, value in own.items() if key == "method" or value != default[key]}
 
 
-def _written(value: object) -> str:
+def _yaml_text(value: object) -> str:
     """Write a value as YAML; a plain word without quotes, which a shell would need quotes for."""
     return value if isinstance(value, str) and _WORD.fullmatch(value) else json.dumps(value)

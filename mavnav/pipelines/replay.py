@@ -166,14 +166,14 @@ def replay_log(
     if request.log_sha256 not in {None, log.sha256}:
         raise UsageError(f"{request.log}: changed since it was first read; run again once it is complete")
     check_references(given.references, log, options.get("truth_map"), options.get("start_s"), own_frame=given.own_frame)
-    compiled_s, compiled_cpu_s = _compiled(request.config, progress, rare=not given.own_frame)
+    compiled_s, compiled_cpu_s = _compile(request.config, progress, rare=not given.own_frame)
     began = Timing(wall_s + compiled_s, cpu_s + compiled_cpu_s, compile_s + compiled_s, stages)
     with stoppable() as stop:
-        return _mapped(request, log, given, progress, stop, began)
+        return _track_and_write(request, log, given, progress, stop, began)
 
 
 @timed("loading")
-def _compiled(config: Config, progress: Progress, *, rare: bool) -> tuple[float, float]:
+def _compile(config: Config, progress: Progress, *, rare: bool) -> tuple[float, float]:
     """Compile the kernels the first time; returns what that took, by the clock and of the processor, s."""
     wall_s, cpu_s = perf_counter(), process_time()
     load_kernels(config, progress, rare=rare)
@@ -192,7 +192,7 @@ def _start_pose(options: ReplayOptions[Path]) -> Pose | None:
     return Pose(*pose) if pose else None
 
 
-def _mapped(
+def _track_and_write(
     request: ReplayRequest,
     log: Log,
     given: Given,
@@ -206,7 +206,7 @@ def _mapped(
     stopped = stop()
     if stopped is not None and not len(outcome.trajectory):
         raise StoppedError(f"{request.log}: stopped before the first pose; nothing is written", stopped)
-    continuation = _continued(outcome, log, given, request.config, progress, stopped=stopped is not None)
+    continuation = _continue(outcome, log, given, request.config, progress, stopped=stopped is not None)
     outcome = continuation.outcome if continuation else outcome
     progress("measuring", 0, None)
     references, warnings = references_in_map(given.references, log, outcome.begin_ns if given.own_frame else None)
@@ -237,7 +237,7 @@ def _mapped(
     return run, document
 
 
-def _continued(
+def _continue(
     outcome: SlamResult, log: Log, given: Given, config: Config, progress: Progress, *, stopped: bool
 ) -> Continuation | None:
     """Place the log in the map of the run that it continues; None without one."""
@@ -251,10 +251,10 @@ def _continued(
 
 def _open(request: ReplayRequest, progress: Progress) -> Log:
     """Survey the log and correct its odometry; the paper's method never looks at odometry."""
-    return with_corrected_odometry(_surveyed(request, progress), request.config)
+    return with_corrected_odometry(_survey(request, progress), request.config)
 
 
-def _surveyed(request: ReplayRequest, progress: Progress) -> Log:
+def _survey(request: ReplayRequest, progress: Progress) -> Log:
     options, config = request.options, request.config
     extrinsic, truth = options.get("extrinsic"), options.get("truth")
     return open_log(
