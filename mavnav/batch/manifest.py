@@ -10,7 +10,7 @@ from msgspec.structs import force_setattr
 
 from mavnav.config.given_pose import pose_problem
 from mavnav.config.loading import origin, validated
-from mavnav.config.option_kinds import NUMBER, POSE, SWITCH
+from mavnav.config.option_kinds import NUMBER, SWITCH
 from mavnav.config.options import OPTIONS
 from mavnav.config.strict import Strict, setting
 from mavnav.config.yaml_layers import read_yaml
@@ -47,9 +47,10 @@ class _Logs(Strict, frozen=True):
 
 
 def _field(name: str, option: Option) -> tuple[str, Any, object]:
-    kind = {NUMBER: Seconds, SWITCH: bool, POSE: tuple[float, float, float]}.get(option.kind, str)
-    default = False if kind is bool else None
-    return name, Annotated[kind if kind is bool else kind | None, setting(option.help)], default
+    if option.kind is SWITCH:
+        return name, Annotated[bool, setting(option.help)], False
+    stored = Seconds if option.kind is NUMBER else option.kind.stored
+    return name, Annotated[stored | None, setting(option.help)], None
 
 
 _FIELDS: Final = [_field(name, option) for name, option in OPTIONS.items() if option.manifest]

@@ -13,6 +13,7 @@ from mavnav.commands import signals
 from mavnav.commands.batch_rows import print_verdict, row_printer
 from mavnav.commands.gating import Gates
 from mavnav.commands.options import (
+    Azimuths,
     ConfigFile,
     Jobs,
     Methods,
@@ -20,7 +21,6 @@ from mavnav.commands.options import (
     RunAgain,
     Sets,
     check_option,
-    check_window,
     directory_option,
     output_option,
     resource_option,
@@ -72,12 +72,7 @@ def batch(
         list[str] | None,
         shared_option("grid", help="Search grid; repeatable (default 10x10)."),
     ] = None,
-    azimuths: Annotated[
-        list[int] | None,
-        shared_option(
-            "azimuth", help="Yaw samples: one number for all grids, or one for each (default twice N, at most 40)."
-        ),
-    ] = None,
+    azimuths: Azimuths = None,
     config: ConfigFile = None,
     sets: Sets = None,
     directory: Annotated[
@@ -153,8 +148,6 @@ def batch(
         with loading_modules():
             from mavnav.batch.options import Options
             from mavnav.outputs.directory import check_target
-        shared = read_options(given)
-        check_window(shared)
         files = {name: file for name, file in (("--junit", junit), ("--summary", summary)) if file}
         for file in files.values():
             check_target(file)
@@ -166,7 +159,7 @@ def batch(
             azimuths=azimuths or (),
             config=config,
             sets=sets or (),
-            options=shared,
+            options=read_options(given),
             gates=gates or (),
             accept=accept or (),
             baseline=baseline,

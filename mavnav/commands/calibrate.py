@@ -15,7 +15,6 @@ from mavnav.commands.options import (
     Quiet,
     ReportFile,
     Sets,
-    check_window,
     output_option,
     with_options,
 )
@@ -72,7 +71,6 @@ def calibrate(
 ) -> None:
     """Calibrate laser and odometry: mounting, time offset and wheel scales, each with a 95 % interval."""
     options = read_options(given)
-    check_window(options)
     with reporting(quiet=quiet, stages=REPLAY) as report:
         with loading_modules():
             from mavnav.config.loading import load_config

@@ -11,6 +11,7 @@ from mavnav.commands.comparison_table import print_comparison
 from mavnav.commands.gating import Gates, gates_of
 from mavnav.commands.map_preview import Preview, show_preview
 from mavnav.commands.options import (
+    Azimuths,
     ConfigFile,
     Jobs,
     Json,
@@ -18,7 +19,6 @@ from mavnav.commands.options import (
     Quiet,
     RunAgain,
     Sets,
-    check_window,
     directory_option,
     shared_option,
     with_options,
@@ -61,12 +61,7 @@ def compare(
             "grid", help="Search grid; repeatable (default 5x5, 10x10, 20x20). To a single one, 10x10 is added."
         ),
     ] = None,
-    azimuths: Annotated[
-        list[int] | None,
-        shared_option(
-            "azimuth", help="Yaw samples: one number for all grids, or one for each (default twice N, at most 40)."
-        ),
-    ] = None,
+    azimuths: Azimuths = None,
     config: ConfigFile = None,
     sets: Sets = None,
     directory: Annotated[
@@ -86,7 +81,6 @@ def compare(
     Finished replays are reused; a replay that fails does not stop the others.
     """
     options = read_options(given)
-    check_window(options)
     for log in logs or []:
         if not log.exists():
             raise UsageError(f"{log}: no such file; name a log")

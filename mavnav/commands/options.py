@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from mavnav.config.models import Config
-    from mavnav.config.options import ReplayOptions
     from mavnav.pipelines.again import EarlierRun
 
 Command = TypeVar("Command", bound="Callable[..., None]")
@@ -104,6 +103,12 @@ Again = Annotated[
     Path | None, input_option("--again", metavar="RUN", help="Repeat the run in this directory, with its options.")
 ]
 Methods = Annotated[list[str] | None, shared_option("method", help="SLAM method (default robust); repeatable.")]
+Azimuths = Annotated[
+    list[int] | None,
+    shared_option(
+        "azimuth", help="Yaw samples: one number for all grids, or one for each (default twice N, at most 40)."
+    ),
+]
 ConfigFile = Annotated[
     str | None,
     search_option(
@@ -200,13 +205,6 @@ def note_repetition(again: Path, document: dict[str, Any]) -> None:
 
     made = json.loads((again / RUN_FILE).read_text(encoding="utf-8"))
     note(f"mavnav: {EarlierRun(again, made).outcome(document)}")
-
-
-def check_window(options: ReplayOptions[Path]) -> None:
-    """Raise UsageError for an empty window, whatever the log."""
-    start_s, end_s = options.get("start_s"), options.get("end_s")
-    if start_s is not None and end_s is not None and end_s <= start_s:
-        raise UsageError(f"the window from {start_s:g} s to {end_s:g} s is empty; --end must be later than --start")
 
 
 def note_without_effect(config: Config, keys: Iterable[str]) -> None:

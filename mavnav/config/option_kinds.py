@@ -31,11 +31,13 @@ def _same(value: Any, _: object) -> Any:  # noqa: ANN401  a value of any kind
 class Kind(NamedTuple):
     """What the values of an option are.
 
-    ``typed`` is the type that typer reads. ``read`` makes a value of it, given the flag for messages; it raises
-    UsageError. ``restore`` makes a value of what a document has, given a function from its texts to paths.
+    ``typed`` is the type that typer reads, ``stored`` that of documents. ``read`` makes a value of what is typed, given
+    the flag for messages; it raises UsageError. ``restore`` makes a value of what a document has, given a function from
+    its texts to paths.
     """
 
     typed: Any
+    stored: Any = str
     read: Callable[[Any, str], Any] = _same
     restore: Callable[[Any, Callable[[str], Path]], Any] = _same
 
@@ -69,13 +71,13 @@ def _restore_truth(text: str, path: Callable[[str], Path]) -> str | Path:
 
 
 TEXT: Final = Kind(str | None)
-TOPICS: Final = Kind(list[str] | None, _join)
-NUMBER: Final = Kind(float | None)
-COUNT: Final = Kind(int | None)
-SWITCH: Final = Kind(bool)
-POSE: Final = Kind(str | None, _read_pose, _restore_pose)
-FILE: Final = Kind(Path | None, _same, lambda text, path: path(text))
-TRUTH: Final = Kind(str | None, lambda text, _: _restore_truth(text, Path), _restore_truth)
+TOPICS: Final = Kind(list[str] | None, str, _join)
+NUMBER: Final = Kind(float | None, float)
+COUNT: Final = Kind(int | None, int)
+SWITCH: Final = Kind(bool, bool)
+POSE: Final = Kind(str | None, tuple[float, float, float], _read_pose, _restore_pose)
+FILE: Final = Kind(Path | None, str, _same, lambda text, path: path(text))
+TRUTH: Final = Kind(str | None, str, lambda text, _: _restore_truth(text, Path), _restore_truth)
 """A trajectory: a path, or a text that names a topic of the log."""
 
 

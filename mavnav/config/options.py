@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Generic, TypedDict, TypeVar, cast, get_args, get_type_hints
 
 from mavnav.config.option_kinds import COUNT, FILE, NUMBER, POSE, SWITCH, TEXT, TOPICS, TRUTH, Check, Input, Search
+from mavnav.errors import UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -157,8 +158,12 @@ REFERENCES: Final = tuple(name for name, option in OPTIONS.items() if option.ref
 
 
 def read_options(typed: Mapping[str, object]) -> ReplayOptions[Path]:
-    """Return the options of a command line as values. Raises UsageError."""
-    return given_options({n: OPTIONS[n].kind.read(v, OPTIONS[n].flag) for n, v in typed.items() if _is_given(v)})
+    """Return the options of a command line as values; raises UsageError, also for an empty window, whatever the log."""
+    options = given_options({n: OPTIONS[n].kind.read(v, OPTIONS[n].flag) for n, v in typed.items() if _is_given(v)})
+    start_s, end_s = options.get("start_s"), options.get("end_s")
+    if start_s is not None and end_s is not None and end_s <= start_s:
+        raise UsageError(f"the window from {start_s:g} s to {end_s:g} s is empty; --end must be later than --start")
+    return options
 
 
 def restore_options(document: Mapping[str, Any], path: Callable[[str], Path]) -> ReplayOptions[Path]:

@@ -27,15 +27,12 @@ class GivenPose(Struct, frozen=True):
     yaw_rad: Annotated[float, number("heading, counter-clockwise")]
 
 
-_TYPES: Final[dict[Any, Any]] = {NUMBER: float, SWITCH: bool, POSE: GivenPose}
-"""Kind of an option -> its type here; the others are texts."""
-
 _RECORDED: Final = {name: option for name, option in OPTIONS.items() if option.recorded or not option.setting}
 
 
 def _field(name: str, option: Option) -> tuple[Any, ...]:
     describe = number if option.kind is NUMBER else text
-    kind = _TYPES.get(option.kind, str)
+    kind = GivenPose if option.kind is POSE else option.kind.stored
     always = option.recorded or option.absent or option.kind is SWITCH
     annotation: Any = Annotated[kind if always else kind | None, describe(option.help)]
     return (name, annotation, field(default_factory=absent)) if option.absent else (name, annotation)
