@@ -40,7 +40,7 @@ ALLOWED: dict[str, set[str]] = {
     "jobs": SHARED | {"config", "ground_truth", "outputs", "pipelines"},
     "batch": SHARED | {"config", "ground_truth", "jobs", "logs", "metrics", "outputs", "pipelines", "slam"},
     "comparison": SHARED
-    | {"batch", "config", "ground_truth", "jobs", "logs", "metrics", "outputs", "pipelines", "simulation"}
+    | {"batch", "config", "jobs", "logs", "metrics", "outputs", "pipelines", "simulation"}
     | {"simulation.world"},
     "commands": SHARED
     | {"batch", "comparison", "config", "ground_truth", "jobs", "kernels", "logs", "metrics", "outputs", "pipelines"}

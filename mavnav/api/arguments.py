@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from numbers import Integral
 from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mavnav.config.given_pose import pose_problem
+from mavnav.config.option_kinds import FILE, POSE, TOPICS, TRUTH, Kind, recorded_topic
+from mavnav.config.options import OPTIONS, given_options
 from mavnav.errors import UsageError
-from mavnav.ground_truth.topics import recorded_topic
 from mavnav.pose import Pose
 
 if TYPE_CHECKING:
-    File = str | PathLike[str]
+    from mavnav.config.options import File, ReplayOptions
 
 
 def path_of(file: File, name: str) -> Path:
@@ -26,14 +27,14 @@ def path_of(file: File, name: str) -> Path:
         raise UsageError(f"{name} is {file!r}; give a path") from None
 
 
-def named(file: File, name: str) -> str:
+def name_or_path(file: File, name: str) -> str:
     """Return what may be the name of a preset or scenario as well as a path."""
     return file if isinstance(file, str) else str(path_of(file, name))
 
 
 def config_of(config: File | None) -> str | None:
     """Return the configuration, a file or preset, if one is given."""
-    return None if config is None else named(config, "config")
+    return None if config is None else name_or_path(config, "config")
 
 
 def optional_path(file: File | None, name: str) -> Path | None:
@@ -43,16 +44,16 @@ def optional_path(file: File | None, name: str) -> Path | None:
 
 def paths_of(files: File | Sequence[File], name: str) -> list[Path]:
     """Return the paths of one file or several."""
-    several = [files] if isinstance(files, str | PathLike) else _listed(files, name)
+    several = [files] if isinstance(files, str | PathLike) else _as_list(files, name)
     return [path_of(each, name) for each in several]
 
 
 def values_of(values: Any, name: str) -> list[Any]:  # noqa: ANN401
     """Return the values of an argument that may be a single one."""
-    return [values] if isinstance(values, str | int) else _listed(values, name)
+    return [values] if isinstance(values, str | int) else _as_list(values, name)
 
 
-def _listed(values: Any, name: str) -> list[Any]:  # noqa: ANN401
+def _as_list(values: Any, name: str) -> list[Any]:  # noqa: ANN401
     if isinstance(values, Mapping) or not hasattr(values, "__iter__"):
         raise UsageError(f"{name} is {values!r}; give a list")
     return list(values)
@@ -103,3 +104,21 @@ def sets_of(settings: Mapping[str, object] | None) -> list[str]:
         return [f"{key}={json.dumps(value)}" for key, value in settings.items()]
     except (TypeError, ValueError) as error:
         raise UsageError(f"settings have a value of no plain type ({error}); give numbers, texts and lists") from None
+
+
+def options_of(options: Mapping[str, Any]) -> ReplayOptions[Path]:
+    """Return the options of a replay that are given, checked."""
+    given = {name: value for name, value in options.items() if value is not None}
+    return given_options({n: _CHECKS.get(OPTIONS[n].kind, _same_value)(value, n) for n, value in given.items()})
+
+
+def _same_value(value: Any, _: str) -> Any:  # noqa: ANN401  the configuration checks it
+    return value
+
+
+def _truth_of(truth: File, name: str) -> str | Path:
+    return truth if isinstance(truth, str) and recorded_topic(truth) else path_of(truth, name)
+
+
+_CHECKS: dict[Kind, Callable[[Any, str], Any]] = {FILE: path_of, POSE: pose_of, TOPICS: text_of, TRUTH: _truth_of}
+"""Kind of an option -> what checks its values."""

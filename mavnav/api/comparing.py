@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mavnav.api.arguments import config_of, count_of, paths_of, sets_of, values_of
+from mavnav.api.arguments import config_of, count_of, options_of, paths_of, sets_of, values_of
 from mavnav.api.results import Comparison, in_directory
+from mavnav.config.options import settings_of
 from mavnav.errors import UsageError
 from mavnav.profiling import silent
 
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from mavnav.api.arguments import File
+    from mavnav.config.options import File
     from mavnav.profiling import Progress
 
 
@@ -72,7 +73,7 @@ def compare(
     names = paths_of(log, "log")
     if not names:
         raise UsageError("no log to compare; name one")
-    shared: dict[str, object] = {"final_pass": False} if online else {}
+    shared = settings_of(options_of({"online": online}))
     options = values_of(methods, "methods"), values_of(grids, "grids"), values_of(azimuths, "azimuths")
     chosen = comparison_settings(config_of(config), sets_of(settings), *options, shared)
     cores = count_of(workers, "workers") or usable_cores()

@@ -8,15 +8,16 @@ what is wrong, where, and what to do next.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
 from msgspec.structs import replace as changed
 
 from mavnav import logs
 from mavnav.api.arguments import (
     config_of,
-    named,
+    name_or_path,
     optional_path,
+    options_of,
     path_of,
     pose_of,
     sets_of,
@@ -24,15 +25,16 @@ from mavnav.api.arguments import (
     topic_of,
 )
 from mavnav.api.results import Run, in_directory
+from mavnav.api.signatures import with_options
 from mavnav.config.loading import load_config
+from mavnav.config.options import OPTIONS, SEARCHING, settings_of
 from mavnav.errors import UsageError
-from mavnav.ground_truth.topics import truth_fields
 from mavnav.profiling import silent
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from mavnav.api.arguments import File
+    from mavnav.config.options import File, ReplayOptions, SearchOptions
     from mavnav.outputs.documents.provenance import Typed
     from mavnav.profiling import Progress
 
@@ -90,32 +92,17 @@ def open_log(
     )
 
 
+@with_options(*OPTIONS)
 def replay(
     log: File,
     *,
-    method: str | None = None,
-    grid: str | None = None,
-    azimuth: int | None = None,
     config: File | None = None,
     settings: Mapping[str, object] | None = None,
-    online: bool = False,
-    topic: str | None = None,
-    odom: str | None = None,
-    attitude: str | None = None,
-    start_s: float | None = None,
-    end_s: float | None = None,
-    extrinsic: Sequence[float] | None = None,
-    strict: bool = False,
-    map: File | None = None,  # noqa: A002  as the option
-    start_pose: Sequence[float] | None = None,
-    continue_from: File | None = None,
-    truth: File | None = None,
-    truth_map: File | None = None,
-    relations: File | None = None,
     directory: File | None = None,
     force: bool = False,
     report: bool = False,
     progress: Progress | None = None,
+    **options: Unpack[ReplayOptions[File]],
 ) -> Run:
     """Map a recorded log, as ``mavnav replay`` does; docs/cli.md describes the options.
 
@@ -123,45 +110,12 @@ def replay(
     ----------
     log
         The log, as for `open_log`.
-    method
-        SLAM method, ``"robust"`` or ``"paper"``.
-    grid
-        Search grid, such as ``"20x20"``.
-    azimuth
-        Number of yaw samples of the search.
+    **options
+        The options of ``mavnav replay``.
     config
         Configuration file or preset.
     settings
         Values over the configuration by dotted key: ``{"robust.cell_mm": 25}``.
-    online
-        Causal mode: no loop closure, no final pass.
-    topic
-        The scan topic, or several to merge, joined by commas.
-    odom
-        ``auto``, ``off`` or a topic.
-    attitude
-        Tilt and height of the laser, by which the scans are levelled: ``auto``, ``off`` or a topic.
-    start_s
-        Start of the window in seconds from the first usable scan.
-    end_s
-        End of the window in seconds from the first usable scan.
-    extrinsic
-        Pose of the laser on its base, x, y (m), yaw (rad), in place of the log's.
-    strict
-        Leave out scans from where a checksum does not match.
-    map
-        Localize in this map: a map_server YAML file or a run.
-    start_pose
-        About where the laser begins in that map, x, y (m), yaw (rad).
-    continue_from
-        Directory of a finished replay, merge or continued run: the log is added to its map, in its frame, and with its
-        configuration where none is given. ``metrics["continued"]`` says whether it joined.
-    truth
-        Ground truth to compare with: a file, ``"auto"`` or ``"topic:/name"``.
-    truth_map
-        True map to compare with: a map_server YAML file, or a scenario.
-    relations
-        File of relations between poses to compare with.
     directory
         Where to write the run; by default it is kept as long as the object that is returned.
     force
@@ -180,33 +134,13 @@ def replay(
     from mavnav.pipelines.again import run_layer  # noqa: PLC0415  heavy
     from mavnav.pipelines.replay import ReplayRequest, replay_log  # noqa: PLC0415
 
-    if start_pose is not None and map is None:
+    given = options_of(options)
+    if "start_pose" in given and "map" not in given:
         raise UsageError("start_pose is a pose in a known map; give that with map, or leave it out")
-    continued = optional_path(continue_from, "continue_from")
+    continued = given.get("continue_from")
     base = run_layer(continued) if continued and config is None else None
-    options = {"method": method, "grid": grid, "azimuth": azimuth, "odom": odom, "attitude": attitude}
-    chosen = load_config(
-        config_of(config), sets_of(settings), options | ({"final_pass": False} if online else {}), base
-    )
-    request = ReplayRequest(
-        log=path_of(log, "log"),
-        directory=Path(),
-        config=chosen,
-        topic=text_of(topic, "topic"),
-        start_s=start_s,
-        end_s=end_s,
-        extrinsic=pose_of(extrinsic, "extrinsic"),
-        force=force,
-        report=report,
-        **truth_fields(optional_path(truth, "truth")),
-        truth_map=optional_path(truth_map, "truth_map"),
-        relations=optional_path(relations, "relations"),
-        strict=strict,
-        map=optional_path(map, "map"),
-        start_pose=pose_of(start_pose, "start_pose"),
-        continue_from=continued,
-        typed=_typed(config),
-    )
+    chosen = load_config(config_of(config), sets_of(settings), settings_of(given), base)
+    request = ReplayRequest(path_of(log, "log"), Path(), chosen, given, force, report, typed=_typed_config(config))
 
     def work(target: Path) -> Run:
         replay_log(changed(request, directory=target), progress or silent, 0.0)
@@ -215,15 +149,13 @@ def replay(
     return in_directory(work, directory)
 
 
+@with_options(*SEARCHING)
 def simulate(
     scenario: File,
     *,
     seed: int | None = None,
     planner: str | None = None,
     attitude: str | None = None,
-    method: str | None = None,
-    grid: str | None = None,
-    azimuth: int | None = None,
     config: File | None = None,
     settings: Mapping[str, object] | None = None,
     record: File | None = None,
@@ -231,6 +163,7 @@ def simulate(
     force: bool = False,
     report: bool = False,
     progress: Progress | None = None,
+    **options: Unpack[SearchOptions],
 ) -> Run:
     """Simulate a mission in closed loop, as ``mavnav simulate`` does.
 
@@ -238,18 +171,14 @@ def simulate(
     ----------
     scenario
         YAML file, or the name of a shipped scenario.
+    **options
+        Method and search grid.
     seed
         Seed of all random numbers.
     planner
         Planning technique.
     attitude
         Whether scans of a vehicle that tilts are levelled by its measured attitude: ``auto`` or ``off``.
-    method
-        SLAM method, ``"robust"`` or ``"paper"``.
-    grid
-        Search grid, such as ``"20x20"``.
-    azimuth
-        Number of yaw samples of the search.
     config
         Configuration file or preset.
     settings
@@ -274,20 +203,20 @@ def simulate(
     from mavnav.simulation.world import load_scenario  # noqa: PLC0415
     from mavnav.simulation.world.scenario_file import scenario_path  # noqa: PLC0415
 
-    options = {"slam.method": method, "slam.grid": grid, "slam.azimuth": azimuth}
-    options |= {"seed": seed, "planner.technique": planner, "slam.attitude": attitude}
-    name, log = named(scenario, "scenario"), optional_path(record, "record")
-    chosen, path = load_scenario(name, sets_of(settings), options, config_of(config)), scenario_path(name)
+    overrides = {f"slam.{key}": value for key, value in settings_of(options_of(options)).items()}
+    overrides |= {"seed": seed, "planner.technique": planner, "slam.attitude": attitude}
+    name, log = name_or_path(scenario, "scenario"), optional_path(record, "record")
+    chosen, path = load_scenario(name, sets_of(settings), overrides, config_of(config)), scenario_path(name)
 
     def work(target: Path) -> Run:
-        request = SimulationRequest(chosen, path, target, log, force=force, report=report, typed=_typed(config))
+        request = SimulationRequest(chosen, path, target, log, force=force, report=report, typed=_typed_config(config))
         simulate_mission(request, progress or silent, 0.0)
         return Run(target)
 
     return in_directory(work, directory)
 
 
-def _typed(config: File | None) -> Typed:
+def _typed_config(config: File | None) -> Typed:
     from mavnav.outputs.documents.provenance import Typed  # noqa: PLC0415  heavy
 
     return Typed(config=config_of(config))

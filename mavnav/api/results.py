@@ -21,7 +21,7 @@ from mavnav.outputs.files.gridmap import read_npz
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from mavnav.api.arguments import File
+    from mavnav.config.options import File
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.pose import Trajectory
 

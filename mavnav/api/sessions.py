@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from mavnav.api.arguments import config_of, optional_path, path_of, paths_of, sets_of, text_of
+from mavnav.api.arguments import config_of, optional_path, options_of, path_of, paths_of, sets_of
 from mavnav.config.loading import load_config
+from mavnav.config.options import settings_of
 from mavnav.profiling import silent
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from mavnav.api.arguments import File
+    from mavnav.config.options import File
     from mavnav.profiling import Progress
 
 
@@ -171,14 +172,13 @@ def calibrate(
     from mavnav.pipelines.calibrate import CalibrationRequest  # noqa: PLC0415  heavy
     from mavnav.pipelines.calibrate import calibrate as calibrated  # noqa: PLC0415
 
-    chosen = load_config(config_of(config), sets_of(settings), {} if odom is None else {"odom": odom})
+    names = {"topic": topic, "start_s": start_s, "end_s": end_s, "odom": odom, "strict": strict}
+    options = options_of(names)
+    chosen = load_config(config_of(config), sets_of(settings), settings_of(options))
     request = CalibrationRequest(
         path_of(log, "log"),
         chosen,
-        topic=text_of(topic, "topic"),
-        start_s=start_s,
-        end_s=end_s,
-        strict=strict,
+        options,
         document=optional_path(document, "document"),
         picture=optional_path(picture, "picture"),
         report=optional_path(report, "report"),

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from itertools import chain, islice
 from math import isfinite
-from typing import TYPE_CHECKING, Any, SupportsFloat
+from typing import TYPE_CHECKING, Any, SupportsFloat, Unpack
 
 import numpy as np
 from msgspec.structs import replace
 
-from mavnav.api.arguments import config_of, sets_of
+from mavnav.api.arguments import config_of, options_of, sets_of
+from mavnav.api.signatures import with_options
 from mavnav.config.loading import load_config
+from mavnav.config.options import SEARCHING, settings_of
 from mavnav.errors import UsageError
 from mavnav.scan import LaserSpec, Scan
 from mavnav.units import NS
@@ -20,19 +22,18 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.api.arguments import File
+    from mavnav.config.options import File, SearchOptions
     from mavnav.slam.matching.steps import Step
 
 
+@with_options(*SEARCHING)
 def track(
     scans: Iterable[Scan],
     *,
     period_s: float | None = None,
-    method: str | None = None,
-    grid: str | None = None,
-    azimuth: int | None = None,
     config: File | None = None,
     settings: Mapping[str, object] | None = None,
+    **options: Unpack[SearchOptions],
 ) -> Iterator[Step]:
     """Track scans one by one, as they come: the causal part of a method, as with ``--online``.
 
@@ -41,14 +42,10 @@ def track(
     scans
         In the order of their stamps: of `open_log`, or of your own sensor. Ranges that are infinite, 0 or negative are
         no returns.
+    **options
+        Method and search grid.
     period_s
         Time between scans; that of the first two scans if not given.
-    method
-        SLAM method, ``"robust"`` or ``"paper"``.
-    grid
-        Search grid, such as ``"20x20"``.
-    azimuth
-        Number of yaw samples of the search.
     config
         Configuration file or preset.
     settings
@@ -69,12 +66,12 @@ def track(
     from mavnav.slam.methods.registry import load_kernels, make_method  # noqa: PLC0415
     from mavnav.slam.tracker import track as tracked  # noqa: PLC0415
 
-    options = {"method": method, "grid": grid, "azimuth": azimuth, "final_pass": False}
-    chosen = load_config(config_of(config), sets_of(settings), options)
+    overrides = settings_of(options_of({**options, "online": True}))
+    chosen = load_config(config_of(config), sets_of(settings), overrides)
     load_kernels(chosen, lambda _phase, _done, _total: None)
     if period_s is not None and not (isfinite(period_s) and period_s > 0.0):
         raise UsageError(f"period_s is {period_s!r}; give the time between scans in s")
-    coming = checked(scans)
+    coming = valid_scans(scans)
     first = list(islice(coming, 0 if period_s else 2))
     if period_s is None:
         period_s = (first[1].stamp_ns - first[0].stamp_ns) * NS if len(first) > 1 else USUAL_PERIOD_S
@@ -82,7 +79,7 @@ def track(
     return tracked(chain(first, coming), slam, Motion(period_s, None, slam.expects_rest))
 
 
-def checked(scans: Iterable[Scan]) -> Iterator[Scan]:
+def valid_scans(scans: Iterable[Scan]) -> Iterator[Scan]:
     """Yield scans that fit their geometry and follow each other in time.
 
     Ranges of other number types are converted; those that are infinite, 0 or negative are no returns.

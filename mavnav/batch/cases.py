@@ -12,22 +12,20 @@ from msgspec.structs import replace
 from mavnav.batch.find_logs import check_found, find_logs
 from mavnav.batch.remote import fetched
 from mavnav.batch.settings import formatted
+from mavnav.config.options import OPTIONS, REFERENCES, reference_files, run_options
 from mavnav.errors import ExitCode, MavnavError, UsageError
 from mavnav.ground_truth.map_file import map_files
 from mavnav.ground_truth.references import load_references
-from mavnav.ground_truth.topics import recorded_topic
-from mavnav.jobs.run_cache import REFERENCES, PlannedRun, make_run, references_sha256
+from mavnav.jobs.run_cache import PlannedRun, make_run, references_sha256
 from mavnav.logs import content_sha256
 from mavnav.metrics.gates import Gate, parse_gate
 from mavnav.outputs.documents.addresses import is_address, public_address
 from mavnav.pipelines.replay import ReplayRequest
-from mavnav.pose import Pose
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from mavnav.batch.manifest import LogEntry
-    from mavnav.batch.request import BatchRequest
+    from mavnav.batch.request import BatchLogs, BatchRequest
     from mavnav.batch.settings import Setting
     from mavnav.jobs import Outcome
     from mavnav.profiling import Progress
@@ -77,38 +75,38 @@ def make_cases(request: BatchRequest, progress: Progress) -> list[Case]:
     """
     logs = [(entry, log) for entry in request.entries for log in _logs(request, entry)]
     names = display_names([log for _, log in logs])
-    found: dict[str, Case] = {}
+    cases: dict[str, Case] = {}
     for number, (entry, log) in enumerate(logs):
         progress("reading", number, len(logs) if len(logs) > 1 else None)
         for case in _cases(request, entry, log, names[log]):
-            found[case.name] = _merged(found[case.name], case) if case.name in found else case
-    return list(found.values())
+            cases[case.name] = _combine_cases(cases[case.name], case) if case.name in cases else case
+    return list(cases.values())
 
 
 def display_names(logs: Sequence[str]) -> dict[str, str]:
     """Return each log's display name: an address without its secrets, numbered if two would be equal."""
-    found, taken = dict[str, str](), Counter[str]()
+    names, taken = dict[str, str](), Counter[str]()
     for log in dict.fromkeys(logs):
         name = public_address(log) if is_address(log) else log
         taken[name] += 1
-        found[log] = name if taken[name] == 1 else f"{name} ({taken[name]})"
-    return found
+        names[log] = name if taken[name] == 1 else f"{name} ({taken[name]})"
+    return names
 
 
-def _logs(request: BatchRequest, entry: LogEntry) -> Sequence[str]:
+def _logs(request: BatchRequest, entry: BatchLogs) -> Sequence[str]:
     return find_logs(entry.log, request.base) if request.patterns else entry.log
 
 
 def read_paths(request: BatchRequest) -> Iterator[Path]:
     """Yield the paths of the logs and references of a request, whether or not they exist."""
     for entry in request.entries:
-        references = filter(None, (getattr(entry, name) for name in REFERENCES))
-        yield from (request.base / name for name in (*_logs(request, entry), *references))
-        if entry.truth_map:
-            yield from map_files(request.base / entry.truth_map)
+        yield from (request.base / log for log in _logs(request, entry))
+        yield from reference_files(entry.options).values()
+        if truth_map := entry.options.get("truth_map"):
+            yield from map_files(truth_map)
 
 
-def _merged(one: Case, other: Case) -> Case:
+def _combine_cases(one: Case, other: Case) -> Case:
     """Merge two cases of one name, for example from a pattern and from a path, with the gates of both."""
     if one.has_references and other.has_references and one.run != other.run:
         raise UsageError(f"{one.name}: two entries compare it with different references; give it one")
@@ -120,30 +118,33 @@ def _merged(one: Case, other: Case) -> Case:
     )
 
 
-def _cases(request: BatchRequest, entry: LogEntry, log: str, name: str) -> Iterator[Case]:
+def _cases(request: BatchRequest, entry: BatchLogs, log: str, name: str) -> Iterator[Case]:
     """Yield the cases of one log with its display name, one for each setting."""
-    references = {name: request.base / file for name in REFERENCES if (file := getattr(entry, name))}
-    topic = recorded_topic(str(entry.truth)) if entry.truth else None
-    if topic:
-        del references["truth"]
     shared: dict[str, Any] = {
         "log": name,
         "gates": tuple(parse_gate(text) for text in entry.gates if text != BASELINE_GATE),
         "accept": frozenset(entry.accept),
-        "has_references": bool(references) or topic is not None,
+        "has_references": not entry.options.keys().isdisjoint(REFERENCES),
         "baseline_gate": BASELINE_GATE in entry.gates,
     }
     try:
-        digests = _digest(request, log), references_sha256(load_references(**references))
+        digests = _digest(request, log), references_sha256(load_references(**reference_files(entry.options)))
     except MavnavError as error:
         shared |= {"run": None, "error": str(error), "exit_code": error.exit_code}
         yield from (Case(_name(entry, name, setting), setting=setting, **shared) for setting in request.settings)
         return
-    options = _reading(entry) | references | {"truth_topic": topic, "typed": request.typed}
-    options |= {"report": request.report, "force": True}
     path, address = (Path(public_address(log)), log) if is_address(log) else (request.base / log, None)
     for setting in request.settings:
-        wanted = ReplayRequest(path, request.directory, setting.config, address=address, **options)
+        wanted = ReplayRequest(
+            path,
+            request.directory,
+            setting.config,
+            entry.options,
+            force=True,
+            report=request.report,
+            address=address,
+            typed=request.typed,
+        )
         yield Case(_name(entry, name, setting), setting=setting, run=make_run(wanted, *digests), **shared)
 
 
@@ -158,15 +159,12 @@ def _digest(request: BatchRequest, log: str) -> str:
     return content_sha256(path)
 
 
-def _name(entry: LogEntry, log: str, setting: Setting) -> str:
-    """Return the name of a case: its log, its setting, and the given options for reading the log."""
-    extrinsic = ",".join(f"{x:g}" for x in entry.extrinsic or ())
-    reading = {"topic": entry.topic, "start_s": entry.start_s, "end_s": entry.end_s, "extrinsic": extrinsic}
-    more = [f"{name}={formatted(value)}" for name, value in reading.items() if value not in {None, ""}]
-    return " ".join([log, setting.name, *more, *(["strict"] if entry.strict else [])])
+def _name(entry: BatchLogs, log: str, setting: Setting) -> str:
+    """Return the name of a case: its log, its setting, and the given options but for references."""
+    options = ((n, value) for n, value in run_options(entry.options) if not OPTIONS[n].reference)
+    more = (name if value is True else f"{name}={_short(value)}" for name, value in options)
+    return " ".join([log, setting.name, *more])
 
 
-def _reading(entry: LogEntry) -> dict[str, Any]:
-    """Return the fields of a `ReplayRequest` for reading a log."""
-    given = {name: getattr(entry, name) for name in ("topic", "start_s", "end_s", "strict")}
-    return given | {"extrinsic": Pose(*entry.extrinsic) if entry.extrinsic else None}
+def _short(value: object) -> str:
+    return ",".join(f"{x:g}" for x in value) if isinstance(value, tuple) else formatted(value)

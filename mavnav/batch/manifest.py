@@ -5,11 +5,13 @@ from __future__ import annotations
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
-from msgspec import Meta, Struct, field
+from msgspec import Meta, Struct, defstruct, field
 from msgspec.structs import force_setattr
 
 from mavnav.config.given_pose import pose_problem
 from mavnav.config.loading import origin, validated
+from mavnav.config.option_kinds import NUMBER, SWITCH
+from mavnav.config.options import OPTIONS
 from mavnav.config.strict import Strict, setting
 from mavnav.config.yaml_layers import read_yaml
 from mavnav.errors import ConfigError, UsageError
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from mavnav.config.layers import Layer
+    from mavnav.config.option_kinds import Option
 
     Origins = Mapping[tuple[str, str | int], str]
     """File and line of each gate, accepted code and tolerance of a manifest, by ``gates``, ``accept`` and
@@ -39,30 +42,42 @@ def _list(entry: Struct, *names: str) -> None:
         force_setattr(entry, name, value if isinstance(value, tuple) else (value,))
 
 
-class LogEntry(Strict, frozen=True):
-    """Logs with the same options for reading, and gates for them in addition to those of the batch."""
-
+class _Logs(Strict, frozen=True):
     log: Annotated[Texts, setting("path, pattern, folder or address; or a list of them")]
-    topic: Annotated[str | None, setting("scan topic, if there are several")] = None
-    start_s: Annotated[Seconds | None, setting("start this many seconds after the first scan")] = None
-    end_s: Annotated[Seconds | None, setting("end this many seconds after the first scan")] = None
-    extrinsic: Annotated[tuple[float, float, float] | None, setting("laser on its base: x and y in m, yaw in rad")] = (
-        None
-    )
-    strict: Annotated[bool, setting("leave out scans from parts of the log whose checksum does not match")] = False
-    truth: Annotated[
-        str | None, setting("true trajectory: a TUM file, auto, or topic:NAME of the log, as of mavnav replay --truth")
-    ] = None
-    truth_map: Annotated[str | None, setting("true map, as of --truth-map")] = None
-    relations: Annotated[str | None, setting("true relative poses, as of --relations")] = None
+
+
+def _field(name: str, option: Option) -> tuple[str, Any, object]:
+    if option.kind is SWITCH:
+        return name, Annotated[bool, setting(option.help)], False
+    stored = Seconds if option.kind is NUMBER else option.kind.stored
+    return name, Annotated[stored | None, setting(option.help)], None
+
+
+_FIELDS: Final = [_field(name, option) for name, option in OPTIONS.items() if option.manifest]
+
+if TYPE_CHECKING:
+    _Options = _Logs
+else:
+    _Options = defstruct("_Options", _FIELDS, bases=(_Logs,), module=__name__, frozen=True)
+
+
+class LogEntry(_Options, frozen=True):
+    """Logs with the same options, and gates for them in addition to those of the batch."""
+
     gates: Annotated[Texts, setting("bounds such as wall_thickness.spread.p95_mm<=150")] = ()
     accept: Annotated[Codes, setting("exit codes that count as done, such as 3 for a log known to be damaged")] = ()
 
     def __post_init__(self) -> None:
         """Make lists of single items; raise ValueError if the pose of the laser cannot be meant."""
         _list(self, "log", "gates", "accept")
-        if self.extrinsic and (problem := pose_problem(*self.extrinsic)):
+        pose = self.values["extrinsic"]
+        if pose and (problem := pose_problem(*pose)):
             raise ValueError(f"extrinsic: {problem}")
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """The options by their names."""
+        return {name: getattr(self, name) for name, *_ in _FIELDS}
 
 
 if TYPE_CHECKING:
@@ -114,15 +129,15 @@ def read_manifest(path: Path) -> tuple[Manifest, Layer]:
 
 def origins_of(manifest: Manifest, layer: Layer) -> Origins:
     """Return where the gates, accepted codes and tolerances are in a manifest; of several places the first one."""
-    found: dict[tuple[str, str | int], str] = {}
+    origins: dict[tuple[str, str | int], str] = {}
     for name in manifest.tolerances:
-        found["tolerances", full_name(name)] = origin(layer, ("tolerances", name))
+        origins["tolerances", full_name(name)] = origin(layer, ("tolerances", name))
     for key, part in (((), manifest), *((("logs", str(number)), log) for number, log in enumerate(manifest.logs))):
         for name in ("gates", "accept"):
             for number, value in enumerate(getattr(part, name)):
                 given = value.strip() if isinstance(value, str) else value
-                found.setdefault((name, given), origin(layer, (*key, name, str(number))))
-    return found
+                origins.setdefault((name, given), origin(layer, (*key, name, str(number))))
+    return origins
 
 
 @contextmanager

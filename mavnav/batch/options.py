@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from msgspec import Struct, field
 from msgspec.structs import replace
@@ -11,10 +11,11 @@ from msgspec.structs import replace
 from mavnav.batch.baseline import parse_tolerance, read_baseline, tolerances
 from mavnav.batch.cases import BASELINE_GATE
 from mavnav.batch.document import BATCH_FILE
-from mavnav.batch.manifest import GATE_EXAMPLE, LogEntry, Manifest, located, origins_of, read_manifest
-from mavnav.batch.request import BatchPart, BatchRequest, Rules, RunLimits
+from mavnav.batch.manifest import GATE_EXAMPLE, Manifest, located, origins_of, read_manifest
+from mavnav.batch.request import BatchLogs, BatchPart, BatchRequest, Rules, RunLimits
 from mavnav.batch.settings import Setting, crossed_settings, listed_settings
 from mavnav.config.layers import Layer
+from mavnav.config.options import ReplayOptions, given_options, restore_options, settings_of
 from mavnav.errors import ExitCode, UsageError
 from mavnav.jobs import usable_cores
 from mavnav.jobs.dask import LOCAL
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from mavnav.batch.baseline import Tolerance
-    from mavnav.batch.manifest import Origins
+    from mavnav.batch.manifest import LogEntry, Origins
 
 MANIFEST_SUFFIXES = (".yaml", ".yml")
 
@@ -34,8 +35,8 @@ MANIFEST_SUFFIXES = (".yaml", ".yml")
 class Options(Struct, frozen=True):
     """The command line; an option that was not given is None or empty.
 
-    ``words`` is the whole command line as typed. ``sources`` are a manifest and logs, ``options`` values of the
-    configuration, and ``reading`` values of a `LogEntry`. ``files`` are additional files to write by their options.
+    ``words`` is the whole command line as typed. ``sources`` are a manifest and logs, ``options`` those of all
+    replays. ``files`` are additional files to write by their options.
     """
 
     words: Sequence[str] = ()
@@ -45,8 +46,7 @@ class Options(Struct, frozen=True):
     azimuths: Sequence[int] = ()
     config: str | None = None
     sets: Sequence[str] = ()
-    options: Mapping[str, object] = field(default_factory=dict)
-    reading: Mapping[str, Any] = field(default_factory=dict)
+    options: ReplayOptions[Path] = field(default_factory=ReplayOptions[Path])
     gates: Sequence[str] = ()
     accept: Sequence[int] = ()
     baseline: Path | None = None
@@ -114,20 +114,25 @@ def _default_directory(path: Path | None) -> Path:
     return Path("runs") / (f"batch-{path.stem}" if path else "batch")
 
 
-def _entries(options: Options, manifest: Manifest, base: Path) -> tuple[LogEntry, ...]:
+def _entries(options: Options, manifest: Manifest, base: Path) -> tuple[BatchLogs, ...]:
     """Return the entries of the manifest and of the command line, whose paths start at the current folder."""
     logs = [source for source in options.sources if not source.endswith(MANIFEST_SUFFIXES)]
     absolute = [log if is_address(log) or not base.parts else str(Path(log).absolute()) for log in logs]
-    entries = (*manifest.logs, *((LogEntry(log=tuple(absolute)),) if absolute else ()))
-    return tuple(replace(entry, **options.reading) for entry in entries)
+    entries = [_entry(entry, base) for entry in manifest.logs]
+    entries += [BatchLogs(tuple(absolute))] if absolute else []
+    return tuple(replace(entry, options=given_options({**entry.options, **options.options})) for entry in entries)
+
+
+def _entry(entry: LogEntry, base: Path) -> BatchLogs:
+    options = restore_options(entry.values, lambda text: base / text)
+    return BatchLogs(entry.log, options, entry.gates, entry.accept)
 
 
 def _settings(options: Options, manifest: Manifest, layer: Layer, base: Path) -> list[Setting]:
+    overrides = settings_of(options.options)
     if manifest.runs and not (options.methods or options.grids or options.azimuths or options.config):
-        return listed_settings(manifest.runs, layer, base, options.sets, options.options)
-    return crossed_settings(
-        options.config, options.sets, options.methods, options.grids, options.azimuths, options.options
-    )
+        return listed_settings(manifest.runs, layer, base, options.sets, overrides)
+    return crossed_settings(options.config, options.sets, options.methods, options.grids, options.azimuths, overrides)
 
 
 def _limits(options: Options, manifest: Manifest) -> RunLimits:
@@ -162,7 +167,7 @@ def _rules(options: Options, manifest: Manifest, origins: Origins, path: Path | 
         gates=tuple(_gates(texts, origins)),
         accept=frozenset(_codes([*manifest.accept, *options.accept], origins)),
         baseline=None if path is None or fresh else read_baseline(path),
-        watched=tolerances([*_given(manifest.tolerances, origins), *(_tolerance(text) for text in options.tolerances)]),
+        watched=tolerances([*_parse(manifest.tolerances, origins), *(_tolerance(text) for text in options.tolerances)]),
         baseline_gate=gated and not options.update_baseline,
     )
 
@@ -187,7 +192,7 @@ def _codes(codes: Sequence[int], origins: Origins) -> list[int]:
     return list(codes)
 
 
-def _given(named: Mapping[str, float | str], origins: Origins) -> Iterator[Tolerance]:
+def _parse(named: Mapping[str, float | str], origins: Origins) -> Iterator[Tolerance]:
     for name, text in named.items():
         with located(origins[("tolerances", full_name(name))]):
             tolerance = parse_tolerance(name, str(text))

@@ -36,11 +36,11 @@ class BatchPlan(Struct, frozen=True):
 
     def by_directory(self) -> dict[Path, list[Case]]:
         """Return the cases of each run directory; cases with the same directory share one run."""
-        found: dict[Path, list[Case]] = {}
+        cases: dict[Path, list[Case]] = {}
         for case in self.cases:
             if case.run:
-                found.setdefault(case.run.directory, []).append(case)
-        return found
+                cases.setdefault(case.run.directory, []).append(case)
+        return cases
 
     @property
     def missing(self) -> list[Case]:

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from msgspec import Struct, field
 
+from mavnav.config.options import ReplayOptions
 from mavnav.errors import UsageError
 from mavnav.outputs.documents.provenance import Typed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from pathlib import Path
 
     from mavnav.batch.baseline import Baseline, Tolerance
-    from mavnav.batch.manifest import LogEntry, Origins
+    from mavnav.batch.manifest import Origins
     from mavnav.batch.settings import Setting
     from mavnav.metrics.gates import Gate
 
@@ -60,17 +61,26 @@ class BatchPart(Struct, frozen=True):
             )
 
 
+class BatchLogs(Struct, frozen=True):
+    """Logs with the same options, and gates and accepted exit codes for them in addition to those of the batch."""
+
+    log: tuple[str, ...]
+    options: ReplayOptions[Path] = field(default_factory=ReplayOptions[Path])
+    gates: tuple[str, ...] = ()
+    accept: tuple[int, ...] = ()
+
+
 class BatchRequest(Struct, frozen=True):
     """Logs, settings, output directory, limits and gates of a batch or a comparison.
 
-    Relative paths of ``entries`` start at ``base``; with ``patterns`` they may be patterns and folders, else they are
+    Relative logs of ``entries`` start at ``base``; with ``patterns`` they may be patterns and folders, else they are
     single logs. ``force`` repeats finished runs; ``report`` writes a report of every run. The metrics are written to
     the file ``new_baseline`` for later batches. ``typed`` is the command line. ``files`` are the files that are written
     outside of ``directory`` by their options, ``inputs`` those that are read besides logs and references.
     ``origins`` are the lines of a manifest.
     """
 
-    entries: tuple[LogEntry, ...]
+    entries: tuple[BatchLogs, ...]
     settings: tuple[Setting, ...]
     base: Path
     directory: Path

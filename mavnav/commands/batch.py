@@ -13,35 +13,25 @@ from mavnav.commands import signals
 from mavnav.commands.batch_rows import print_verdict, row_printer
 from mavnav.commands.gating import Gates
 from mavnav.commands.options import (
-    Attitude,
+    Azimuths,
     ConfigFile,
-    End,
-    Extrinsic,
     Jobs,
     Methods,
-    Odom,
-    Online,
     Quiet,
     RunAgain,
     Sets,
-    Start,
-    Strict,
-    Topic,
-    azimuths_option,
     check_option,
     directory_option,
-    given_values,
-    given_window,
-    grids_option,
-    joined_topics,
     output_option,
-    parse_pose,
     resource_option,
     schema_option,
+    shared_option,
+    with_options,
 )
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.run_progress import watching
 from mavnav.commands.terminal import emit_json, note
+from mavnav.config.options import READING, read_options
 from mavnav.units import counted
 
 if TYPE_CHECKING:
@@ -66,6 +56,7 @@ mavnav batch nightly.yaml --scheduler tcp://10.0.0.1:8786
 """
 
 
+@with_options(*READING, "strict", "online")
 def batch(
     context: typer.Context,
     sources: Annotated[
@@ -75,24 +66,13 @@ def batch(
         ),
     ] = None,
     *,
-    topic: Topic = None,
-    start: Start = None,
-    end: End = None,
-    odom: Odom = None,
-    attitude: Attitude = None,
-    extrinsic: Extrinsic = None,
-    strict: Strict = False,
     schema: Annotated[bool, schema_option(help="Print the JSON Schema of manifests.")] = False,
     methods: Methods = None,
     grids: Annotated[
         list[str] | None,
-        grids_option(help="Search grid; repeatable (default 10x10)."),
+        shared_option("grid", help="Search grid; repeatable (default 10x10)."),
     ] = None,
-    azimuths: Annotated[
-        list[int] | None,
-        azimuths_option(help="Yaw samples: one number for all grids, or one for each (default twice N, at most 40)."),
-    ] = None,
-    online: Online = False,
+    azimuths: Azimuths = None,
     config: ConfigFile = None,
     sets: Sets = None,
     directory: Annotated[
@@ -158,6 +138,7 @@ def batch(
         str | None,
         resource_option(metavar="I/N", help="Run part I of N (default all); all parts share --output."),
     ] = None,
+    **given: object,
 ) -> None:
     """Replay many logs with many settings; a failed run does not stop the others, finished runs are reused."""
     if schema:
@@ -178,9 +159,7 @@ def batch(
             azimuths=azimuths or (),
             config=config,
             sets=sets or (),
-            options=given_values(odom=odom, attitude=attitude, final_pass=False if online else None),
-            reading=given_values(topic=joined_topics(topic), extrinsic=parse_pose(extrinsic), strict=strict or None)
-            | given_window(start, end),
+            options=read_options(given),
             gates=gates or (),
             accept=accept or (),
             baseline=baseline,
@@ -197,7 +176,7 @@ def batch(
             update_baseline=update_baseline,
             files=files,
         )
-        plan = _planned(options, report)
+        plan = _plan(options, report)
     document = _run(plan, json=json, quiet=quiet)
     if plan.request.new_baseline and not quiet:
         _print_baseline(document, plan.request.new_baseline)
@@ -208,7 +187,7 @@ def batch(
     raise typer.Exit(document["exit_code"])
 
 
-def _planned(options: Options, report: Progress) -> BatchPlan:
+def _plan(options: Options, report: Progress) -> BatchPlan:
     """Read manifest and logs, and load the kernels here."""
     from mavnav.batch.options import request_of
     from mavnav.batch.plan import load_kernels, plan_batch

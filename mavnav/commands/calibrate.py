@@ -9,24 +9,18 @@ import typer
 
 from mavnav.commands.options import (
     ConfigFile,
-    End,
     Force,
     Json,
     LogFile,
     Quiet,
-    RecordedOdom,
     ReportFile,
     Sets,
-    SingleTopic,
-    Start,
-    Strict,
-    given_values,
-    given_window,
-    joined_topics,
     output_option,
+    with_options,
 )
 from mavnav.commands.progress import REPLAY, loading_modules, reporting
 from mavnav.commands.terminal import emit, emit_json, note, note_problems, print_table
+from mavnav.config.options import read_options, settings_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -44,14 +38,22 @@ mavnav calibrate drive.mcap --json | jq -r .lines.static_transform
 MOUNTING: Final = ("x_m", "y_m", "yaw_deg")
 
 
+@with_options(
+    "topic",
+    "start_s",
+    "end_s",
+    "odom",
+    "strict",
+    topic={"help": "Scan topic of the laser (default the only one)."},
+    odom={
+        "usage": "--odom auto|TOPIC",
+        "help": "Odometry to compare the laser with (default auto).",
+        "completer": "recorded_odometry",
+    },
+)
 def calibrate(
     log: LogFile,
     *,
-    topic: SingleTopic = None,
-    start: Start = None,
-    end: End = None,
-    odom: RecordedOdom = None,
-    strict: Strict = False,
     config: ConfigFile = None,
     sets: Sets = None,
     output: Annotated[
@@ -65,21 +67,20 @@ def calibrate(
     force: Force = False,
     json: Json = False,
     quiet: Quiet = False,
+    **given: object,
 ) -> None:
     """Calibrate laser and odometry: mounting, time offset and wheel scales, each with a 95 % interval."""
-    window = given_window(start, end)
+    options = read_options(given)
     with reporting(quiet=quiet, stages=REPLAY) as report:
         with loading_modules():
             from mavnav.config.loading import load_config
             from mavnav.pipelines.calibrate import CalibrationRequest
             from mavnav.pipelines.calibrate import calibrate as calibrated
-        chosen = load_config(config, sets or [], given_values(odom=odom))
+        chosen = load_config(config, sets or [], settings_of(options))
         request = CalibrationRequest(
             log,
             chosen,
-            topic=joined_topics(topic),
-            **window,
-            strict=strict,
+            options,
             document=output,
             picture=picture,
             report=report_page,
@@ -119,12 +120,12 @@ def _text(row: dict[str, Any]) -> str:
     from mavnav.outputs.report.summary_page import QUANTITY_NAMES
 
     digits, unit = QUANTITY_NAMES[row["name"]][1], f" {row['unit']}".rstrip()
-    found = f"{row['value']:.{digits}f}{unit} +- {row['ci95']:.{digits}f}"
+    estimate = f"{row['value']:.{digits}f}{unit} +- {row['ci95']:.{digits}f}"
     if row["in_log"] is None:
-        return f"{found}; the log has no transform"
+        return f"{estimate}; the log has no transform"
     said = "transforms say" if row["name"] in MOUNTING else "configured"
     verdict = "agrees" if row["agrees"] else f"differs by {row['difference']:+.{digits}f}"
-    return f"{found}; {said} {row['in_log']:.{digits}f}: {verdict}"
+    return f"{estimate}; {said} {row['in_log']:.{digits}f}: {verdict}"
 
 
 def _switch_text(switch: dict[str, Any]) -> str:

@@ -11,34 +11,22 @@ from mavnav.commands.comparison_table import print_comparison
 from mavnav.commands.gating import Gates, gates_of
 from mavnav.commands.map_preview import Preview, show_preview
 from mavnav.commands.options import (
-    Attitude,
+    Azimuths,
     ConfigFile,
-    End,
-    Extrinsic,
     Jobs,
     Json,
     Methods,
-    Odom,
-    Online,
     Quiet,
-    RelationsFile,
     RunAgain,
     Sets,
-    Start,
-    Topic,
-    Truth,
-    TruthMap,
-    azimuths_option,
     directory_option,
-    given_values,
-    given_window,
-    grids_option,
-    joined_topics,
-    parse_pose,
+    shared_option,
+    with_options,
 )
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.run_progress import watching
 from mavnav.commands.terminal import emit, emit_json, note
+from mavnav.config.options import READING, REFERENCES, read_options, settings_of
 from mavnav.errors import UsageError
 
 if TYPE_CHECKING:
@@ -58,6 +46,7 @@ mavnav compare drive.mcap --grid 40x40 --azimuth 40 --gate 'wall_thickness.sprea
 """
 
 
+@with_options(*READING, "online", *REFERENCES)
 def compare(
     context: typer.Context,
     logs: Annotated[
@@ -65,22 +54,14 @@ def compare(
         typer.Argument(metavar="LOG", help="Logs (default: the sample corridor).", show_default=False),
     ] = None,
     *,
-    topic: Topic = None,
-    start: Start = None,
-    end: End = None,
-    odom: Odom = None,
-    attitude: Attitude = None,
-    extrinsic: Extrinsic = None,
     methods: Methods = None,
     grids: Annotated[
         list[str] | None,
-        grids_option(help="Search grid; repeatable (default 5x5, 10x10, 20x20). To a single one, 10x10 is added."),
+        shared_option(
+            "grid", help="Search grid; repeatable (default 5x5, 10x10, 20x20). To a single one, 10x10 is added."
+        ),
     ] = None,
-    azimuths: Annotated[
-        list[int] | None,
-        azimuths_option(help="Yaw samples: one number for all grids, or one for each (default twice N, at most 40)."),
-    ] = None,
-    online: Online = False,
+    azimuths: Azimuths = None,
     config: ConfigFile = None,
     sets: Sets = None,
     directory: Annotated[
@@ -93,17 +74,13 @@ def compare(
     json: Json = False,
     quiet: Quiet = False,
     gates: Gates = None,
-    truth: Truth = None,
-    truth_map: TruthMap = None,
-    relations: RelationsFile = None,
+    **given: object,
 ) -> None:
     """Replay logs with several search grids, or methods, and compare maps, metrics and cost.
 
     Finished replays are reused; a replay that fails does not stop the others.
     """
-    overrides = given_values(odom=odom, attitude=attitude, final_pass=False if online else None)
-    reading = given_values(topic=joined_topics(topic), extrinsic=parse_pose(extrinsic)) | given_window(start, end)
-    reading |= given_values(truth=truth, truth_map=truth_map, relations=relations)  # of truth the text: file or topic
+    options = read_options(given)
     for log in logs or []:
         if not log.exists():
             raise UsageError(f"{log}: no such file; name a log")
@@ -118,13 +95,15 @@ def compare(
         target = directory or pipeline.comparison_directory(logs or ())
         if not logs:
             logs, true_map = _sample(target, report)
-            reading.setdefault("truth_map", true_map)
-        settings = comparison_settings(config, sets or (), methods or (), grids or (), azimuths or (), overrides)
+            options.setdefault("truth_map", true_map)
+        settings = comparison_settings(
+            config, sets or (), methods or (), grids or (), azimuths or (), settings_of(options)
+        )
         request = pipeline.comparison_request(
             logs,
             settings,
             target,
-            reading,
+            options,
             workers=jobs or usable_cores(),
             gates=bounds,
             force=force,
@@ -132,7 +111,7 @@ def compare(
         )
         plan = pipeline.plan_comparison(request, report)
         load_kernels(plan, report)
-    document, page = _compared(plan, quiet=quiet)
+    document, page = _run_and_draw(plan, quiet=quiet)
     _print_result(document, page, json=json)
     if preview:
         _show_maps(document, target, stderr=json)
@@ -149,7 +128,7 @@ def _sample(directory: Path, report: Progress) -> tuple[list[Path], Path]:
     return [sample_log(directory, report)], sample_truth(directory)
 
 
-def _compared(plan: BatchPlan, *, quiet: bool) -> tuple[dict[str, Any], Path]:
+def _run_and_draw(plan: BatchPlan, *, quiet: bool) -> tuple[dict[str, Any], Path]:
     """Run what is missing, and draw the report unless it shows these results; return comparison.json and its path."""
     from mavnav.comparison.pipeline import is_report_current, run_comparison
     from mavnav.outputs.writers import REPORT_FILE, write_page

@@ -25,7 +25,7 @@ def words(*names: str) -> Completer:
     return complete
 
 
-METHODS: Final = words("robust", "paper")
+attitude_topics: Final = words("auto", "off", "/attitude")
 
 
 def presets(incomplete: str) -> list[str]:
@@ -61,5 +61,5 @@ def _topics(context: typer.Context, *, odometry: bool) -> list[str]:
     from mavnav.logs import motion_and_scan_topics
 
     # An option without a value stops typer's parser before it assigns names to the arguments.
-    found = [motion_and_scan_topics(Path(word), MAX_READ_S)[0 if odometry else 1] for word in context.args]
-    return sorted({name for names in found for name in names})
+    per_log = [motion_and_scan_topics(Path(word), MAX_READ_S)[0 if odometry else 1] for word in context.args]
+    return sorted({name for names in per_log for name in names})

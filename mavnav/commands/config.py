@@ -42,7 +42,7 @@ def show(
             metavar="robust|paper",
             help="SLAM method (default robust).",
             show_default=False,
-            autocompletion=completion.METHODS,
+            autocompletion=completion.words("robust", "paper"),
         ),
     ] = None,
 ) -> None:

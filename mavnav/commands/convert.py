@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mavnav.commands.options import Force, Json, LogFile, Quiet, Strict
+from mavnav.commands.options import Force, Json, LogFile, Quiet, with_options
 from mavnav.commands.progress import reporting
 from mavnav.commands.terminal import emit_json, note_problems, print_table
 from mavnav.errors import ExitCode
@@ -26,29 +26,34 @@ mavnav convert rosbag2_folder drive.mcap --strict --json | jq .left_out
 """
 
 
+@with_options("strict")
 def convert(
     log: LogFile,
     target: Annotated[Path, typer.Argument(metavar="OUT.mcap", help="The file to write.", show_default=False)],
     *,
-    strict: Strict = False,
     force: Force = False,
     json: Json = False,
     quiet: Quiet = False,
+    **given: object,
 ) -> None:
     """Convert a log, as far as it can be read, to an indexed MCAP with ROS 2 messages."""
     from mavnav.logs.writing.convert import convert_log
 
     with reporting(quiet=quiet) as report:
         done = convert_log(
-            log, target, strict=strict, force=force, progress=lambda n, total: report("converting", n, total)
+            log,
+            target,
+            strict=bool(given["strict"]),
+            force=force,
+            progress=lambda n, total: report("converting", n, total),
         )
     code = ExitCode.DAMAGED_INPUT if done.damage else ExitCode.DONE
-    found = document(log, target, done, code)
+    result = document(log, target, done, code)
     if json:
-        emit_json(found)
+        emit_json(result)
     else:
-        print_table(_rows(found))
-        note_problems(found)
+        print_table(_rows(result))
+        note_problems(result)
     raise typer.Exit(code)
 
 
@@ -69,9 +74,9 @@ def document(log: Path, target: Path, done: Conversion, code: ExitCode) -> dict[
     }
 
 
-def _rows(found: dict[str, Any]) -> list[tuple[str, str]]:
+def _rows(result: dict[str, Any]) -> list[tuple[str, str]]:
     """Return the rows of the table."""
-    file = found["output"]
-    rows = [("written", f"{file['path']}, {file['size_bytes'] / 1e6:.1f} MB, {found['messages']} messages")]
-    rows += [("", f"{t['name']}  {t['type']}  {t['encoding']}  {t['count']}") for t in found["topics"]]
-    return rows + [("left out", f"{count} {reason}") for reason, count in found["left_out"].items()]
+    file = result["output"]
+    rows = [("written", f"{file['path']}, {file['size_bytes'] / 1e6:.1f} MB, {result['messages']} messages")]
+    rows += [("", f"{t['name']}  {t['type']}  {t['encoding']}  {t['count']}") for t in result["topics"]]
+    return rows + [("left out", f"{count} {reason}") for reason, count in result["left_out"].items()]

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mavnav.commands.options import CHECKS
 from mavnav.commands.terminal import note
+from mavnav.config.option_kinds import CHECKS
 from mavnav.errors import ExitCode, worst
 
 if TYPE_CHECKING:

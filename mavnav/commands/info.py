@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from mavnav.commands.options import Json, LogFile, Quiet, Strict, Topic, joined_topics
+from mavnav.commands.options import Json, LogFile, Quiet, with_options
 from mavnav.commands.progress import reporting
 from mavnav.commands.terminal import LISTED, emit_json, note_problems, print_table
+from mavnav.config.options import read_options
 from mavnav.errors import ExitCode, MavnavError
 from mavnav.units import DEG, NS, counted
 
@@ -29,47 +30,47 @@ mavnav info drive.bag --json | jq .scans
 """
 
 
-def info(
-    log: LogFile,
-    *,
-    topic: Topic = None,
-    strict: Strict = False,
-    json: Json = False,
-    quiet: Quiet = False,
-) -> None:
+@with_options("topic", "strict")
+def info(log: LogFile, *, json: Json = False, quiet: Quiet = False, **given: object) -> None:
     """Examine a log: topics, sensor, scans, rate, validity of ranges, odometry, and everything that is damaged."""
     from mavnav.logs import survey
 
-    name = joined_topics(topic)
+    options = read_options(given)
+    name = options.get("topic")
     with reporting(quiet=quiet) as report:
-        found = survey(log, topic=name, strict=strict, progress=lambda done, total: report("reading", done, total))
-    logs, error = _choices(found, name)
+        contents = survey(
+            log,
+            topic=name,
+            strict=options.get("strict", False),
+            progress=lambda done, total: report("reading", done, total),
+        )
+    logs, error = _choices(contents, name)
     if error is not None:
-        shown = document(found, logs, error.exit_code)
+        shown = document(contents, logs, error.exit_code)
         if not json:  # the error line names its cause
             shown["damage"] = [each for each in shown["damage"] if each["what"] not in str(error)]
         _print_result(shown, json=json)
         raise error
-    code = ExitCode.DAMAGED_INPUT if found.damage else ExitCode.DONE
-    _print_result(document(found, logs, code), json=json)
+    code = ExitCode.DAMAGED_INPUT if contents.damage else ExitCode.DONE
+    _print_result(document(contents, logs, code), json=json)
     raise typer.Exit(code)
 
 
-def _choices(found: Survey, topic: str | None) -> tuple[list[Log], MavnavError | None]:
+def _choices(survey: Survey, topic: str | None) -> tuple[list[Log], MavnavError | None]:
     """Return a log for every scan topic that is usable; where none is, the reason."""
     from mavnav.logs import choose
 
     logs, errors = [], []
-    names: list[str | None] = [topic] if topic else [*sorted(found.scans)] or [None]
+    names: list[str | None] = [topic] if topic else [*sorted(survey.scans)] or [None]
     for name in names:
         try:
-            logs.append(choose(found, topic=name))
+            logs.append(choose(survey, topic=name))
         except MavnavError as error:
             errors.append(error)
     return logs, None if logs else errors[0]
 
 
-def document(found: Survey, logs: list[Log], code: ExitCode) -> dict[str, Any]:
+def document(survey: Survey, logs: list[Log], code: ExitCode) -> dict[str, Any]:
     """Return what ``--json`` prints.
 
     ``logs`` holds the usable scan topics. The fields about one topic are empty where there are several, or none;
@@ -81,17 +82,17 @@ def document(found: Survey, logs: list[Log], code: ExitCode) -> dict[str, Any]:
     return {
         "schema_version": SCHEMA_VERSION,
         "input": {
-            "path": str(found.path),
-            "sha256": found.sha256,
-            "format": found.format,
-            "size_bytes": found.size_bytes,
+            "path": str(survey.path),
+            "sha256": survey.sha256,
+            "format": survey.format,
+            "size_bytes": survey.size_bytes,
         },
-        "topics": [asdict(topic) for topic in found.topics],
-        "scans": _counts(found, logs),
+        "topics": [asdict(topic) for topic in survey.topics],
+        "scans": _counts(survey, logs),
         **(_topic(log) if log is None else topics[0]),
         "scan_topics": [{"scans": asdict(each.counts), **topic} for each, topic in zip(logs, topics, strict=True)],
-        "damage": [asdict(damage) for damage in found.damage],
-        "warnings": _warnings(found, logs),
+        "damage": [asdict(damage) for damage in survey.damage],
+        "warnings": _warnings(survey, logs),
         "exit_code": int(code),
     }
 
@@ -112,21 +113,21 @@ def _topic(log: Log | None) -> dict[str, Any]:
     }
 
 
-def _warnings(found: Survey, logs: list[Log]) -> list[str]:
-    texts = dict.fromkeys(text for log in logs for text in log.warnings) or dict.fromkeys(found.warnings)
+def _warnings(survey: Survey, logs: list[Log]) -> list[str]:
+    texts = dict.fromkeys(text for log in logs for text in log.warnings) or dict.fromkeys(survey.warnings)
     if len(logs) > 1:
         names = ", ".join([log.topic for log in logs[:LISTED]] + ["..."] * (len(logs) > LISTED))
         texts[f"several scan topics ({names}); a replay needs --topic"] = None
     return list(texts)
 
 
-def _counts(found: Survey, logs: list[Log]) -> dict[str, Any]:
+def _counts(survey: Survey, logs: list[Log]) -> dict[str, Any]:
     """Add up the scans of all scan topics."""
     skipped: Counter[str] = Counter()
-    for scans in found.scans.values():
-        skipped += scans.refused + scans.timeline(found.window_s).skipped
+    for scans in survey.scans.values():
+        skipped += scans.refused + scans.timeline(survey.window_s).skipped
     return {
-        "total": sum(scans.total for scans in found.scans.values()),
+        "total": sum(scans.total for scans in survey.scans.values()),
         "usable": sum(log.counts.usable for log in logs),
         "skipped": dict(sorted(skipped.items())),
         "suspect": sum(log.counts.suspect for log in logs),
@@ -170,9 +171,9 @@ def _health(log: Log) -> dict[str, Any]:
 def _imu(log: Log) -> dict[str, Any] | None:
     if log.imu is None:
         return None
-    found = log.imu.rotation
-    span_s = float(found.stamps_ns[-1] - found.stamps_ns[0]) * NS
-    return {"topic": log.imu.topic, "messages": len(found.stamps_ns), "rate_hz": (len(found.stamps_ns) - 1) / span_s}
+    turns = log.imu.rotation
+    span_s = float(turns.stamps_ns[-1] - turns.stamps_ns[0]) * NS
+    return {"topic": log.imu.topic, "messages": len(turns.stamps_ns), "rate_hz": (len(turns.stamps_ns) - 1) / span_s}
 
 
 def _attitude(log: Log) -> dict[str, Any] | None:
@@ -278,7 +279,7 @@ def _shares(cleaning: dict[str, int]) -> str:
 
 def _health_rows(health: dict[str, Any]) -> list[tuple[str, str]]:
     """Return a row for a healthy sensor, else one for each finding with what to do."""
-    lines = [f"{found['what']}: {found['advice']}" for found in health["findings"]] or ["healthy"]
+    lines = [f"{finding['what']}: {finding['advice']}" for finding in health["findings"]] or ["healthy"]
     return [("health" if k == 0 else "", line) for k, line in enumerate(lines)]
 
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, TextIO
 
 import typer
 
-from mavnav.commands.options import OUTPUT
 from mavnav.commands.terminal import can_print, printable
+from mavnav.config.option_kinds import OUTPUT
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -7,10 +7,11 @@ from typing import Annotated, Any
 
 import typer
 
-from mavnav.commands.options import Json, Quiet, RelationsFile, TruthFile, TruthMap
+from mavnav.commands.options import Json, Quiet, with_options
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.quality_rows import more_rows, quality_rows, reference_rows, wall_rows
 from mavnav.commands.terminal import emit, emit_json, note, print_table
+from mavnav.config.options import REFERENCES, read_options, reference_files
 from mavnav.errors import UsageError
 
 EPILOG = """
@@ -26,54 +27,49 @@ mavnav metrics map.yaml --truth-map corridor.yaml
 """
 
 
+@with_options(
+    *REFERENCES,
+    truth={"usage": "--truth FILE.tum", "help": "Ground-truth trajectory of the laser, a TUM file: ATE and RPE."},
+)
 def metrics(
     paths: Annotated[
         list[Path],
         typer.Argument(metavar="RUN|MAP.yaml", help="Run directories, or map_server maps (YAML).", show_default=False),
     ],
     *,
-    truth: TruthFile = None,
-    truth_map: TruthMap = None,
-    relations: RelationsFile = None,
     json: Json = False,
     quiet: Quiet = False,
+    **given: object,
 ) -> None:
     """Measure maps: wall thickness, ghost walls, crispness, support, errors against a reference."""
     with reporting(quiet=quiet) as report:
         with loading_modules():
             from mavnav.ground_truth.references import load_references
             from mavnav.pipelines.evaluate import evaluate
-        references = load_references(_truth_file(truth), truth_map, relations)
+        options = read_options(given)
+        if isinstance(truth := options.get("truth"), str):
+            raise UsageError(f"--truth {truth}: the ground truth of a log is for replay and compare; name a TUM file")
+        references = load_references(**reference_files(options))
         document = evaluate(paths, references, report)
-    for found in document["maps"]:
-        if references.of_poses and found["kind"] == "map":
-            note(f"mavnav: warning: {found['path']}: a map has no poses; --truth and --relations are not used for it")
+    for entry in document["maps"]:
+        if references.of_poses and entry["kind"] == "map":
+            note(f"mavnav: warning: {entry['path']}: a map has no poses; --truth and --relations are not used for it")
     if json:
         emit_json(document)
         return
-    for number, found in enumerate(document["maps"]):
+    for number, entry in enumerate(document["maps"]):
         if number:
             emit("")
-        print_table(_summary(found))
+        print_table(_summary(entry))
 
 
-def _truth_file(truth: str | None) -> Path | None:
-    """Return the file of a truth; raises UsageError for a topic, which only a log has."""
-    from mavnav.ground_truth.topics import truth_fields
-
-    values = truth_fields(truth)
-    if "truth_topic" in values:
-        raise UsageError(f"--truth {truth}: the ground truth of a log is for replay and compare; name a TUM file")
-    return values.get("truth")
-
-
-def _summary(found: dict[str, Any]) -> list[tuple[str, str]]:
+def _summary(entry: dict[str, Any]) -> list[tuple[str, str]]:
     """Return the rows of the table on one map."""
-    quality = found["map_quality"]
+    quality = entry["map_quality"]
     return [
-        (found["kind"], found["path"]),
-        *wall_rows(found),
+        (entry["kind"], entry["path"]),
+        *wall_rows(entry),
         *quality_rows(quality),
         *more_rows(quality),
-        *reference_rows(found.get("reference")),
+        *reference_rows(entry.get("reference")),
     ]

@@ -2,27 +2,29 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
 from functools import partial
+from inspect import Parameter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args
 
 import typer
 
 from mavnav.commands import completion
 from mavnav.commands.terminal import note
-from mavnav.config.given_pose import pose_problem
+from mavnav.config.option_kinds import CHECKS, INPUT, OUTPUT, RESOURCES, SEARCH, SWITCH
+from mavnav.config.options import OPTIONS
 from mavnav.errors import UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
     from mavnav.config.models import Config
     from mavnav.pipelines.again import EarlierRun
 
-INPUT, SEARCH, OUTPUT, CHECKS, RESOURCES = "Input", "Search", "Output", "Checks", "Resources"
-"""Panels of the help."""
+Command = TypeVar("Command", bound="Callable[..., None]")
 
 input_option, search_option, output_option, check_option, resource_option = (
     partial(typer.Option, show_default=False, rich_help_panel=panel)
@@ -30,79 +32,83 @@ input_option, search_option, output_option, check_option, resource_option = (
 )
 """An option of a panel without a default of its own."""
 
+_LAST = ("config", "sets", "list_", "schema")
+
 directory_option = partial(output_option, "--output", "-o", metavar="DIR")
-grids_option = partial(search_option, "--grid", metavar="NxM")
-azimuths_option = partial(search_option, "--azimuth", metavar="N")
 schema_option = partial(input_option, "--schema")
 """Options whose help differs between commands."""
+
+
+def shared_option(name: str, **changes: str) -> Any:  # noqa: ANN401  as typer.Option
+    """Return an option of a replay for typer, with ``changes`` of its usage, help or completer."""
+    option = OPTIONS[name]._replace(**changes)  # type: ignore[arg-type]
+    words = [word for word in (option.metavar or "").split("|") if word.isalpha() and word.islower()]
+    completer = getattr(completion, option.completer) if option.completer else completion.words(*words)
+    return typer.Option(
+        option.flag,
+        metavar=option.metavar,
+        help=option.help,
+        show_default=False,
+        rich_help_panel=option.panel,
+        autocompletion=completer if words or option.completer else None,
+    )
+
+
+def with_options(*names: str, **changes: dict[str, str]) -> Callable[[Command], Command]:
+    """Give options of a replay to a command, which takes them as ``**given``; typer reads the signature.
+
+    ``changes`` are those of `shared_option` by the name of the option. In its panel of the help, an option follows
+    those of the command, but for the general ones in `_LAST`.
+    """
+    shared = [_parameter(name, changes.get(name, {})) for name in names]
+
+    def command(function: Command) -> Command:
+        signature = inspect.signature(function, eval_str=True)
+        own = [each for each in signature.parameters.values() if each.kind is not Parameter.VAR_KEYWORD]
+        parameters = _in_panels(own, shared)
+        function.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+        function.__annotations__ = {each.name: each.annotation for each in parameters}
+        return function
+
+    return command
+
+
+def _parameter(name: str, changes: dict[str, str]) -> Parameter:
+    kind = OPTIONS[name].kind
+    annotation: Any = Annotated[kind.typed, shared_option(name, **changes)]
+    return Parameter(name, Parameter.KEYWORD_ONLY, default=False if kind is SWITCH else None, annotation=annotation)
+
+
+def _in_panels(own: list[Parameter], shared: list[Parameter]) -> list[Parameter]:
+    """Return the arguments and then the options, panel by panel in the order of the help."""
+    keywords = [each for each in own if each.kind is Parameter.KEYWORD_ONLY]
+    panels = [_panel(each) for each in keywords]
+    more = [panel for panel in map(_panel, shared) if panel not in panels]
+    order = list(dict.fromkeys([INPUT, SEARCH, *more, *panels]))
+    ranked = [(each, 2 if each.name in _LAST else 0) for each in keywords] + [(each, 1) for each in shared]
+    ranked.sort(key=lambda pair: (order.index(_panel(pair[0])), pair[1]))
+    return [*(each for each in own if each not in keywords), *(each for each, _ in ranked)]
+
+
+def _panel(parameter: Parameter) -> str:
+    return str(get_args(parameter.annotation)[1].rich_help_panel)
+
 
 _log_argument = partial(
     typer.Argument, metavar="LOG", help="MCAP, ROS 1 bag, ROS 2 bag folder, .db3 or CARMEN log.", show_default=False
 )
 LogFile = Annotated[Path, _log_argument()]
-
 MaybeLogFile = Annotated[Path | None, _log_argument()]
 Again = Annotated[
     Path | None, input_option("--again", metavar="RUN", help="Repeat the run in this directory, with its options.")
 ]
-
-Continue = Annotated[
-    Path | None,
-    input_option("--continue", metavar="RUN", help="Add the log to the map of a finished run, merge or continued run."),
-]
-
-_topic_option = partial(input_option, metavar="NAME", autocompletion=completion.scan_topics)
-Topic = Annotated[
-    list[str] | None,
-    _topic_option(help="Scan topic (default the only one); repeatable, to merge lasers by /tf_static."),
-]
-SingleTopic = Annotated[list[str] | None, _topic_option(help="Scan topic of the laser (default the only one).")]
-Start = Annotated[
-    float | None,
-    input_option(metavar="SECONDS", help="Start this many seconds after the first scan (default 0)."),
-]
-End = Annotated[
-    float | None,
-    input_option(metavar="SECONDS", help="Stop this many seconds after the first scan (default at the end)."),
-]
-Extrinsic = Annotated[
-    str | None,
-    input_option(metavar="X,Y,YAW", help="Pose of the laser on its base, m, m, rad (default from tf)."),
-]
-Odom = Annotated[
-    str | None,
-    input_option(
-        metavar="auto|TOPIC|off",
-        help="Odometry used as motion prior (robust only; default auto).",
-        autocompletion=completion.odometry_topics,
+Methods = Annotated[list[str] | None, shared_option("method", help="SLAM method (default robust); repeatable.")]
+Azimuths = Annotated[
+    list[int] | None,
+    shared_option(
+        "azimuth", help="Yaw samples: one number for all grids, or one for each (default twice N, at most 40)."
     ),
 ]
-RecordedOdom = Annotated[
-    str | None,
-    input_option(
-        metavar="auto|TOPIC",
-        help="Odometry to compare the laser with (default auto).",
-        autocompletion=completion.recorded_odometry,
-    ),
-]
-Attitude = Annotated[
-    str | None,
-    input_option(
-        metavar="auto|TOPIC|off",
-        help="Tilt and height of the laser, to level the scans by (default auto).",
-        autocompletion=completion.words("auto", "off", "/attitude"),
-    ),
-]
-Strict = Annotated[bool, input_option("--strict", help="Drop scans whose checksum does not match.")]
-
-method_option = partial(search_option, "--method", metavar="robust|paper", autocompletion=completion.METHODS)
-Method = Annotated[str | None, method_option(help="SLAM method (default robust).")]
-Methods = Annotated[list[str] | None, method_option(help="SLAM method (default robust); repeatable.")]
-Grid = Annotated[str | None, search_option(metavar="NxM", help="Points of the search grid in x and y (default 10x10).")]
-Azimuth = Annotated[
-    int | None, search_option(metavar="N", help="Yaw samples of the search (default 2N for NxN, at most 40).")
-]
-Online = Annotated[bool, search_option("--online", help="Causal mode: no loop closure, no final pass.")]
 ConfigFile = Annotated[
     str | None,
     search_option(
@@ -141,30 +147,6 @@ Quiet = Annotated[bool, output_option("--quiet", "-q", help="Show no progress.")
 Jobs = Annotated[
     int | None,
     resource_option("--jobs", "-j", min=1, metavar="N", help="Parallel runs (default one a core)."),
-]
-
-Truth = Annotated[
-    str | None,
-    check_option(
-        "--truth",
-        metavar="FILE.tum|auto|topic:NAME",
-        help="Ground-truth trajectory: ATE and RPE. A TUM file of the laser, or poses on a topic of the log.",
-        autocompletion=completion.words("auto"),
-    ),
-]
-TruthFile = Annotated[
-    str | None,
-    check_option("--truth", metavar="FILE.tum", help="Ground-truth trajectory of the laser, a TUM file: ATE and RPE."),
-]
-TruthMap = Annotated[
-    Path | None,
-    check_option("--truth-map", metavar="FILE.yaml", help="Ground-truth map: a scenario, or a map_server map."),
-]
-RelationsFile = Annotated[
-    Path | None,
-    check_option(
-        "--relations", metavar="FILE", help="Ground-truth relations, one 't1 t2 x y z roll pitch yaw' a line."
-    ),
 ]
 
 
@@ -223,39 +205,6 @@ def note_repetition(again: Path, document: dict[str, Any]) -> None:
 
     made = json.loads((again / RUN_FILE).read_text(encoding="utf-8"))
     note(f"mavnav: {EarlierRun(again, made).outcome(document)}")
-
-
-def given_values(**values: object) -> dict[str, Any]:
-    """Return the values that are not None: options that are not given leave the configuration or manifest alone."""
-    return {name: value for name, value in values.items() if value is not None}
-
-
-def given_window(start_s: float | None, end_s: float | None) -> dict[str, float]:
-    """Return the bounds of the window that are given; raises UsageError for an empty window, whatever the log."""
-    if start_s is not None and end_s is not None and end_s <= start_s:
-        raise UsageError(f"the window from {start_s:g} s to {end_s:g} s is empty; --end must be later than --start")
-    return given_values(start_s=start_s, end_s=end_s)
-
-
-def joined_topics(topics: list[str] | None) -> str | None:
-    """Return the scan topics as one name, joined by commas as a merged log has it; None if none is given."""
-    return ",".join(topics) if topics else None
-
-
-def parse_pose(text: str | None, option: str = "--extrinsic") -> tuple[float, float, float] | None:
-    """Read the ``x,y,yaw`` of an option in m, m, rad, None where it is not given; raises UsageError."""
-    if text is None:
-        return None
-    try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError:
-        values = []
-    if len(values) != 3:
-        raise UsageError(f"{option} {text!r} is not X,Y,YAW in m, m, rad; write for example {option} 0.1,0,1.5708")
-    x_m, y_m, yaw_rad = values
-    if problem := pose_problem(x_m, y_m, yaw_rad):
-        raise UsageError(f"{option} {text!r} {problem}")
-    return x_m, y_m, yaw_rad
 
 
 def note_without_effect(config: Config, keys: Iterable[str]) -> None:

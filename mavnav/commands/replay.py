@@ -8,46 +8,28 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mavnav.commands import completion, signals
+from mavnav.commands import signals
 from mavnav.commands.gating import Gates, check_gates, gated_code, gates_of
 from mavnav.commands.lost_advice import lost_line
 from mavnav.commands.map_preview import Preview, show_preview
 from mavnav.commands.options import (
     Again,
-    Attitude,
-    Azimuth,
     ConfigFile,
-    Continue,
-    End,
-    Extrinsic,
     Force,
-    Grid,
     Json,
     MaybeLogFile,
-    Method,
-    Odom,
-    Online,
     Outputs,
     Quiet,
-    RelationsFile,
     Sets,
-    Start,
-    Strict,
-    Topic,
-    Truth,
-    TruthMap,
     WriteReport,
     again_directory,
     directory_option,
-    given_values,
-    joined_topics,
     note_repetition,
     note_without_effect,
     output_option,
     output_values,
-    parse_pose,
     run_to_repeat,
-    search_option,
+    with_options,
 )
 from mavnav.commands.progress import REPLAY, loading_modules, reporting
 from mavnav.commands.quality_rows import (
@@ -58,11 +40,13 @@ from mavnav.commands.quality_rows import (
     wall_rows,
 )
 from mavnav.commands.terminal import emit, emit_json, note, print_table
+from mavnav.config.options import OPTIONS, REFERENCES, read_options, settings_of
 from mavnav.errors import ExitCode, UsageError
 from mavnav.units import counted
 
 if TYPE_CHECKING:
     from mavnav.config.models import Config
+    from mavnav.config.options import ReplayOptions
 
 EPILOG = """
 [bold]Examples[/bold]
@@ -81,55 +65,12 @@ mavnav replay --again runs/drive-robust-20-10x10 -o runs/repeated
 """
 
 
+@with_options(*OPTIONS)
 def replay(
     context: typer.Context,
     log: MaybeLogFile = None,
     *,
     again: Again = None,
-    continue_from: Continue = None,
-    topic: Topic = None,
-    start: Start = None,
-    end: End = None,
-    odom: Odom = None,
-    attitude: Attitude = None,
-    extrinsic: Extrinsic = None,
-    strict: Strict = False,
-    method: Method = None,
-    grid: Grid = None,
-    azimuth: Azimuth = None,
-    search: Annotated[
-        str | None,
-        search_option(
-            metavar="pruned|exhaustive",
-            help="Exhaustive evaluates every pose of the grid: slower, same result (default pruned).",
-            autocompletion=completion.words("pruned", "exhaustive"),
-        ),
-    ] = None,
-    deskew: Annotated[
-        str | None,
-        search_option(
-            metavar="auto|on|off",
-            help="Correct scans for motion during the sweep (robust only; default auto).",
-            autocompletion=completion.words("auto", "on", "off"),
-        ),
-    ] = None,
-    loop_closure: Annotated[
-        str | None,
-        search_option(
-            metavar="auto|off",
-            help="Detect and close loops (default auto; ignored with --online).",
-            autocompletion=completion.words("auto", "off"),
-        ),
-    ] = None,
-    online: Online = False,
-    known: Annotated[
-        Path | None,
-        search_option("--map", metavar="MAP", help="Localize in this map (YAML or run) instead of mapping."),
-    ] = None,
-    start_pose: Annotated[
-        str | None,
-        search_option(metavar="X,Y,YAW", help="Approximate first pose in the map, m, m, rad (default searched for)."),
-    ] = None,
     config: ConfigFile = None,
     sets: Sets = None,
     directory: Annotated[
@@ -144,56 +85,36 @@ def replay(
     json: Json = False,
     quiet: Quiet = False,
     gates: Gates = None,
-    truth: Truth = None,
-    truth_map: TruthMap = None,
-    relations: RelationsFile = None,
+    **given: object,
 ) -> None:
     """Map a recorded log: trajectory, map, pictures and wall thickness."""
-    overrides = given_values(method=method, grid=grid, azimuth=azimuth, search=search, odom=odom)
-    overrides |= given_values(attitude=attitude, loop_closure=loop_closure, final_pass=False if online else None)
-    overrides |= given_values(**{"robust.deskew": deskew})
-    fields = {} if again is None else _repeated(context, again, log, directory)
+    fields = {} if again is None else _earlier_fields(context, again, log, directory)
     log = fields.get("log", log)
     if log is None:
         raise UsageError("no log; name one, or a run directory with --again")
-    chosen = fields.get("config") or _config(config, sets or [], overrides, continue_from)
+    options = fields.get("options") or read_options(given)
+    chosen = fields.get("config") or _config(config, sets or [], options)
     bounds, written = gates_of(gates), output_values(outputs, report=report, preview=preview)
-    mounting, began = parse_pose(extrinsic), parse_pose(start_pose, "--start-pose")
-    _check_files(log, known, began)
-    files = {"truth": truth, "truth_map": truth_map, "relations": relations, "map": known}
-    files |= {"continue_from": continue_from} | fields
-    compared = files["truth"] or files["truth_map"] or files["relations"]
-    optional = {"reference": compared, "localisation": files["map"], "continued": files["continue_from"]}
-    check_gates(bounds, *(section for section, file in optional.items() if file))
+    _check_files(log, options)
+    optional = {"reference": {*REFERENCES}, "localisation": {"map"}, "continued": {"continue_from"}}
+    check_gates(bounds, *(section for section, names in optional.items() if names & options.keys()))
     with reporting(quiet=quiet, stages=REPLAY) as progress:
         startup_s, started_s = process_time(), perf_counter()
         with loading_modules():
             from msgspec.structs import replace
 
-            from mavnav.ground_truth.topics import truth_fields
             from mavnav.outputs.documents.provenance import Typed
             from mavnav.pipelines.replay import ReplayRequest, replay_directory, replay_log
-            from mavnav.pose import Pose
         compile_s = perf_counter() - started_s
         target = directory or (again_directory(again) if again else replay_directory(log, chosen))
         request = ReplayRequest(
             log=log,
             directory=target,
             config=chosen,
-            topic=joined_topics(topic),
-            start_s=start,
-            end_s=end,
-            extrinsic=mounting and Pose(*mounting),
+            options=options,
             force=force,
             **written,
-            **truth_fields(truth),
-            truth_map=truth_map,
-            relations=relations,
-            strict=strict,
-            map=known,
-            start_pose=began and Pose(*began),
             typed=Typed(context.obj, config, tuple(sets or ())),
-            continue_from=continue_from,
         )
         request = replace(request, **fields)
         _, document = replay_log(request, progress, compile_s, signals.deferring, startup_s)
@@ -207,7 +128,7 @@ def replay(
     raise typer.Exit(gated_code(document, bounds))
 
 
-def _repeated(context: typer.Context, again: Path, log: Path | None, directory: Path | None) -> dict[str, Any]:
+def _earlier_fields(context: typer.Context, again: Path, log: Path | None, directory: Path | None) -> dict[str, Any]:
     """Return the fields of a request that repeat a run, and report what differs; ``log`` is given if it has moved."""
     from mavnav.pipelines.again import replay_again, typed_again
 
@@ -215,12 +136,12 @@ def _repeated(context: typer.Context, again: Path, log: Path | None, directory: 
     return replay_again(run, log) | {"typed": typed_again(run, context.obj)}
 
 
-def _config(file: str | None, sets: list[str], overrides: dict[str, Any], continued: Path | None) -> Config:
+def _config(file: str | None, sets: list[str], options: ReplayOptions[Path]) -> Config:
     """Load the configuration: that of the run which is continued, unless there is a file."""
     from mavnav.config.loading import load_config
 
-    base = None
-    if continued and file is None:
+    base, overrides = None, settings_of(options)
+    if file is None and (continued := options.get("continue_from")):
         from mavnav.pipelines.again import run_layer
 
         base = run_layer(continued)
@@ -229,8 +150,9 @@ def _config(file: str | None, sets: list[str], overrides: dict[str, Any], contin
     return config
 
 
-def _check_files(log: Path, known: Path | None, start_pose: tuple[float, float, float] | None) -> None:
-    if start_pose and known is None:
+def _check_files(log: Path, options: ReplayOptions[Path]) -> None:
+    known = options.get("map")
+    if "start_pose" in options and known is None:
         raise UsageError("--start-pose is a pose in a known map; name the map with --map")
     if known is not None and not known.exists():
         raise UsageError(f"{known}: no such file; name the YAML file of a map, or a run directory")
@@ -292,9 +214,9 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
         *doubt_rows(tracking["doubt"]),
     ]
     if "continued" in document and document["continued"]["joined"]:
-        rows.append(("continued", _continued(document["continued"])))
+        rows.append(("continued", _continuation_text(document["continued"])))
     if "localisation" in document:
-        rows.append(("found in the map", _found(document["localisation"])))
+        rows.append(("found in the map", _pose_text(document["localisation"])))
     rows += [*wall_rows(document), *quality_rows(document["map_quality"]), *reference_rows(document.get("reference"))]
     rows.append(("speed", f"{timing['scans_per_s']:.0f} scans/s, {timing['realtime_factor']:.1f} times real time"))
     return [*rows, *closing_rows(directory, document, "wall_thickness.png")]
@@ -306,18 +228,18 @@ def left_out_text(parts: list[dict[str, Any]]) -> str:
     return f"scans tracked on other maps: {', '.join(times)}" if times else ""
 
 
-def _continued(continued: dict[str, Any]) -> str:
+def _continuation_text(continued: dict[str, Any]) -> str:
     evidence = continued["evidence"]
     place = f", at the end of {evidence['after']}" if evidence["after"] else ""
     agree = f"{evidence['closures']} of {evidence['tested']} key frames agree, {evidence['residual_mm']:.0f} mm"
     return f"{continued['run']}, {counted(len(continued['sessions']), 'session')}{place}: {agree}"
 
 
-def _found(localisation: dict[str, Any]) -> str:
-    found = localisation["found"]
-    if not found:
+def _pose_text(localisation: dict[str, Any]) -> str:
+    pose = localisation["found"]
+    if not pose:
         return "nowhere"
-    return f"x {found['x_m']:z.2f} m, y {found['y_m']:z.2f} m, yaw {found['yaw_deg']:z.1f} deg, scan {found['scan']}"
+    return f"x {pose['x_m']:z.2f} m, y {pose['y_m']:z.2f} m, yaw {pose['yaw_deg']:z.1f} deg, scan {pose['scan']}"
 
 
 def print_stages(stages: dict[str, float], *, stderr: bool) -> None:

@@ -13,12 +13,9 @@ from mavnav.commands.gating import Gates, check_gates, gated_code, gates_of
 from mavnav.commands.map_preview import Preview, show_preview
 from mavnav.commands.options import (
     Again,
-    Azimuth,
     ConfigFile,
     Force,
-    Grid,
     Json,
-    Method,
     Outputs,
     Quiet,
     ScenarioSets,
@@ -31,10 +28,12 @@ from mavnav.commands.options import (
     output_values,
     run_to_repeat,
     schema_option,
+    with_options,
 )
 from mavnav.commands.progress import MISSION, loading_modules, reporting
 from mavnav.commands.quality_rows import closing_rows, doubt_rows, wall_rows
 from mavnav.commands.terminal import emit_json, note, print_table
+from mavnav.config.options import SEARCHING, read_options, settings_of
 from mavnav.errors import ExitCode, UsageError
 from mavnav.units import DEG
 
@@ -64,6 +63,15 @@ mavnav simulate --list
 """
 
 
+@with_options(
+    "attitude",
+    *SEARCHING,
+    attitude={
+        "usage": "--attitude auto|off",
+        "help": "Level the scans of a vehicle that tilts by its measured attitude (default auto).",
+        "completer": "",
+    },
+)
 def simulate(
     context: typer.Context,
     scenario: Annotated[
@@ -88,19 +96,8 @@ def simulate(
             autocompletion=completion.words("wavefront", "field", "wall_following", "virtual_obstacles"),
         ),
     ] = None,
-    attitude: Annotated[
-        str | None,
-        input_option(
-            metavar="auto|off",
-            help="Level the scans of a vehicle that tilts by its measured attitude (default auto).",
-            autocompletion=completion.words("auto", "off"),
-        ),
-    ] = None,
     list_: Annotated[bool, input_option("--list", help="List the shipped scenarios.")] = False,
     schema: Annotated[bool, schema_option(help="Print the JSON Schema of scenario files.")] = False,
-    method: Method = None,
-    grid: Grid = None,
-    azimuth: Azimuth = None,
     config: ConfigFile = None,
     sets: ScenarioSets = None,
     directory: Annotated[
@@ -119,6 +116,7 @@ def simulate(
     json: Json = False,
     quiet: Quiet = False,
     gates: Gates = None,
+    **given: object,
 ) -> None:
     """Fly a mission in closed loop: laser, scan matching, map, planner, noisy vehicle."""
     if list_ or schema:
@@ -127,9 +125,9 @@ def simulate(
     if scenario is None and again is None:
         raise UsageError("no scenario; name a YAML file or one of 'mavnav simulate --list'")
     bounds, written = gates_of(gates), output_values(outputs, report=report, preview=preview)
-    fields = {} if again is None else _repeated(context, again, directory)
-    options: dict[str, object] = {"seed": seed, "slam.method": method, "slam.grid": grid, "slam.azimuth": azimuth}
-    options |= {"planner.technique": planner, "slam.attitude": attitude}
+    fields = {} if again is None else _earlier_fields(context, again, directory)
+    options = {f"slam.{key}": value for key, value in settings_of(read_options(given)).items()}
+    options |= {"seed": seed, "planner.technique": planner}
     chosen = fields.get("scenario") or _load(str(scenario), sets or (), config, options)
     check_gates(bounds, "mission", "truth", "reference")
     with reporting(quiet=quiet, stages=MISSION) as progress:
@@ -155,7 +153,7 @@ def simulate(
     raise typer.Exit(gated_code(document, bounds))
 
 
-def _repeated(context: typer.Context, again: Path, directory: Path | None) -> dict[str, Any]:
+def _earlier_fields(context: typer.Context, again: Path, directory: Path | None) -> dict[str, Any]:
     """Return the fields of a request that repeat a mission, and report what differs."""
     from mavnav.pipelines.again import simulation_again
 
@@ -244,5 +242,5 @@ def _truth_rows(truth: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _wall_distance(truth: dict[str, Any]) -> str:
-    found, true = truth["wall_distance_m"], truth["true_wall_distance_m"]
-    return "not on the map" if found is None or true is None else f"{found:.3f} m, true {true:.3f} m"
+    on_map_m, true = truth["wall_distance_m"], truth["true_wall_distance_m"]
+    return "not on the map" if on_map_m is None or true is None else f"{on_map_m:.3f} m, true {true:.3f} m"

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from itertools import zip_longest
 from typing import TYPE_CHECKING, Final
 
-from mavnav.batch.settings import named_settings, yaw_samples
-from mavnav.config.loading import load_config
+from mavnav.batch.settings import crossed_settings, named_settings
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -48,22 +46,10 @@ def comparison_settings(
     UsageError
         The number of yaw samples is neither 0, 1, nor the number of grids.
     """
-    named: list[dict[str, object]] = [{"method": method} for method in methods] or [{}]
-    return named_settings(
-        config for method in named for config in _configs(file, sets, grids, azimuths, options | method)
-    )
-
-
-def _configs(
-    file: str | None, sets: Sequence[str], grids: Sequence[str], azimuths: Sequence[int], options: dict[str, object]
-) -> list[Config]:
-    """Return the configurations of one method, from coarse to fine grids."""
-    wanted = list(zip_longest(grids or PAPER_GRIDS, yaw_samples(grids or PAPER_GRIDS, azimuths)))
-    if len(grids) == 1:
-        wanted.append((str(load_config(file, sets, options).grid), None))
-    found = {
-        str((grid, samples)): load_config(file, sets, options | search)
-        for grid, samples in wanted
-        for search in [{"grid": grid} if samples is None else {"grid": grid, "azimuth": samples}]
-    }
-    return sorted(found.values(), key=lambda config: (config.grid.points, config.azimuth))
+    configs: list[Config] = []
+    for method in [[name] for name in methods] or [[]]:
+        settings = crossed_settings(file, sets, method, grids or PAPER_GRIDS, azimuths, options)
+        if len(grids) == 1:
+            settings += crossed_settings(file, sets, method, (), (), options)
+        configs += sorted((each.config for each in settings), key=lambda c: (c.grid.points, c.azimuth))
+    return named_settings(configs)

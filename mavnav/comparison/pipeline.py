@@ -13,27 +13,27 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec.structs import replace
 
 from mavnav.batch.cases import make_cases
-from mavnav.batch.manifest import LogEntry
 from mavnav.batch.plan import BatchPlan, check_gates, plan_cases
-from mavnav.batch.request import BatchRequest, Rules, RunLimits
+from mavnav.batch.request import BatchLogs, BatchRequest, Rules, RunLimits
 from mavnav.batch.runner import run_cases
 from mavnav.comparison.document import comparison_document
 from mavnav.comparison.figures import RELATIVE_COSTS
 from mavnav.comparison.files import COMPARISON_FILE, write_comparison
 from mavnav.config.named_files import read_json
+from mavnav.config.options import reference_files
 from mavnav.errors import UsageError
-from mavnav.ground_truth.topics import recorded_topic
-from mavnav.jobs.run_cache import REFERENCES, RUNS_FOLDER, check_cache_directory
+from mavnav.jobs.run_cache import RUNS_FOLDER, check_cache_directory
 from mavnav.logs.formats.detect import log_name
 from mavnav.outputs.documents.provenance import Typed
 from mavnav.outputs.files.document import plain
 from mavnav.outputs.writers import REPORT_FILE
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Sequence
 
     from mavnav.batch.cases import Case
     from mavnav.batch.settings import Setting
+    from mavnav.config.options import ReplayOptions
     from mavnav.jobs import Event
     from mavnav.metrics.gates import Gate
     from mavnav.profiling import Progress
@@ -45,7 +45,7 @@ def comparison_request(
     logs: Sequence[Path],
     settings: Sequence[Setting],
     directory: Path,
-    reading: Mapping[str, Any],
+    options: ReplayOptions[Path],
     *,
     workers: int = 1,
     gates: Sequence[Gate] = (),
@@ -54,14 +54,12 @@ def comparison_request(
 ) -> BatchRequest:
     """Return the batch of every log with every setting.
 
-    ``reading`` are values of a `LogEntry`: the options for reading a log, and its references. Raises UsageError for
-    reference files with several logs.
+    Raises UsageError for reference files with several logs.
     """
-    files = [reading.get(name) for name in REFERENCES]
-    if len(logs) > 1 and any(file and recorded_topic(str(file)) is None for file in files):
+    if len(logs) > 1 and reference_files(options):
         raise UsageError("--truth, --truth-map and --relations are about one log; compare one log at a time with them")
     return BatchRequest(
-        entries=tuple(LogEntry(log=(str(log),), **reading) for log in logs),
+        entries=tuple(BatchLogs((str(log),), options) for log in logs),
         settings=tuple(settings),
         base=Path(),
         directory=directory,
@@ -95,19 +93,19 @@ def plan_comparison(request: BatchRequest, progress: Progress) -> BatchPlan:
         if case.run is None:
             raise UsageError(case.error)
     check_gates(request, cases, [f"price.{name}" for name in RELATIVE_COSTS])
-    return plan_cases(request, _named(_distinct(cases)))
+    return plan_cases(request, _name_cases(_unique(cases)))
 
 
-def _distinct(cases: Iterable[Case]) -> list[Case]:
+def _unique(cases: Iterable[Case]) -> list[Case]:
     """Return the cases without duplicates; copies of a log have the same keys."""
-    found: dict[str, Case] = {}
+    by_key: dict[str, Case] = {}
     for case in cases:
         if case.run:
-            found.setdefault(case.run.key, case)
-    return list(found.values())
+            by_key.setdefault(case.run.key, case)
+    return list(by_key.values())
 
 
-def _named(cases: Sequence[Case]) -> list[Case]:
+def _name_cases(cases: Sequence[Case]) -> list[Case]:
     """Name cases as ``drive.mcap robust 40/20x20``, yaw samples before the grid as in the paper."""
     runs = [case.run for case in cases if case.run]
     logs = short_names({run.request.log for run in runs})

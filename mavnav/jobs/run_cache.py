@@ -14,6 +14,7 @@ from msgspec import MsgspecError, Struct, convert
 from msgspec.structs import asdict, replace
 
 from mavnav.config.named_files import read_json
+from mavnav.config.options import reference_files, run_options
 from mavnav.errors import ExitCode, OutputError
 from mavnav.outputs.directory import RUN_FILE, check_link, file_sha256
 from mavnav.outputs.documents.run_json import RunDocument
@@ -44,25 +45,6 @@ SECTIONS: Final = (
     "exit_code",
 )
 """Sections of run.json that the document of a comparison or a batch repeats for every run."""
-
-REFERENCES = ("truth", "truth_map", "relations")
-"""Fields of a request that name reference files to compare the result with."""
-
-_NOT_IN_KEY = {
-    "log",
-    "log_sha256",
-    "address",
-    "directory",
-    "config",
-    "force",
-    "report",
-    "outputs",
-    "typed",
-    *REFERENCES,
-}
-"""Fields of a request that are not among the options of the key: paths, fields without effect on the result, and inputs
-that enter the key separately.
-"""
 
 
 class PlannedRun(Struct, frozen=True):
@@ -115,18 +97,15 @@ def run_key(request: ReplayRequest, log_sha256: str, references: str) -> str:
 
     Both the version of mavnav and the hash of its source are included, because the source changes between releases.
     """
+    files = reference_files(request.options)
     document = {
         "mavnav": [__version__, source_sha256()],
         "log": log_sha256,
         "config": request.config.document(),
-        "options": {name: _plain(value) for name, value in asdict(request).items() if name not in _NOT_IN_KEY},
+        "options": {name: value for name, value in run_options(request.options) if name not in files},
         "references": references,
     }
-    return hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
-
-
-def _plain(value: Any) -> Any:  # noqa: ANN401  any option of a request
-    return asdict(value) if isinstance(value, Struct) else value
+    return hashlib.sha256(json.dumps(document, sort_keys=True, default=str).encode()).hexdigest()
 
 
 def references_sha256(references: References) -> str:

@@ -14,16 +14,14 @@ from msgspec import Struct, ValidationError, convert
 from mavnav.config.layers import by_dotted_key
 from mavnav.config.loading import key_now, load_config, validated
 from mavnav.config.named_files import read_json
+from mavnav.config.options import restore_options, words_of
 from mavnav.errors import ConfigError, UsageError
-from mavnav.ground_truth.topics import recorded_topic
 from mavnav.logs import content_sha256
-from mavnav.metrics.fields import ABSENT
 from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.documents.addresses import is_address
 from mavnav.outputs.documents.provenance import Typed
 from mavnav.outputs.documents.run_json import Provenance
 from mavnav.outputs.writers import REPORT_FILE
-from mavnav.pose import Pose
 from mavnav.version import __version__
 
 if TYPE_CHECKING:
@@ -31,11 +29,9 @@ if TYPE_CHECKING:
 
     from mavnav.config.layers import Layer
     from mavnav.config.models import Config
-    from mavnav.outputs.documents.run_json import GivenPose, Options
+    from mavnav.config.options import ReplayOptions
 
 _WORD: Final = re.compile(r"[A-Za-z/][\w/.-]*|\d+x\d+")
-_PATHS: Final = ("map", "truth", "truth_map", "relations", "continue_from")
-"""Options that name files."""
 
 
 class EarlierRun(Struct, frozen=True):
@@ -43,11 +39,6 @@ class EarlierRun(Struct, frozen=True):
 
     directory: Path
     document: dict[str, Any]
-
-    @property
-    def options(self) -> dict[str, Any]:
-        """The options of a replay by their names in run.json."""
-        return dict(self.document["provenance"]["options"])
 
     def path(self, text: str) -> Path:
         """Return a path that counted from the working directory of the run."""
@@ -58,9 +49,9 @@ class EarlierRun(Struct, frozen=True):
         """Return what may keep the repetition from being the same, a line each."""
         made, now = _versions(self.document), {"mavnav": __version__, "Python": platform.python_version()}
         changed = [
-            f"{name} {then} then, {found} now"
+            f"{name} {then} then, {installed} now"
             for name, then in made.items()
-            if (found := now.get(name) or _installed(name)) != then
+            if (installed := now.get(name) or _installed_version(name)) != then
         ]
         lines = (
             [f"other versions than in {self.directory}, results may differ: {', '.join(changed)}"] if changed else []
@@ -83,7 +74,7 @@ def _versions(document: dict[str, Any]) -> dict[str, str]:
     return {"mavnav": document["mavnav_version"], "Python": document["python"], **document["libraries"]}
 
 
-def _installed(library: str) -> str:
+def _installed_version(library: str) -> str:
     from importlib.metadata import PackageNotFoundError, version  # noqa: PLC0415  it takes 8 ms to load
 
     try:
@@ -96,7 +87,7 @@ def earlier_run(directory: Path, *, simulated: bool) -> EarlierRun:
     """Read a run directory; raises UsageError for what is none, or of the other command."""
     try:
         document = read_json(directory / RUN_FILE)
-        kind = _checked(document)
+        kind = _check_document(document)
     except OSError as error:
         raise UsageError(f"{directory} holds no run ({RUN_FILE}: {error.strerror}); name a run directory") from error
     except (ValueError, ValidationError, LookupError, TypeError, AttributeError) as error:
@@ -108,7 +99,7 @@ def earlier_run(directory: Path, *, simulated: bool) -> EarlierRun:
     return EarlierRun(directory, document)
 
 
-def _checked(document: dict[str, Any]) -> str:
+def _check_document(document: dict[str, Any]) -> str:
     """Return the format of the log.
 
     Raises ValueError, ValidationError, LookupError or TypeError where something that is needed here is missing.
@@ -130,18 +121,11 @@ def replay_again(run: EarlierRun, log: Path | None) -> dict[str, Any]:
 
     Raises UsageError where the log is gone or has another content, ConfigError where this version has other keys.
     """
-    options = run.options
-    files = {name: run.path(text) for name in _PATHS if (text := options.get(name)) and not _topic(name, text)}
-    extrinsic, start = (options[name] and Pose(**options[name]) for name in ("extrinsic", "start_pose"))
     return {
-        **files,
+        "options": restore_options(run.document["provenance"]["options"], run.path),
         "log": _same_log(run, log),
         "config": _config(run),
-        "extrinsic": extrinsic,
-        "start_pose": start,
-        "truth_topic": _topic("truth", options["truth"]),
         "report": (run.directory / REPORT_FILE).is_file(),
-        **{name: options[name] for name in ("topic", "start_s", "end_s", "strict")},
     }
 
 
@@ -153,20 +137,16 @@ def typed_again(run: EarlierRun, words: Sequence[str]) -> Typed:
 
 def simulation_again(run: EarlierRun) -> dict[str, Any]:
     """Return the fields of the request that repeats a mission: its effective scenario, whatever became of the file."""
-    name, found = str(run.directory / RUN_FILE), run.document["input"]
+    name, source = str(run.directory / RUN_FILE), run.document["input"]
     from mavnav.config.yaml_layers import layer_of  # noqa: PLC0415  yaml takes 10 ms to load
     from mavnav.simulation.world import Scenario  # noqa: PLC0415  models take time to build
 
     return {
         "scenario": validated(Scenario, layer_of(json.dumps(run.document["scenario"]), name).renamed(key_now), name),
-        "path": run.path(found["path"]),
-        "content": (found["sha256"], found["size_bytes"]),
+        "path": run.path(source["path"]),
+        "content": (source["sha256"], source["size_bytes"]),
         "report": (run.directory / REPORT_FILE).is_file(),
     }
-
-
-def _topic(name: str, text: str | None) -> str | None:
-    return recorded_topic(text) if name == "truth" and text else None
 
 
 def _config(run: EarlierRun) -> Config:
@@ -190,7 +170,7 @@ def _layer(document: dict[str, Any], path: Path) -> Layer:
 
 def _same_log(run: EarlierRun, log: Path | None) -> Path:
     """Return the log of a run; raises UsageError unless it is there with the same content."""
-    found, was = run.document["input"], run.document["input"]["path"]
+    source, was = run.document["input"], run.document["input"]["path"]
     if log is None and is_address(was):
         raise UsageError(
             f"the log was fetched from {was}; fetch it and write mavnav replay LOG --again {run.directory}"
@@ -200,45 +180,32 @@ def _same_log(run: EarlierRun, log: Path | None) -> Path:
         where = f"write mavnav replay LOG --again {run.directory} with its place now"
         raise UsageError(f"{path}: the log of the run is not there; {where}")
     digest = content_sha256(path)
-    if digest != found["sha256"]:
-        changed = f"its SHA-256 was {found['sha256']} and is {digest}"
+    if digest != source["sha256"]:
+        changed = f"its SHA-256 was {source['sha256']} and is {digest}"
         raise UsageError(
             f"{path} is not the log of {run.directory}, {changed}; name the right one, or leave out --again"
         )
     return path
 
 
-def replay_words(log: str, options: Options, config: Config) -> list[str]:
+def replay_words(log: str, options: ReplayOptions[Path], config: Config) -> list[str]:
     """Return the words of a command line that repeats a replay from anywhere, without its configuration file.
 
     It lists all values that differ from the method's defaults, or from those of the run that is continued. A log at an
     address is a batch of one.
     """
     command = "batch" if is_address(log) else "replay"
-    given: dict[str, Any] = {
-        "--topic": options.topic,
-        "--start": options.start_s,
-        "--end": options.end_s,
-        "--extrinsic": _joined(options.extrinsic),
-        "--map": _absolute(options.map),
-        "--continue": None if options.continue_from is ABSENT else _absolute(options.continue_from),
-        "--start-pose": _joined(options.start_pose),
-        "--truth": options.truth if _topic("truth", options.truth) else _absolute(options.truth),
-        "--truth-map": _absolute(options.truth_map),
-        "--relations": _absolute(options.relations),
-    }
-    words = ["mavnav", command, log]
-    words += [f"{name}={value}" for name, value in given.items() if value is not None]
-    words += ["--strict"] if options.strict else []
-    changed = changed_values(config, _base(options, config))
-    return words + [f"--set={key}={_written(value)}" for key, value in changed.items()]
+    changed = changed_values(config, _base(options.get("continue_from"), config))
+    return ["mavnav", command, log, *words_of(options)] + [
+        f"--set={key}={_yaml_text(value)}" for key, value in changed.items()
+    ]
 
 
-def _base(options: Options, config: Config) -> Config:
+def _base(continued: Path | None, config: Config) -> Config:
     """Return the configuration that ``--set`` changes: the defaults of the method, or that of the continued run."""
-    if options.continue_from is not ABSENT:
+    if continued:
         with suppress(ConfigError):  # of another version, whose keys this one does not have
-            return load_config(values=run_layer(options.continue_from))
+            return load_config(values=run_layer(continued))
     return load_config(overrides={"method": config.method})
 
 
@@ -248,14 +215,6 @@ def changed_values(config: Config, base: Config) -> dict[str, Any]:
     return {key: value for key, value in own.items() if key == "method" or value != default[key]}
 
 
-def _written(value: object) -> str:
+def _yaml_text(value: object) -> str:
     """Write a value as YAML; a plain word without quotes, which a shell would need quotes for."""
     return value if isinstance(value, str) and _WORD.fullmatch(value) else json.dumps(value)
-
-
-def _joined(pose: GivenPose | None) -> str | None:
-    return None if pose is None else f"{pose.x_m!r},{pose.y_m!r},{pose.yaw_rad!r}"
-
-
-def _absolute(path: str | None) -> str | None:
-    return None if path is None else str(Path(path).absolute())

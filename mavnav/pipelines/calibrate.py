@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from functools import partial
 from math import isfinite
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from msgspec import Struct
+from msgspec import Struct, field
 
 from mavnav.config.models import OdometryConfig
+from mavnav.config.options import ReplayOptions
 from mavnav.errors import ExitCode, TopicError, UsageError, worst
 from mavnav.logs import check_log, open_log
 from mavnav.logs.formats.detect import log_name
@@ -28,8 +30,6 @@ from mavnav.units import DEG
 from mavnav.version import __version__
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from mavnav.config.models import Config
     from mavnav.logs import Log
     from mavnav.metrics.calibration.motion import Motions
@@ -47,10 +47,7 @@ class CalibrationRequest(Struct, frozen=True):
 
     log: Path
     config: Config
-    topic: str | None = None
-    start_s: float | None = None
-    end_s: float | None = None
-    strict: bool = False
+    options: ReplayOptions[Path] = field(default_factory=ReplayOptions[Path])
     document: Path | None = None
     picture: Path | None = None
     report: Path | None = None
@@ -65,7 +62,7 @@ def calibrate(request: CalibrationRequest, progress: Progress) -> dict[str, Any]
     Raises UsageError, TopicError (no odometry, too), NoScansError and OutputError.
     """
     _check(request)
-    log = _opened(request, progress)
+    log = _open(request, progress)
     load_kernels(request.config, progress)
     outcome = run_slam(
         log.scans,
@@ -78,9 +75,9 @@ def calibrate(request: CalibrationRequest, progress: Progress) -> dict[str, Any]
     progress("calibrating", 0, None)
     motions = _motions(log, outcome)
     why = _doubtful(outcome)
-    found = refused(why, motion_of(motions)) if why else calibration_of(motions)
-    document = _document(request, log, outcome, found)
-    _write(request, document, found, motions)
+    result = refused(why, motion_of(motions)) if why else calibration_of(motions)
+    document = _document(request, log, outcome, result)
+    _write(request, document, result, motions)
     return document
 
 
@@ -92,9 +89,10 @@ def _check(request: CalibrationRequest) -> None:
         raise UsageError("calibrate compares the laser with odometry; leave --odom off away, or name a topic")
     if request.config.odometry != OdometryConfig() or request.config.upside_down:
         raise UsageError("calibrate looks at a log as recorded; leave the settings odometry and upside_down out")
-    if request.topic and "," in request.topic:
+    options = request.options
+    if "," in (options.get("topic") or ""):
         raise UsageError("calibrate takes one laser; name one --topic at a time")
-    check_log(request.log, request.start_s, request.end_s)
+    check_log(request.log, options.get("start_s"), options.get("end_s"))
     check_file(request.document, ".json", "JSON", force=request.force)
     check_file(request.picture, ".png", "PNG", force=request.force)
     check_file(request.report, ".html", "HTML", force=request.force)
@@ -102,15 +100,16 @@ def _check(request: CalibrationRequest) -> None:
     check_apart(files, (request.log, request.config_file))
 
 
-def _opened(request: CalibrationRequest, progress: Progress) -> Log:
+def _open(request: CalibrationRequest, progress: Progress) -> Log:
     """Survey the log; raises TopicError where it has no odometry to use."""
+    options = request.options
     log = open_log(
         request.log,
-        topic=request.topic,
+        topic=options.get("topic"),
         odom=request.config.odom,
-        start_s=request.start_s,
-        end_s=request.end_s,
-        strict=request.strict,
+        start_s=options.get("start_s"),
+        end_s=options.get("end_s"),
+        strict=options.get("strict", False),
         progress=lambda done, total: progress("reading", done, total),
     )
     if log.odometry is None:
@@ -121,7 +120,7 @@ def _opened(request: CalibrationRequest, progress: Progress) -> Log:
 
 
 def _motions(log: Log, outcome: SlamResult) -> Motions:
-    assert log.odometry  # noqa: S101  checked by `_opened`
+    assert log.odometry  # noqa: S101  checked by `_open`
     sweep_s = log.sensor.sweep_s
     sweep_s = sweep_s if sweep_s <= LONGEST_SWEEP * log.period_s else 0.0
     return motions_of(outcome.trajectory, log.odometry.odom_T_base, sweep_s)
@@ -138,11 +137,11 @@ def _doubtful(outcome: SlamResult) -> str:
     return ""
 
 
-def _document(request: CalibrationRequest, log: Log, outcome: SlamResult, found: Calibration) -> dict[str, Any]:
-    quantities = [_row(quantity, log) for quantity in found.quantities]
-    upside_down = None if found.mirrored is None else found.mirrored != log.upside_down
+def _document(request: CalibrationRequest, log: Log, outcome: SlamResult, result: Calibration) -> dict[str, Any]:
+    quantities = [_row(quantity, log) for quantity in result.quantities]
+    upside_down = None if result.mirrored is None else result.mirrored != log.upside_down
     code = ExitCode.GATE_FAILED if all(q["refused"] for q in quantities) else ExitCode.DONE
-    reading = reading_options(request.topic, request.config.odom, strict=request.strict)
+    reading = reading_options(request.options, request.config.odom)
     codes = [code, ExitCode.TRACKING_LOST] if outcome.lost_for_good else [code]
     return {
         "schema_version": SCHEMA_VERSION,
@@ -154,11 +153,11 @@ def _document(request: CalibrationRequest, log: Log, outcome: SlamResult, found:
             "lost": outcome.lost_for_good,
             "doubt": None if outcome.doubt is None else round(outcome.doubt.probability, 4),
         },
-        "motion": _motion(found),
-        "refused": found.refused or None,
+        "motion": _motion(result),
+        "refused": result.refused or None,
         "quantities": quantities,
-        "upside_down": _switch(upside_down, log.upside_down, _TURN if found.fit else found.refused),
-        "beams_reversed": _switch(_reversed(log, outcome, found), False, _order(log)),
+        "upside_down": _switch(upside_down, log.upside_down, _TURN if result.fit else result.refused),
+        "beams_reversed": _switch(_is_reversed(log, outcome, result), False, _order(log)),
         "range_bias": {"value": None, "in_log": None, "agrees": None, "refused": RANGE_BIAS},
         "lines": {
             "static_transform": transform_line(quantities, log, upside_down=upside_down),
@@ -174,7 +173,7 @@ _TURN: Final = f"the laser turns by less than {LEAST_TURN_RAD / DEG:.0f} deg in 
 
 
 def _input(request: CalibrationRequest, log: Log) -> dict[str, Any]:
-    assert log.odometry  # noqa: S101  checked by `_opened`
+    assert log.odometry  # noqa: S101  checked by `_open`
     return {
         "path": str(request.log),
         "topic": log.topic,
@@ -185,15 +184,15 @@ def _input(request: CalibrationRequest, log: Log) -> dict[str, Any]:
     }
 
 
-def _motion(found: Calibration) -> dict[str, Any]:
-    motion = found.motion
+def _motion(result: Calibration) -> dict[str, Any]:
+    motion = result.motion
     return {
         "path_m": round(motion.path_m, 3),
         "turned_deg": round(motion.turned_rad / DEG, 1),
         "odometry_path_m": round(motion.odom_path_m, 3),
         "odometry_turned_deg": round(motion.odom_turned_rad / DEG, 1),
         "steps": motion.steps,
-        "correlation": None if found.fit is None else round(found.fit.correlation, 4),
+        "correlation": None if result.fit is None else round(result.fit.correlation, 4),
     }
 
 
@@ -208,18 +207,18 @@ def _row(quantity: Quantity, log: Log) -> dict[str, Any]:
     agrees = None if difference is None or ci95 is None else abs(difference) <= ci95
     return {
         "name": kind.name,
-        "value": _rounded(value),
-        "ci95": _rounded(ci95),
+        "value": _round(value),
+        "ci95": _round(ci95),
         "unit": kind.unit,
-        "in_log": _rounded(in_log),
-        "difference": _rounded(difference),
+        "in_log": _round(in_log),
+        "difference": _round(difference),
         "agrees": agrees,
         "refused": quantity.refused or None,
         "option": option_of(kind.name, value),
     }
 
 
-def _rounded(value: float | None) -> float | None:
+def _round(value: float | None) -> float | None:
     return None if value is None or not isfinite(value) else round(value, 4) + 0.0  # -0.0 becomes 0.0
 
 
@@ -243,11 +242,11 @@ def _switch(value: bool | None, in_log: bool, why: str) -> dict[str, Any]:
     }
 
 
-def _reversed(log: Log, outcome: SlamResult, found: Calibration) -> bool | None:
+def _is_reversed(log: Log, outcome: SlamResult, result: Calibration) -> bool | None:
     """Return whether the beams are fired in the reverse of the listed order; None where nothing shows it."""
     if beam_order.WARNING in outcome.warnings:
         return True
-    shown = log.sensor.time_increment_s and found.motion.turned_rad >= LEAST_TURN_RAD and not found.refused
+    shown = log.sensor.time_increment_s and result.motion.turned_rad >= LEAST_TURN_RAD and not result.refused
     return False if shown else None
 
 
@@ -255,10 +254,10 @@ def _order(log: Log) -> str:
     return _TURN if log.sensor.time_increment_s else "the scans have no time between their beams (time_increment is 0)"
 
 
-def _write(request: CalibrationRequest, document: dict[str, Any], found: Calibration, motions: Motions) -> None:
+def _write(request: CalibrationRequest, document: dict[str, Any], result: Calibration, motions: Motions) -> None:
     """Write the files that are asked for; raises OutputError."""
     title = log_name(request.log)
-    picture = partial(calibration_picture.write, motions, found.fit, title) if found.fit else None
+    picture = partial(calibration_picture.write, motions, result.fit, title) if result.fit else None
     if request.document:
         text = to_json(document)
         write_file(request.document, lambda path: _write_text(path, text), force=request.force)

@@ -10,6 +10,7 @@ from mavnav.units import DEG
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from mavnav.config.options import ReplayOptions
     from mavnav.logs import Log
 
 MOUNTING: Final = ("x_m", "y_m", "yaw_deg")
@@ -37,11 +38,11 @@ def transform_line(rows: list[dict[str, Any]], log: Log, *, upside_down: bool | 
     return f"ros2 run tf2_ros static_transform_publisher --x {x_m:z.4f} --y {y_m:z.4f} --z 0 {turned} {frames}"
 
 
-def reading_options(topic: str | None, odom: str, *, strict: bool) -> list[str]:
+def reading_options(options: ReplayOptions[Path], odom: str) -> list[str]:
     """Return the options of a replay that read from a log what was calibrated."""
-    given = {"--topic": topic, "--odom": None if odom == "auto" else odom}
+    given = {"--topic": options.get("topic"), "--odom": None if odom == "auto" else odom}
     words = [f"{option} {quote(value)}" for option, value in given.items() if value]
-    return [*words, "--strict"] if strict else words
+    return [*words, "--strict"] if options.get("strict") else words
 
 
 def replay_line(

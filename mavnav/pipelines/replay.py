@@ -14,17 +14,17 @@ from msgspec.structs import replace as changed
 
 from mavnav.arrays import release_free_memory
 from mavnav.config.models import OdometryConfig
+from mavnav.config.option_kinds import recorded_topic
+from mavnav.config.options import ReplayOptions, paths_of, reference_files
 from mavnav.errors import ExitCode, StoppedError, UsageError
 from mavnav.ground_truth.references import compared, load_references
-from mavnav.ground_truth.topics import truth_text
 from mavnav.logs import check_log, open_log
 from mavnav.logs.formats.detect import log_name
 from mavnav.mapping.occupancy_grid import occupied_xy_m
-from mavnav.metrics.fields import ABSENT
 from mavnav.metrics.trajectory_error import position_errors
 from mavnav.outputs.directory import check_directory
+from mavnav.outputs.documents.options_section import options_section
 from mavnav.outputs.documents.provenance import Typed, provenance, utc_now
-from mavnav.outputs.documents.run_json import GivenPose, Options
 from mavnav.outputs.run import Run, Timing
 from mavnav.outputs.writers import check_groups, write_run
 from mavnav.pipelines.again import replay_words
@@ -59,48 +59,33 @@ Stop = Callable[[], ExitCode | None]
 class ReplayRequest(Struct, frozen=True):
     """One run: the log, which part of it, with what configuration, and where its results go.
 
-    ``start_s`` and ``end_s`` count from the first usable scan; ``extrinsic`` is the laser's pose on its base;
-    ``report`` writes the page as well; ``outputs`` are the groups of files to write, None for
-    all; ``truth``, ``truth_map`` and ``relations`` are files to compare the outcome with, ``truth_topic`` is where the
-    log itself has the truth (``auto``: found by its name); ``strict`` leaves out scans from where a checksum does not
-    match. ``map`` is a map to localise in instead of making one, and ``start_pose`` about where in it the laser begins.
-    ``address`` is where the log was fetched from, for run.json; ``log_sha256`` is the content that the log must have,
-    if the run is to be known by it. ``typed`` is the command line. ``continue_from`` is the directory of a run to whose
-    map the log is added.
+    ``report`` writes the page as well; ``outputs`` are the groups of files to write, None for all. ``address`` is where
+    the log was fetched from, for run.json; ``log_sha256`` is the content that the log must have, if the run is to be
+    known by it. ``typed`` is the command line.
     """
 
     log: Path
     directory: Path
     config: Config
-    topic: str | None = None
-    start_s: float | None = None
-    end_s: float | None = None
-    extrinsic: Pose | None = None
+    options: ReplayOptions[Path] = field(default_factory=ReplayOptions[Path])
     force: bool = False
     report: bool = False
     outputs: tuple[str, ...] | None = None
-    truth: Path | None = None
-    truth_topic: str | None = None
-    truth_map: Path | None = None
-    relations: Path | None = None
-    strict: bool = False
-    map: Path | None = None
-    start_pose: Pose | None = None
     address: str | None = None
     log_sha256: str | None = None
     typed: Typed = field(default_factory=Typed)
-    continue_from: Path | None = None
 
     @property
     def inputs(self) -> tuple[Path | None, ...]:
         """The paths that the run reads; None for those that are not given."""
         config = Path(self.typed.config) if self.typed.config else None
-        named = (self.log, self.map, self.truth, self.truth_map, self.relations, self.continue_from, config)
-        if not (self.map or self.truth_map):
+        named = (self.log, *paths_of(self.options), config)
+        maps = [path for path in (self.options.get("map"), self.options.get("truth_map")) if path]
+        if not maps:
             return named
         from mavnav.ground_truth.map_file import map_files  # noqa: PLC0415  few runs need it
 
-        return *named, *(file for path in (self.map, self.truth_map) if path for file in map_files(path))
+        return *named, *(file for path in maps for file in map_files(path))
 
 
 class Given(Struct, frozen=True):
@@ -123,18 +108,19 @@ class Given(Struct, frozen=True):
 
 def _to_continue(request: ReplayRequest) -> tuple[FinishedRun | None, tuple[Session, ...]]:
     """Read the run to be continued, and its sessions; raises UsageError for what is none."""
-    if request.continue_from is None:
+    directory = request.options.get("continue_from")
+    if directory is None:
         return None, ()
-    if request.map is not None:
+    if "map" in request.options:
         raise UsageError("--continue and --map both give a map; leave one of them out")
     if request.config.method != "robust":
         raise UsageError(f"--continue: method {request.config.method} cannot search whole maps; use the robust method")
     target = request.directory.resolve()
-    if request.continue_from.resolve() in {target, *target.parents}:
+    if directory.resolve() in {target, *target.parents}:
         raise UsageError(f"{request.directory} is the run to continue, or inside of it; choose another one with -o")
     from mavnav.pipelines.continuing import earlier_sessions, run_to_continue  # noqa: PLC0415  few runs need it
 
-    run = run_to_continue(request.continue_from)
+    run = run_to_continue(directory)
     return run, tuple(earlier_sessions(run, request.config))
 
 
@@ -165,12 +151,13 @@ def replay_log(
     keep: when its function returns a code, the run ends there, and is written and marked as partial. Raises what the
     packages raise: TopicError, NoScansError, UsageError, OutputError; and StoppedError where nothing was tracked yet.
     """
-    check_log(request.log, request.start_s, request.end_s)
+    options = request.options
+    check_log(request.log, options.get("start_s"), options.get("end_s"))
     check_groups(request.outputs or ())
     check_directory(request.directory, force=request.force, inputs=request.inputs)
     given = Given(
-        load_references(request.truth, request.truth_map, request.relations),
-        known_map(request.map, request.start_pose, request.config.method),
+        load_references(**reference_files(options)),
+        known_map(options.get("map"), _start_pose(options), request.config.method),
         replay_provenance(request),
         *_to_continue(request),
     )
@@ -178,15 +165,15 @@ def replay_log(
     log = _open(request, progress)
     if request.log_sha256 not in {None, log.sha256}:
         raise UsageError(f"{request.log}: changed since it was first read; run again once it is complete")
-    check_references(given.references, log, request.truth_map, request.start_s, own_frame=given.own_frame)
-    compiled_s, compiled_cpu_s = _compiled(request.config, progress, rare=not given.own_frame)
+    check_references(given.references, log, options.get("truth_map"), options.get("start_s"), own_frame=given.own_frame)
+    compiled_s, compiled_cpu_s = _compile(request.config, progress, rare=not given.own_frame)
     began = Timing(wall_s + compiled_s, cpu_s + compiled_cpu_s, compile_s + compiled_s, stages)
     with stoppable() as stop:
-        return _mapped(request, log, given, progress, stop, began)
+        return _track_and_write(request, log, given, progress, stop, began)
 
 
 @timed("loading")
-def _compiled(config: Config, progress: Progress, *, rare: bool) -> tuple[float, float]:
+def _compile(config: Config, progress: Progress, *, rare: bool) -> tuple[float, float]:
     """Compile the kernels the first time; returns what that took, by the clock and of the processor, s."""
     wall_s, cpu_s = perf_counter(), process_time()
     load_kernels(config, progress, rare=rare)
@@ -195,36 +182,17 @@ def _compiled(config: Config, progress: Progress, *, rare: bool) -> tuple[float,
 
 def replay_provenance(request: ReplayRequest) -> Provenance:
     """Describe a replay that starts now."""
-    options = _options(request)
-    again = replay_words(request.address or str(request.log.absolute()), options, request.config)
+    again = replay_words(request.address or str(request.log.absolute()), request.options, request.config)
+    options = options_section(request.options, request.config, request.typed.config, request.typed.sets)
     return provenance(utc_now(), request.typed, again, options)
 
 
-def _options(request: ReplayRequest) -> Options:
-    truth = truth_text(request.truth_topic) if request.truth_topic else _text(request.truth)
-    return Options(
-        topic=request.topic,
-        start_s=request.start_s,
-        end_s=request.end_s,
-        odom=request.config.odom,
-        extrinsic=request.extrinsic and GivenPose(*request.extrinsic),
-        strict=request.strict,
-        map=_text(request.map),
-        start_pose=request.start_pose and GivenPose(*request.start_pose),
-        truth=truth,
-        truth_map=_text(request.truth_map),
-        relations=_text(request.relations),
-        continue_from=ABSENT if request.continue_from is None else str(request.continue_from),
-        config=request.typed.config,
-        sets=list(request.typed.sets),
-    )
+def _start_pose(options: ReplayOptions[Path]) -> Pose | None:
+    pose = options.get("start_pose")
+    return Pose(*pose) if pose else None
 
 
-def _text(path: Path | None) -> str | None:
-    return None if path is None else str(path)
-
-
-def _mapped(
+def _track_and_write(
     request: ReplayRequest,
     log: Log,
     given: Given,
@@ -238,7 +206,7 @@ def _mapped(
     stopped = stop()
     if stopped is not None and not len(outcome.trajectory):
         raise StoppedError(f"{request.log}: stopped before the first pose; nothing is written", stopped)
-    continuation = _continued(outcome, log, given, request.config, progress, stopped=stopped is not None)
+    continuation = _continue(outcome, log, given, request.config, progress, stopped=stopped is not None)
     outcome = continuation.outcome if continuation else outcome
     progress("measuring", 0, None)
     references, warnings = references_in_map(given.references, log, outcome.begin_ns if given.own_frame else None)
@@ -246,7 +214,7 @@ def _mapped(
     measured = measured_map(outcome, log)
     timing = changed(began, wall_s=perf_counter() - began.wall_s, cpu_s=process_time() - began.cpu_s)
     slices = map_slices_of(outcome, log, request.config)
-    truth = references.truth
+    truth, known = references.truth, request.options.get("map")
     run = Run(
         log=log,
         config=request.config,
@@ -257,7 +225,7 @@ def _mapped(
         true_map=references.true_map,
         position_errors_m=position_errors(outcome.trajectory, truth, aligned=True) if truth else None,
         stopped=stopped,
-        localisation=localisation(request.map, request.start_pose, outcome) if request.map else None,
+        localisation=localisation(known, _start_pose(request.options), outcome) if known else None,
         address=request.address,
         provenance=given.provenance,
         slices=slices,
@@ -269,7 +237,7 @@ def _mapped(
     return run, document
 
 
-def _continued(
+def _continue(
     outcome: SlamResult, log: Log, given: Given, config: Config, progress: Progress, *, stopped: bool
 ) -> Continuation | None:
     """Place the log in the map of the run that it continues; None without one."""
@@ -283,21 +251,23 @@ def _continued(
 
 def _open(request: ReplayRequest, progress: Progress) -> Log:
     """Survey the log and correct its odometry; the paper's method never looks at odometry."""
-    return with_corrected_odometry(_surveyed(request, progress), request.config)
+    return with_corrected_odometry(_survey(request, progress), request.config)
 
 
-def _surveyed(request: ReplayRequest, progress: Progress) -> Log:
+def _survey(request: ReplayRequest, progress: Progress) -> Log:
+    options, config = request.options, request.config
+    extrinsic, truth = options.get("extrinsic"), options.get("truth")
     return open_log(
         request.log,
-        topic=request.topic,
-        odom=request.config.odom if uses_odometry(request.config) else "off",
-        start_s=request.start_s,
-        end_s=request.end_s,
-        extrinsic=request.extrinsic,
-        strict=request.strict,
-        truth=request.truth_topic,
-        attitude=request.config.attitude,
-        upside_down=request.config.upside_down,
+        topic=options.get("topic"),
+        odom=config.odom if uses_odometry(config) else "off",
+        start_s=options.get("start_s"),
+        end_s=options.get("end_s"),
+        extrinsic=Pose(*extrinsic) if extrinsic else None,
+        strict=options.get("strict", False),
+        truth=recorded_topic(truth) if isinstance(truth, str) else None,
+        attitude=config.attitude,
+        upside_down=config.upside_down,
         progress=lambda done, total: progress("reading", done, total),
     )
 

@@ -111,7 +111,7 @@ def test_a_run_that_is_spoilt_meanwhile_does_not_pass(home: Path) -> None:
 
 
 def test_force_runs_again(home: Path) -> None:
-    asked = Options(sources=("logs/good.mcap",), grids=("5x5",), azimuths=(6,), reading={"end_s": 0.5}, force=True)
+    asked = Options(sources=("logs/good.mcap",), grids=("5x5",), azimuths=(6,), options={"end_s": 0.5}, force=True)
     assert len(plan_batch(request_of(asked), lambda *args: None).missing) == 1
 
 
@@ -199,7 +199,7 @@ runs:
 gates: scans.processed>=1
 output: ../runs/batch
 """)
-    document, ran = batch(sources=("ci/night.yaml",), grids=(), azimuths=(), options={}, reading={})
+    document, ran = batch(sources=("ci/night.yaml",), grids=(), azimuths=(), options={})
     assert ran == []
     assert [row["name"] for row in document["cells"]] == [
         "../logs/good.mcap quick end_s=0.5",
@@ -406,7 +406,7 @@ def test_references_of_a_log_that_a_pattern_names_as_well(home: Path) -> None:
     def truths(text: str) -> dict[str, Path | None]:
         Path("night.yaml").write_text(text)
         cases = plan_batch(request_of(Options(sources=("night.yaml",))), lambda *args: None).cases
-        return {case.log: case.run.request.truth for case in cases if case.run}
+        return {case.log: case.run.request.options.get("truth") for case in cases if case.run}
 
     assert truths(f"{logs}, logs/good.mcap]") == dict.fromkeys(("logs/cut.mcap", "logs/empty.mcap")) | {
         "logs/good.mcap": Path("a.tum")

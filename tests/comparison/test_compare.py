@@ -183,7 +183,7 @@ def test_a_truth_in_the_log_is_part_of_the_key(tmp_path: Path) -> None:
     case = plan(request(tmp_path / "out", reading={"truth": "auto"})).cases[0]
     assert case.has_references
     assert case.run is not None
-    assert (case.run.request.truth, case.run.request.truth_topic) == (None, "auto")
+    assert case.run.request.options["truth"] == "auto"
 
 
 def test_the_same_log_twice_is_compared_once(tmp_path: Path) -> None:

@@ -12,8 +12,7 @@ OPTIONS: dict[str, Any] = {
     "sources": ("logs", "gone.bag"),
     "grids": ("5x5",),
     "azimuths": (6,),
-    "options": {"final_pass": False},
-    "reading": {"end_s": 0.5},
+    "options": {"online": True, "end_s": 0.5},
     "jobs": 1,
 }
 NAME = "6/5x5 final_pass=false end_s=0.5"

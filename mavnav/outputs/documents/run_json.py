@@ -17,6 +17,7 @@ from mavnav.metrics.map_quality import MapQuality
 from mavnav.metrics.reference import Reference
 from mavnav.metrics.wall_report import WallThicknessReport
 from mavnav.outputs.documents.continued_section import Continued
+from mavnav.outputs.documents.options_section import Options
 from mavnav.outputs.documents.slices_section import AttitudeSource, MapSlice
 from mavnav.outputs.documents.tracking_section import Tracking
 
@@ -245,37 +246,6 @@ class Host(Struct, frozen=True):
     processor: Annotated[str, text("model of the processor")]
     cores: Annotated[int, number("logical processors")]
     system: Annotated[str, text("operating system")]
-
-
-class GivenPose(Struct, frozen=True):
-    """A pose of the laser as it was given, on its base or in a map."""
-
-    x_m: Annotated[float, number("position")]
-    y_m: Annotated[float, number("position")]
-    yaw_rad: Annotated[float, number("heading, counter-clockwise")]
-
-
-class Options(Struct, frozen=True):
-    """The options of a replay, null where not given; those that change the configuration are in ``config``.
-
-    ``config`` and ``sets`` are the configuration file or preset and the ``--set`` values. ``truth`` is a file, ``auto``
-    or ``topic:NAME``. Relative paths count from ``folder`` of the provenance.
-    """
-
-    topic: Annotated[str | None, text("--topic")]
-    start_s: Annotated[float | None, number("time after the first usable scan to begin at")]
-    end_s: Annotated[float | None, number("time after the first usable scan to end at")]
-    odom: Annotated[str, text("--odom")]
-    extrinsic: Annotated[GivenPose | None, text("--extrinsic")]
-    strict: Annotated[bool, text("--strict")]
-    map: Annotated[str | None, text("--map")]
-    start_pose: Annotated[GivenPose | None, text("--start-pose")]
-    truth: Annotated[str | None, text("--truth")]
-    truth_map: Annotated[str | None, text("--truth-map")]
-    relations: Annotated[str | None, text("--relations")]
-    config: Annotated[str | None, text("--config as typed")]
-    sets: Annotated[list[str], text("--set as typed")]
-    continue_from: Annotated[str, text("--continue")] = field(default_factory=absent)
 
 
 class Provenance(Struct, frozen=True):

@@ -1,0 +1,117 @@
+"""What an option is, and what its values are: how they are read from a command line and from a document."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from mavnav.config.given_pose import pose_problem
+from mavnav.errors import UsageError
+
+INPUT, SEARCH, OUTPUT, CHECKS, RESOURCES = "Input", "Search", "Output", "Checks", "Resources"
+"""Panels of the help."""
+
+AUTO: Final = "auto"
+TOPIC_PREFIX: Final = "topic:"
+
+
+def recorded_topic(truth: str) -> str | None:
+    """Return the topic in a ``--truth`` value: ``auto``, or the text after ``topic:``; None for a file."""
+    if truth == AUTO:
+        return AUTO
+    return truth.removeprefix(TOPIC_PREFIX) if truth.startswith(TOPIC_PREFIX) else None
+
+
+def _same(value: Any, _: object) -> Any:  # noqa: ANN401  a value of any kind
+    return value
+
+
+class Kind(NamedTuple):
+    """What the values of an option are.
+
+    ``typed`` is the type that typer reads, ``stored`` that of documents. ``read`` makes a value of what is typed, given
+    the flag for messages; it raises UsageError. ``restore`` makes a value of what a document has, given a function from
+    its texts to paths.
+    """
+
+    typed: Any
+    stored: Any = str
+    read: Callable[[Any, str], Any] = _same
+    restore: Callable[[Any, Callable[[str], Path]], Any] = _same
+
+
+def _join(topics: list[str], _: str) -> str:
+    """Return topics as one name, as a merged log has it."""
+    return ",".join(topics)
+
+
+def _read_pose(text: str, flag: str) -> tuple[float, float, float]:
+    """Read ``x,y,yaw`` in m, m, rad; raises UsageError."""
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != 3:
+        raise UsageError(f"{flag} {text!r} is not X,Y,YAW in m, m, rad; write for example {flag} 0.1,0,1.5708")
+    x_m, y_m, yaw_rad = values
+    if problem := pose_problem(x_m, y_m, yaw_rad):
+        raise UsageError(f"{flag} {text!r} {problem}")
+    return x_m, y_m, yaw_rad
+
+
+def _restore_pose(pose: Any, _: object) -> tuple[float, float, float]:  # noqa: ANN401  a list, or x_m, y_m, yaw_rad
+    x_m, y_m, yaw_rad = pose.values() if isinstance(pose, Mapping) else pose
+    return x_m, y_m, yaw_rad
+
+
+def _restore_truth(text: str, path: Callable[[str], Path]) -> str | Path:
+    return path(text) if recorded_topic(text) is None else text
+
+
+TEXT: Final = Kind(str | None)
+TOPICS: Final = Kind(list[str] | None, str, _join)
+NUMBER: Final = Kind(float | None, float)
+COUNT: Final = Kind(int | None, int)
+SWITCH: Final = Kind(bool, bool)
+POSE: Final = Kind(str | None, tuple[float, float, float], _read_pose, _restore_pose)
+FILE: Final = Kind(Path | None, str, _same, lambda text, path: path(text))
+TRUTH: Final = Kind(str | None, str, lambda text, _: _restore_truth(text, Path), _restore_truth)
+"""A trajectory: a path, or a text that names a topic of the log."""
+
+
+class Option(NamedTuple):
+    """One option of a replay.
+
+    ``usage`` is the flag with what follows it. ``setting`` is the key of the configuration that the option sets.
+    Options without one are in run.json, as are those that are ``recorded``; the key of an ``absent`` one is left out
+    where it is not given. ``manifest`` options are in manifests. A ``reference`` is compared with the result: the run
+    cache knows it by its content. ``completer`` is the function of `mavnav.commands.completion` that finds the values a
+    shell offers; without one, it offers the words in ``usage``.
+    """
+
+    panel: str
+    usage: str
+    help: str
+    setting: str = ""
+    completer: str = ""
+    recorded: bool = False
+    absent: bool = False
+    manifest: bool = False
+    reference: bool = False
+    kind: Kind = TEXT
+
+    @property
+    def flag(self) -> str:
+        """The word on the command line."""
+        return self.usage.partition(" ")[0]
+
+    @property
+    def metavar(self) -> str | None:
+        """What follows the flag; None for a switch."""
+        return self.usage.partition(" ")[2] or None
+
+
+Input, Search = partial(Option, INPUT), partial(Option, SEARCH)
+Check = partial(Option, CHECKS, manifest=True, reference=True)

@@ -1,0 +1,218 @@
+"""The options of a replay, each stated once, and what follows for every place that has them.
+
+The parameters of the commands and of `mavnav.replay`, the entries of manifests, the options in run.json, the words that
+repeat a run and the key of the run cache are all made from `OPTIONS`. No other library is imported: help needs it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final, Generic, TypedDict, TypeVar, cast, get_args, get_type_hints
+
+from mavnav.config.option_kinds import COUNT, FILE, NUMBER, POSE, SWITCH, TEXT, TOPICS, TRUTH, Check, Input, Search
+from mavnav.errors import UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+
+    from mavnav.config.option_kinds import Option
+
+File = str | PathLike[str]
+"""What names a file in Python."""
+
+PathType = TypeVar("PathType")
+"""What names a file: `File` in Python, a path where options are read already."""
+
+
+class SearchOptions(TypedDict, total=False):
+    """The method of a track and its search grid."""
+
+    method: Annotated[str | None, Search("--method robust|paper", "SLAM method (default robust).", "method")]
+    grid: Annotated[str | None, Search("--grid NxM", "Points of the search grid in x and y (default 10x10).", "grid")]
+    azimuth: Annotated[
+        int | None, Search("--azimuth N", "Yaw samples of the search (default 2N for NxN, at most 40).", "azimuth")
+    ]
+
+
+class ReplayOptions(SearchOptions, Generic[PathType], total=False):
+    """Options of a replay, in the order of the help; those that are not given are absent."""
+
+    continue_from: Annotated[
+        PathType | None,
+        Input("--continue RUN", "Add the log to the map of a finished run, merge or continued run.", absent=True),
+    ]
+    topic: Annotated[
+        str | None,
+        Input(
+            "--topic NAME",
+            "Scan topic (default the only one); repeatable, to merge lasers by /tf_static.",
+            completer="scan_topics",
+            manifest=True,
+        ),
+    ]
+    start_s: Annotated[
+        float | None,
+        Input("--start SECONDS", "Start this many seconds after the first scan (default 0).", manifest=True),
+    ]
+    end_s: Annotated[
+        float | None,
+        Input("--end SECONDS", "Stop this many seconds after the first scan (default at the end).", manifest=True),
+    ]
+    odom: Annotated[
+        str | None,
+        Input(
+            "--odom auto|TOPIC|off",
+            "Odometry used as motion prior (robust only; default auto).",
+            "odom",
+            completer="odometry_topics",
+            recorded=True,
+        ),
+    ]
+    attitude: Annotated[
+        str | None,
+        Input(
+            "--attitude auto|TOPIC|off",
+            "Tilt and height of the laser, to level the scans by (default auto).",
+            "attitude",
+            completer="attitude_topics",
+        ),
+    ]
+    extrinsic: Annotated[
+        Sequence[float] | None,
+        Input("--extrinsic X,Y,YAW", "Pose of the laser on its base, m, m, rad (default from tf).", manifest=True),
+    ]
+    strict: Annotated[bool, Input("--strict", "Drop scans whose checksum does not match.", manifest=True)]
+    search: Annotated[
+        str | None,
+        Search(
+            "--search pruned|exhaustive",
+            "Exhaustive evaluates every pose of the grid: slower, same result (default pruned).",
+            "search",
+        ),
+    ]
+    deskew: Annotated[
+        str | None,
+        Search(
+            "--deskew auto|on|off",
+            "Correct scans for motion during the sweep (robust only; default auto).",
+            "robust.deskew",
+        ),
+    ]
+    loop_closure: Annotated[
+        str | None,
+        Search(
+            "--loop-closure auto|off", "Detect and close loops (default auto; ignored with --online).", "loop_closure"
+        ),
+    ]
+    online: Annotated[bool, Search("--online", "Causal mode: no loop closure, no final pass.", "final_pass")]
+    map: Annotated[PathType | None, Search("--map MAP", "Localize in this map (YAML or run) instead of mapping.")]
+    start_pose: Annotated[
+        Sequence[float] | None,
+        Search("--start-pose X,Y,YAW", "Approximate first pose in the map, m, m, rad (default searched for)."),
+    ]
+    truth: Annotated[
+        PathType | str | None,
+        Check(
+            "--truth FILE.tum|auto|topic:NAME",
+            "Ground-truth trajectory: ATE and RPE. A TUM file of the laser, or poses on a topic of the log.",
+        ),
+    ]
+    truth_map: Annotated[
+        PathType | None, Check("--truth-map FILE.yaml", "Ground-truth map: a scenario, or a map_server map.")
+    ]
+    relations: Annotated[
+        PathType | None, Check("--relations FILE", "Ground-truth relations, one 't1 t2 x y z roll pitch yaw' a line.")
+    ]
+
+
+_KINDS: Final[dict[Any, Any]] = {
+    str | None: TEXT,
+    float | None: NUMBER,
+    int | None: COUNT,
+    bool: SWITCH,
+    Sequence[float] | None: POSE,
+    PathType | None: FILE,
+    PathType | str | None: TRUTH,
+}
+
+TYPES: Final[dict[str, Any]] = {}
+"""Name of an option -> its type in Python."""
+
+OPTIONS: Final[dict[str, Option]] = {}
+"""Name of an option, in Python and in documents -> the option, in the order of the help."""
+
+for _name, _hint in get_type_hints(ReplayOptions, include_extras=True).items():
+    TYPES[_name], _option = get_args(_hint)
+    OPTIONS[_name] = _option._replace(kind=TOPICS if _name == "topic" else _KINDS[TYPES[_name]])
+
+SEARCHING: Final = tuple(SearchOptions.__annotations__)
+"""Options of every track, of a log or of a mission."""
+
+READING: Final = ("topic", "start_s", "end_s", "odom", "attitude", "extrinsic")
+"""Options that say what of a log is read, and how."""
+
+REFERENCES: Final = tuple(name for name, option in OPTIONS.items() if option.reference)
+"""Options that name what the result is compared with."""
+
+
+def read_options(typed: Mapping[str, object]) -> ReplayOptions[Path]:
+    """Return the options of a command line as values; raises UsageError, also for an empty window, whatever the log."""
+    options = given_options({n: OPTIONS[n].kind.read(v, OPTIONS[n].flag) for n, v in typed.items() if _is_given(v)})
+    start_s, end_s = options.get("start_s"), options.get("end_s")
+    if start_s is not None and end_s is not None and end_s <= start_s:
+        raise UsageError(f"the window from {start_s:g} s to {end_s:g} s is empty; --end must be later than --start")
+    return options
+
+
+def restore_options(document: Mapping[str, Any], path: Callable[[str], Path]) -> ReplayOptions[Path]:
+    """Return the options of a document, a manifest or run.json, as values; ``path`` makes paths of its texts."""
+    given = {name: value for name, value in document.items() if name in OPTIONS and _is_given(value)}
+    return given_options({name: OPTIONS[name].kind.restore(value, path) for name, value in given.items()})
+
+
+def given_options(values: Mapping[str, Any]) -> ReplayOptions[Path]:
+    """Return the values that are given, in the order of `OPTIONS`."""
+    return cast("ReplayOptions[Path]", {n: values[n] for n in OPTIONS if n in values and _is_given(values[n])})
+
+
+def _is_given(value: object) -> bool:
+    return value is not None and value is not False and value not in ([], ())
+
+
+def settings_of(options: ReplayOptions[Path]) -> dict[str, object]:
+    """Return the values of the configuration that options set, by their dotted keys; a switch sets False."""
+    values = ((OPTIONS[name].setting, value) for name, value in options.items())
+    return {key: False if value is True else value for key, value in values if key}
+
+
+def run_options(options: ReplayOptions[Path]) -> Iterator[tuple[str, Any]]:
+    """Yield name and value of the options that are not part of the configuration."""
+    yield from ((name, value) for name, value in options.items() if not OPTIONS[name].setting)
+
+
+def reference_files(options: ReplayOptions[Path]) -> dict[str, Path]:
+    """Return the files that the result is compared with, by the names of their options."""
+    return {name: path for name, path in options.items() if name in REFERENCES and isinstance(path, Path)}
+
+
+def paths_of(options: ReplayOptions[Path]) -> list[Path]:
+    """Return all files and directories that options name."""
+    return [value for value in options.values() if isinstance(value, Path)]
+
+
+def absolute_options(options: ReplayOptions[Path]) -> ReplayOptions[Path]:
+    """Return the options with absolute paths."""
+    return given_options({n: value.absolute() if isinstance(value, Path) else value for n, value in options.items()})
+
+
+def words_of(options: ReplayOptions[Path]) -> list[str]:
+    """Return the words of a command line for these options, from any folder, without those of the configuration."""
+    return [_word(OPTIONS[name].flag, value) for name, value in run_options(absolute_options(options))]
+
+
+def _word(flag: str, value: object) -> str:
+    if value is True:
+        return flag
+    return f"{flag}={','.join(map(repr, value)) if isinstance(value, tuple) else value}"
