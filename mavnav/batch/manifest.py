@@ -9,7 +9,7 @@ from msgspec import Meta, Struct, field
 from msgspec.structs import force_setattr
 
 from mavnav.config.given_pose import pose_problem
-from mavnav.config.loading import origin, validated
+from mavnav.config.loading import origin, read_model
 from mavnav.config.strict import Strict, setting
 from mavnav.config.yaml_layers import read_yaml
 from mavnav.errors import ConfigError, UsageError
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 GATE_EXAMPLE: Final = "write for example wall_thickness.spread.p95_mm<=150, or baseline"
 
 
-Seconds = Annotated[float, Meta(ge=0, le=1e9)]
+Size = Annotated[float, Meta(ge=-1e9, le=1e9)]
 
 
 def _list(entry: Struct, *names: str) -> None:
@@ -44,15 +44,11 @@ class LogEntry(Strict, frozen=True):
 
     log: Annotated[Texts, setting("path, pattern, folder or address; or a list of them")]
     topic: Annotated[str | None, setting("scan topic, if there are several")] = None
-    start_s: Annotated[Seconds | None, setting("start this many seconds after the first scan")] = None
-    end_s: Annotated[Seconds | None, setting("end this many seconds after the first scan")] = None
-    extrinsic: Annotated[tuple[float, float, float] | None, setting("laser on its base: x and y in m, yaw in rad")] = (
-        None
-    )
+    start_s: Annotated[float, setting("seconds after the first scan to start at", ge=0, le=1e9)] | None = None
+    end_s: Annotated[float, setting("seconds after the first scan to end at", ge=0, le=1e9)] | None = None
+    extrinsic: Annotated[tuple[float, float, float] | None, setting("laser on its base: x, y in m, yaw in rad")] = None
     strict: Annotated[bool, setting("leave out scans from parts of the log whose checksum does not match")] = False
-    truth: Annotated[
-        str | None, setting("true trajectory: a TUM file, auto, or topic:NAME of the log, as of mavnav replay --truth")
-    ] = None
+    truth: Annotated[str | None, setting("true trajectory: a TUM file, auto, or topic:NAME of the log")] = None
     truth_map: Annotated[str | None, setting("true map, as of --truth-map")] = None
     relations: Annotated[str | None, setting("true relative poses, as of --relations")] = None
     gates: Annotated[Texts, setting("bounds such as wall_thickness.spread.p95_mm<=150")] = ()
@@ -80,25 +76,19 @@ class Manifest(Strict, frozen=True):
     """Logs and settings, which are combined. Relative paths start at the manifest's folder."""
 
     logs: Annotated[Entries, setting("paths, or sections with log")] = ()
-    runs: Annotated[
-        tuple[dict[str, Any], ...],
-        setting("settings, every log with each: the keys of a configuration, with name and config (a file)"),
-    ] = ()
+    runs: Annotated[tuple[dict[str, Any], ...], setting("keys of a configuration, with name and config (a file)")] = ()
     gates: Annotated[Texts, setting("bounds for every run; the word baseline: no run may be worse than in it")] = ()
     accept: Annotated[Codes, setting("exit codes that count as done")] = ()
     baseline: Annotated[str | None, setting("an earlier batch: its directory, batch.json, or a baseline file")] = None
-    tolerances: Annotated[
-        dict[str, Annotated[float, Meta(ge=-1e9, le=1e9)] | str],
-        setting("number of run.json: its tolerance, such as 5, 5% or 5%,high"),
-    ] = field(default_factory=dict)
+    tolerances: Annotated[dict[str, Size | str], setting("number: tolerance, as 5, 5% or 5%,high")] = field(
+        default_factory=dict
+    )
     output: Annotated[str | None, setting("directory")] = None
     report: Annotated[bool, setting("write a report of every run")] = False
-    jobs: Annotated[Annotated[int, Meta(ge=1)] | None, setting("runs at a time")] = None
-    timeout_s: Annotated[Annotated[float, Meta(gt=0, le=1e9)] | None, setting("a run that takes longer is stopped")] = (
-        None
-    )
-    memory_mb: Annotated[Annotated[int, Meta(ge=1, le=10**9)] | None, setting("memory limit of a run")] = None
-    tries: Annotated[int, setting("maximum number of attempts for a run whose process was killed", ge=1)] = 3
+    jobs: Annotated[int, setting("runs at a time", ge=1)] | None = None
+    timeout_s: Annotated[float, setting("a run that takes longer is stopped", gt=0, le=1e9)] | None = None
+    memory_mb: Annotated[int, setting("memory limit of a run", ge=1, le=10**9)] | None = None
+    tries: Annotated[int, setting("attempts for a run whose process was killed", ge=1)] = 3
 
     def __post_init__(self) -> None:
         """Make lists of single items, and entries of logs that are only named."""
@@ -109,20 +99,20 @@ class Manifest(Strict, frozen=True):
 def read_manifest(path: Path) -> tuple[Manifest, Layer]:
     """Return a manifest, and the layer with the line of each of its values; raises ConfigError with the line."""
     layer = read_yaml(path, "the YAML file of a manifest")
-    return validated(Manifest, layer, str(path)), layer
+    return read_model(Manifest, layer, str(path)), layer
 
 
 def origins_of(manifest: Manifest, layer: Layer) -> Origins:
     """Return where the gates, accepted codes and tolerances are in a manifest; of several places the first one."""
-    found: dict[tuple[str, str | int], str] = {}
+    origins: dict[tuple[str, str | int], str] = {}
     for name in manifest.tolerances:
-        found["tolerances", full_name(name)] = origin(layer, ("tolerances", name))
+        origins["tolerances", full_name(name)] = origin(layer, ("tolerances", name))
     for key, part in (((), manifest), *((("logs", str(number)), log) for number, log in enumerate(manifest.logs))):
         for name in ("gates", "accept"):
             for number, value in enumerate(getattr(part, name)):
                 given = value.strip() if isinstance(value, str) else value
-                found.setdefault((name, given), origin(layer, (*key, name, str(number))))
-    return found
+                origins.setdefault((name, given), origin(layer, (*key, name, str(number))))
+    return origins
 
 
 @contextmanager
