@@ -9,7 +9,7 @@ from msgspec import Meta, Struct, defstruct, field
 from msgspec.structs import force_setattr
 
 from mavnav.config.given_pose import pose_problem
-from mavnav.config.loading import origin, validated
+from mavnav.config.loading import origin, read_model
 from mavnav.config.option_kinds import NUMBER, SWITCH
 from mavnav.config.options import OPTIONS
 from mavnav.config.strict import Strict, setting
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 GATE_EXAMPLE: Final = "write for example wall_thickness.spread.p95_mm<=150, or baseline"
 
 
-Seconds = Annotated[float, Meta(ge=0, le=1e9)]
+Size = Annotated[float, Meta(ge=-1e9, le=1e9)]
 
 
 def _list(entry: Struct, *names: str) -> None:
@@ -49,7 +49,7 @@ class _Logs(Strict, frozen=True):
 def _field(name: str, option: Option) -> tuple[str, Any, object]:
     if option.kind is SWITCH:
         return name, Annotated[bool, setting(option.help)], False
-    stored = Seconds if option.kind is NUMBER else option.kind.stored
+    stored = Annotated[float, Meta(ge=0, le=1e9)] if option.kind is NUMBER else option.kind.stored
     return name, Annotated[stored | None, setting(option.help)], None
 
 
@@ -95,25 +95,19 @@ class Manifest(Strict, frozen=True):
     """Logs and settings, which are combined. Relative paths start at the manifest's folder."""
 
     logs: Annotated[Entries, setting("paths, or sections with log")] = ()
-    runs: Annotated[
-        tuple[dict[str, Any], ...],
-        setting("settings, every log with each: the keys of a configuration, with name and config (a file)"),
-    ] = ()
+    runs: Annotated[tuple[dict[str, Any], ...], setting("keys of a configuration, with name and config (a file)")] = ()
     gates: Annotated[Texts, setting("bounds for every run; the word baseline: no run may be worse than in it")] = ()
     accept: Annotated[Codes, setting("exit codes that count as done")] = ()
     baseline: Annotated[str | None, setting("an earlier batch: its directory, batch.json, or a baseline file")] = None
-    tolerances: Annotated[
-        dict[str, Annotated[float, Meta(ge=-1e9, le=1e9)] | str],
-        setting("number of run.json: its tolerance, such as 5, 5% or 5%,high"),
-    ] = field(default_factory=dict)
+    tolerances: Annotated[dict[str, Size | str], setting("number: tolerance, as 5, 5% or 5%,high")] = field(
+        default_factory=dict
+    )
     output: Annotated[str | None, setting("directory")] = None
     report: Annotated[bool, setting("write a report of every run")] = False
-    jobs: Annotated[Annotated[int, Meta(ge=1)] | None, setting("runs at a time")] = None
-    timeout_s: Annotated[Annotated[float, Meta(gt=0, le=1e9)] | None, setting("a run that takes longer is stopped")] = (
-        None
-    )
-    memory_mb: Annotated[Annotated[int, Meta(ge=1, le=10**9)] | None, setting("memory limit of a run")] = None
-    tries: Annotated[int, setting("maximum number of attempts for a run whose process was killed", ge=1)] = 3
+    jobs: Annotated[int, setting("runs at a time", ge=1)] | None = None
+    timeout_s: Annotated[float, setting("a run that takes longer is stopped", gt=0, le=1e9)] | None = None
+    memory_mb: Annotated[int, setting("memory limit of a run", ge=1, le=10**9)] | None = None
+    tries: Annotated[int, setting("attempts for a run whose process was killed", ge=1)] = 3
 
     def __post_init__(self) -> None:
         """Make lists of single items, and entries of logs that are only named."""
@@ -124,7 +118,7 @@ class Manifest(Strict, frozen=True):
 def read_manifest(path: Path) -> tuple[Manifest, Layer]:
     """Return a manifest, and the layer with the line of each of its values; raises ConfigError with the line."""
     layer = read_yaml(path, "the YAML file of a manifest")
-    return validated(Manifest, layer, str(path)), layer
+    return read_model(Manifest, layer, str(path)), layer
 
 
 def origins_of(manifest: Manifest, layer: Layer) -> Origins:

@@ -60,10 +60,10 @@ class Layer(Struct, frozen=True):
 
 def by_dotted_key(section: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     """Return the values of nested dictionaries by their dotted keys; an empty one has none."""
-    found: dict[str, Any] = {}
+    leaves: dict[str, Any] = {}
     for key, value in section.items():
-        found |= by_dotted_key(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
-    return found
+        leaves |= by_dotted_key(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
+    return leaves
 
 
 def _related(a: Key, b: Key) -> bool:

@@ -45,12 +45,7 @@ _KINDS = {
 }
 """Type in an error of msgspec -> what it is in a file."""
 
-_BOUNDS = {
-    ">=": "greater than or equal to",
-    "<=": "less than or equal to",
-    ">": "greater than",
-    "<": "less than",
-}
+_BOUNDS = {">=": "greater than or equal to", "<=": "less than or equal to", ">": "greater than", "<": "less than"}
 
 
 @cache
@@ -115,13 +110,13 @@ def load_config(
     ConfigError
         A value is wrong. The message is one line: file and line, dotted key, problem, nearest known name.
     """
-    top = overlaid((values or Layer()).over(file_layer(file)), sets, overrides or {})
+    top = overlay((values or Layer()).over(file_layer(file)), sets, overrides or {})
     if top.values.items() <= {("method",): Config().method}.items():
         return Config()  # equals the preset of the default method
-    return validated(Config, top.over(method_layer(top.values.get(("method",)))))
+    return read_model(Config, top.over(method_layer(top.values.get(("method",)))))
 
 
-def overlaid(
+def overlay(
     layer: Layer, sets: Iterable[str], overrides: Mapping[str, object], short: tuple[Key, str] | None = None
 ) -> Layer:
     """Merge ``--set`` and then the command line options over a layer.
@@ -175,7 +170,7 @@ def schema_of(model: type[Struct]) -> dict[str, Any]:
     return {**definitions.pop(model.__name__), "$defs": definitions}
 
 
-def validated(model: type[Model], layer: Layer, name: str = "configuration") -> Model:
+def read_model(model: type[Model], layer: Layer, name: str = "configuration") -> Model:
     """Build a model from the values of a layer; ``name`` is its name in errors without a line. Raises ConfigError."""
     try:
         return convert(layer.tree(), model)
@@ -248,13 +243,13 @@ def _nearest(key: Key, keys: list[Key], given: Key) -> str:
 
 def _indexed(parts: list[str], given: Key) -> str:
     """Write a key with the indices that ``given`` has in the part that both share."""
-    found, rest = [], list(given)
+    indexed, rest = [], list(given)
     for part in parts:
-        found.append(part)
+        indexed.append(part)
         rest = rest[1:] if rest and rest[0] == part else []
         while rest and rest[0].isdecimal():
-            found.append(rest.pop(0))
-    return ".".join(found)
+            indexed.append(rest.pop(0))
+    return ".".join(indexed)
 
 
 def fields(model: type[Struct] = Config) -> list[tuple[Key, str]]:

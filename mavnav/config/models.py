@@ -3,7 +3,7 @@
 A configuration is the defaults below, overlaid by the method's preset in ``configs/``, a file (``--config``),
 single values (``--set robust.cell_mm=25``) and the command line's own options, in this order.
 Lengths and angles are in the paper's units and say so in their names. The bounds are checked where values are read
-(`loading.validated`); the defaults need no check.
+(`loading.read_model`); the defaults need no check.
 """
 
 from __future__ import annotations
@@ -80,18 +80,12 @@ class PaperExpert(Strict, frozen=True):
     occlusion_mm: Annotated[float, setting("cost step viii: larger jumps are occlusions", gt=0, le=100_000)] = 300.0
     occlusion_shrink: Annotated[float, setting("factor on occlusion_mm by iteration; 1: fixed", gt=0, le=1)] = 1.0
     occlusion_least_mm: Annotated[float, setting("occlusion_mm shrinks no further", gt=0, le=100_000)] = 100.0
-    occluded: Annotated[
-        Literal["left_out", "counted"], setting("leave occluded points out, or count them with the squared threshold")
-    ] = "left_out"
+    occluded: Annotated[Literal["left_out", "counted"], setting("occluded points; counted: as threshold")] = "left_out"
     cluster_gap_cells: Annotated[int, setting("empty cells in a thick wall along a ray", ge=0, le=1000)] = 0
-    equal_cells: Annotated[
-        Literal["nearest", "middle"], setting("which of a thick wall's cells with equally many hits represents it")
-    ] = "nearest"
+    equal_cells: Annotated[Literal["nearest", "middle"], setting("of equal cells, which is the wall")] = "nearest"
     min_beams_share: Annotated[float, setting("fewer contributing points make no match", gt=0, le=1)] = 0.1
     min_beams_of: Annotated[Literal["scan", "valid"], setting("that share is of all beams, or of the valid")] = "scan"
-    predict: Annotated[Literal["rest", "velocity"], setting("without commands, expect rest or constant velocity")] = (
-        "rest"
-    )
+    predict: Annotated[Literal["rest", "velocity"], setting("expected motion without commands")] = "rest"
     pivot: Annotated[Literal["centroid", "laser"], setting("the search turns the scan about this point")] = "centroid"
     shrink: Annotated[float, setting("narrowing of the search from iteration to iteration", ge=0.01, le=0.99)] = 0.3
     leave_no_gaps: Annotated[bool, setting("narrow no further than to the grid's spacing")] = True
@@ -113,7 +107,7 @@ class PaperConfig(Strict, frozen=True):
 
     The defaults are the reading nearest to the letter (``paper-literal``); ``paper`` is the one that works best.
     ``gate_range_mm`` is the range for which gate_mm2 and refine_above_mm2 hold: both grow with the scan's mean squared
-    range.
+    range; null: they are absolute.
     """
 
     cell_mm: Annotated[float, setting("cell edge of the map", ge=1, le=250)] = 14.0
@@ -124,10 +118,7 @@ class PaperConfig(Strict, frozen=True):
     gate_mm2: Annotated[float, setting("acceptance threshold: cost up to which scans are inserted", gt=0, le=1e9)] = (
         400.0
     )
-    gate_range_mm: (
-        Annotated[float, setting("range of gate_mm2, which grows with the square; null: absolute", gt=0, le=300_000)]
-        | None
-    ) = None
+    gate_range_mm: Annotated[float, setting("range of gate_mm2; null: any", gt=0, le=300_000)] | None = None
     expert: Annotated[PaperExpert, setting("for experts")] = PaperExpert()
 
     cell_m, near_m, far_m, window_m = in_si(MM, "cell_mm", "near_mm", "far_mm", "window_mm")
@@ -135,7 +126,12 @@ class PaperConfig(Strict, frozen=True):
 
 
 class RobustExpert(Strict, frozen=True):
-    """What only experts change: the numbers of the search, of the lines and of the acceptance; see docs/method.md."""
+    """What only experts change: the numbers of the search, of the lines and of the acceptance; see docs/method.md.
+
+    Levels of half-width ``hold_below_mm`` or less keep correspondences fixed and search yaw and plane jointly, but not
+    for scans of fewer than ``sparse_points`` points. A match of few inliers (``retry_below``) is refused where the
+    share of its points that contradict free space or occlusion exceeds ``conflicts_below``.
+    """
 
     line_sigma_mm: Annotated[float, setting("Gaussian window of the local line fit", gt=0, le=1000)] = 60.0
     line_noise_mm: Annotated[float, setting("noise floor of the local line fit", gt=0, le=1000)] = 10.0
@@ -151,23 +147,14 @@ class RobustExpert(Strict, frozen=True):
     stop_mm: Annotated[float, setting("last spacing in the plane, halved in the final pass", ge=1e-3, le=1000)] = 1.3
     stop_deg: Annotated[float, setting("last spacing in yaw, halved in the final pass", ge=1e-4, le=90)] = 0.02
     max_extensions: Annotated[int, setting("border extensions a level at most", ge=0, le=1000)] = 3
-    hold_below_mm: Annotated[
-        float,
-        setting("half-width of levels that keep correspondences and search yaw and plane jointly", ge=0, le=100_000),
-    ] = 51.0
-    overlap_mm: Annotated[
-        float, setting("farthest point from an occupied cell on levels within a cell; 0: all", ge=0, le=100_000)
-    ] = 120.0
-    overlap_points: Annotated[float, setting("least points of the line at such a cell", ge=0, le=1e6)] = 8.0
+    hold_below_mm: Annotated[float, setting("narrower levels keep correspondences", ge=0, le=100_000)] = 51.0
+    overlap_mm: Annotated[float, setting("farthest points used within a cell; 0: all", ge=0, le=100_000)] = 120.0
+    overlap_points: Annotated[float, setting("and least points of the line there", ge=0, le=1e6)] = 8.0
     prior: Annotated[float, setting("motion-prior cost of a square meter off the odometry", ge=0, le=1e6)] = 0.01
     first_level_points: Annotated[int, setting("sample of points on the first levels", ge=10, le=100_000)] = 100
-    sparse_points: Annotated[
-        int, setting("scans with fewer points do not keep correspondences within a cell", ge=0, le=1_000_000)
-    ] = 225
+    sparse_points: Annotated[int, setting("fewer points keep no correspondences", ge=0, le=1_000_000)] = 225
     retry_below: Annotated[float, setting("search wider under this share of inliers", ge=0, le=1)] = 0.8
-    conflicts_below: Annotated[
-        float, setting("reject few inliers with this share of visibility conflicts (free space, occlusion)", ge=0, le=1)
-    ] = 0.15
+    conflicts_below: Annotated[float, setting("visibility conflicts that refuse few inliers", ge=0, le=1)] = 0.15
     track_above: Annotated[float, setting("accept a match at this share of inliers", ge=0, le=1)] = 0.6
     regain_above: Annotated[float, setting("accept a match after a gap at this share of inliers", ge=0, le=1)] = 0.7
 
@@ -184,9 +171,7 @@ class RobustConfig(Strict, frozen=True):
     cell_mm: Annotated[float, setting("cell edge of the map", ge=1, le=250)] = 20.0
     near_mm: Annotated[float, setting("nearer returns are not used", ge=0, le=100_000)] = 100.0
     far_mm: Annotated[float, setting("farther returns are not used", gt=0, le=300_000)] = 30000.0
-    deskew: Annotated[
-        Literal["auto", "on", "off"], setting("correct scans for motion during the sweep; auto detects the beam order")
-    ] = "auto"
+    deskew: Annotated[Literal["auto", "on", "off"], setting("correct scans for motion during the sweep")] = "auto"
     voxel_mm: Annotated[float, setting("points are averaged in voxels of this size", gt=0, le=5000)] = 30.0
     min_points: Annotated[int, setting("scans with fewer points are not matched", ge=3, le=100_000)] = 30
     max_speed_m_s: Annotated[float, setting("reject faster motion", gt=0, le=1000)] = 3.0
@@ -207,25 +192,21 @@ class OdometryConfig(Strict, frozen=True):
 
 
 class Config(Strict, frozen=True):
-    """Everything that decides a run's result besides the log and the version."""
+    """Everything that decides a run's result besides the log and the version.
+
+    ``azimuth`` is by default twice the points of the grid along an axis, 40 at most. ``search`` exhaustive evaluates
+    every pose of every grid.
+    """
 
     method: MethodName = "robust"
     grid: Annotated[Grid, setting("points of the search grid in the plane")] = GridSize()
-    azimuth: Annotated[
-        int,
-        setting(
-            "yaw samples of the search; default: twice the points of the grid along an axis, at most 40", ge=2, le=2000
-        ),
-    ] = field(default_factory=int)
+    azimuth: Annotated[int, setting("yaw samples of the search", ge=2, le=2000)] = field(default_factory=int)
     odom: Annotated[str, setting("odometry used as motion prior: auto, off, or a topic")] = "auto"
     attitude: Annotated[str, setting("tilt and height of the laser, to level scans: auto, off, or a topic")] = "auto"
     slice_mm: Annotated[float, setting("thickness of the maps by height", ge=50, le=10_000)] = 300.0
     odometry: OdometryConfig = OdometryConfig()
     upside_down: Annotated[bool, setting("the laser is mounted upside down, whatever the log says")] = False
-    search: Annotated[
-        Literal["pruned", "exhaustive"],
-        setting("exhaustive evaluates every pose of every grid and finds the same minimum"),
-    ] = "pruned"
+    search: Annotated[Literal["pruned", "exhaustive"], setting("how poses are searched; same minimum")] = "pruned"
     final_pass: Annotated[bool, setting("match every scan once more against the finished map")] = True
     loop_closure: Annotated[Literal["auto", "off"], setting("detect and close loops (with the final pass)")] = "auto"
     robust: Annotated[RobustConfig, setting("settings of the method robust")] = RobustConfig()

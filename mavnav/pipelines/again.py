@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec import Struct, ValidationError, convert
 
 from mavnav.config.layers import by_dotted_key
-from mavnav.config.loading import key_now, load_config, validated
+from mavnav.config.loading import key_now, load_config, read_model
 from mavnav.config.named_files import read_json
 from mavnav.config.options import restore_options, words_of
 from mavnav.errors import ConfigError, UsageError
@@ -142,7 +142,7 @@ def simulation_again(run: EarlierRun) -> dict[str, Any]:
     from mavnav.simulation.world import Scenario  # noqa: PLC0415  models take time to build
 
     return {
-        "scenario": validated(Scenario, layer_of(json.dumps(run.document["scenario"]), name).renamed(key_now), name),
+        "scenario": read_model(Scenario, layer_of(json.dumps(run.document["scenario"]), name).renamed(key_now), name),
         "path": run.path(source["path"]),
         "content": (source["sha256"], source["size_bytes"]),
         "report": (run.directory / REPORT_FILE).is_file(),

@@ -23,16 +23,12 @@ class FlightConfig(Strict, frozen=True):
     """Flight of an aerial vehicle; without this section it moves level, in the plane of its laser."""
 
     height_m: Annotated[float, setting("commanded height of the laser above the floor", gt=0, le=1000)] = 1.2
-    slice_mm: Annotated[
-        float, setting("height of the slice around it in which walls are obstacles to the vehicle", gt=0, le=5000)
-    ] = 400.0
+    slice_mm: Annotated[float, setting("slice around it in which walls are obstacles", gt=0, le=5000)] = 400.0
     tilt_noise_deg: Annotated[Tilt, setting("standard deviation of roll and of pitch in steady flight")] = 2.0
     height_noise_mm: Annotated[float, setting("standard deviation of the height", ge=0, le=500)] = 20.0
-    correlation_ms: Annotated[float, setting("time in which both fall to 1/e of what they were", gt=0, le=60_000)] = (
-        300.0
-    )
+    correlation_ms: Annotated[float, setting("time in which both fall to 1/e", gt=0, le=60_000)] = 300.0
     max_tilt_deg: Annotated[Tilt, setting("largest tilt to accelerate; 0: none")] = 5.0
-    response_ms: Annotated[float, setting("time constant in which the tilt follows a command", gt=0, le=60_000)] = 200.0
+    response_ms: Annotated[float, setting("time constant of the tilt after a command", gt=0, le=60_000)] = 200.0
     sensor_tilt_deg: Annotated[Tilt, setting("standard deviation of measured roll and pitch")] = 0.5
     sensor_height_mm: Annotated[float, setting("standard deviation of the measured height", ge=0, le=500)] = 10.0
 

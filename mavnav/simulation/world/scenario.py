@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from functools import cached_property
 from math import floor, inf, pi
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import numpy as np
-from msgspec import Meta, to_builtins
+from msgspec import to_builtins
 from msgspec.structs import asdict, replace
 
 from mavnav.config.models import Config
@@ -33,6 +33,12 @@ AERIAL = ("flight", "ceiling_m")
 LaserName = Literal["urg-04lx", "utm-30lx", "ust-10lx", "lds-01"]
 
 
+_GOAL_RADIUS: Final = (
+    "the vehicle stops when its estimated position is within this distance of the goal; reached if the true one is "
+    "within twice that, and the true path passed via_m within twice that"
+)
+
+
 class StartConfig(Strict, frozen=True):
     """Where the vehicle's base begins, in the world frame."""
 
@@ -45,35 +51,20 @@ class LaserConfig(Strict, frozen=True):
     """A sensor by name, changes to its geometry, and its errors; the defaults are what the paper measured."""
 
     preset: Annotated[LaserName, setting("sensor preset; the paper's is urg-04lx")] = "urg-04lx"
-    field_of_view_deg: Annotated[
-        Annotated[float, Meta(gt=0, le=360)] | None, setting("angle from first to last beam, or null")
-    ] = None
-    step_deg: Annotated[Annotated[float, Meta(ge=0.05, le=90)] | None, setting("angle between two beams, or null")] = (
-        None
-    )
-    range_min_mm: Annotated[
-        Annotated[float, Meta(ge=0, le=1e6)] | None, setting("nearest range, or null for the preset's")
-    ] = None
-    range_max_mm: Annotated[
-        Annotated[float, Meta(gt=0, le=1e6)] | None, setting("farthest range, or null for the preset's")
-    ] = None
-    period_ms: Annotated[
-        Annotated[float, Meta(ge=1, le=10_000)] | None, setting("time from scan to scan, or null for the preset's")
-    ] = None
+    field_of_view_deg: Annotated[float, setting("angle from first to last beam, or null", gt=0, le=360)] | None = None
+    step_deg: Annotated[float, setting("angle between two beams, or null", ge=0.05, le=90)] | None = None
+    range_min_mm: Annotated[float, setting("nearest range, or null: the preset's", ge=0, le=1e6)] | None = None
+    range_max_mm: Annotated[float, setting("farthest range, or null: the preset's", gt=0, le=1e6)] | None = None
+    period_ms: Annotated[float, setting("time from scan to scan, or null: the preset's", ge=1, le=10_000)] | None = None
     noise_percent: Annotated[float, setting("standard deviation of a range, of the distance", ge=0, le=50)] = 1.5
     bias_percent: Annotated[float, setting("largest scale error of all ranges of a run", ge=0, le=50)] = 0.0
-    mixed_pixel_share: Annotated[
-        float, setting("share of the beams at an edge that read between near and far", ge=0, le=1)
-    ] = 0.3
+    mixed_pixel_share: Annotated[float, setting("share of beams at an edge that read in between", ge=0, le=1)] = 0.3
     min_reading_share: Annotated[float, setting("share of beams that read the minimum range", ge=0, le=0.5)] = 0.002
     max_reading_share: Annotated[float, setting("share of beams that read the maximum range", ge=0, le=0.5)] = 0.002
-    incidence_max_deg: Annotated[
-        Annotated[float, Meta(gt=0, le=90)] | None,
-        setting("no return at larger angles to the wall's normal; null: always a return"),
-    ] = 60.0
-    incidence_ramp_deg: Annotated[
-        float, setting("returns become rarer over this many degrees before it", ge=0, le=90)
-    ] = 10.0
+    incidence_max_deg: Annotated[float, setting("largest angle to a wall's normal; null: any", gt=0, le=90)] | None = (
+        60.0
+    )
+    incidence_ramp_deg: Annotated[float, setting("within this before it, returns become rarer", ge=0, le=90)] = 10.0
     moving: Annotated[bool, setting("every beam is measured at its own time while the vehicle moves")] = False
 
     @property
@@ -106,10 +97,9 @@ class VehicleConfig(Strict, frozen=True):
     radius_mm: Annotated[float, setting("closer to a wall is a collision", gt=0, le=1_000_000)] = 150.0
     noise_xy_mm: Annotated[float, setting("standard deviation of a step in x and in y", ge=0, le=10_000)] = 20.0
     noise_yaw_deg: Annotated[float, setting("standard deviation of a step in azimuth", ge=0, le=180)] = 5.0
-    command_ms: Annotated[
-        float,
-        setting("time that a command takes, rounded to a whole number of scan periods, one at least", gt=0, le=10_000),
-    ] = 100.0
+    command_ms: Annotated[float, setting("time of a command: whole scan periods, one at least", gt=0, le=10_000)] = (
+        100.0
+    )
     laser_x_mm: Annotated[float, setting("laser on the base, forward", ge=-10_000, le=10_000)] = 0.0
     laser_y_mm: Annotated[float, setting("laser on the base, to the left", ge=-10_000, le=10_000)] = 0.0
     laser_yaw_deg: Annotated[Degrees, setting("laser on the base, counter-clockwise")] = 0.0
@@ -131,27 +121,13 @@ class Scenario(Strict, frozen=True, kw_only=True, dict=True):
 
     name: Annotated[str, setting("name of the mission; that of the file where it is not given")] = ""
     about: Annotated[str, setting("one line about the scenario")] = ""
-    walls: Annotated[
-        tuple[WallEntry, ...], setting("shapes: polyline, box, circle, arc, table or opening", min_length=1)
-    ]
-    ceiling_m: Annotated[
-        Annotated[float, Meta(gt=0, le=1000)] | None, setting("height of the ceiling above the floor, or null")
-    ] = None
-    measured: Annotated[
-        tuple[WallEntry, ...], setting("walls as measured by hand, drawn on true_map.png besides the true ones")
-    ] = ()
+    walls: Annotated[tuple[WallEntry, ...], setting("polyline, box, circle, arc, table or opening", min_length=1)]
+    ceiling_m: Annotated[float, setting("height of the ceiling above the floor, or null", gt=0, le=1000)] | None = None
+    measured: Annotated[tuple[WallEntry, ...], setting("walls as measured by hand, for true_map.png")] = ()
     start: Annotated[StartConfig, setting("pose of the vehicle's base at the start: x_m, y_m, yaw_deg")]
     goal_m: Annotated[XY, setting("position to reach with the laser, [x, y]")]
     via_m: Annotated[tuple[XY, ...], setting("positions to visit before the goal, in order, [[x, y], ...]")] = ()
-    goal_radius_mm: Annotated[
-        float,
-        setting(
-            "the vehicle stops when its estimated position is within this distance of the goal; reached if the "
-            "true one is within twice that, and the true path passed via_m within twice that",
-            gt=0,
-            le=1_000_000,
-        ),
-    ] = 250.0
+    goal_radius_mm: Annotated[float, setting(_GOAL_RADIUS, gt=0, le=1_000_000)] = 250.0
     max_steps: Annotated[int, setting("commands after which the mission is given up", ge=1, le=100_000)] = 500
     seed: Annotated[int, setting("seed of all random numbers", ge=0, le=2**63 - 1)] = 0
     laser: Annotated[LaserConfig, setting("sensor: its name, or a section")] = LaserConfig()

@@ -13,11 +13,11 @@ from mavnav.config.loading import (
     file_layer,
     method_layer,
     origin,
-    overlaid,
+    overlay,
     presets_folder,
+    read_model,
     scenarios,
     schema_of,
-    validated,
 )
 from mavnav.config.models import OdometryConfig
 from mavnav.config.yaml_layers import read_yaml
@@ -66,10 +66,10 @@ def load_scenario(
     """
     path = scenario_path(file)
     given = read_yaml(path, f"the YAML file of a scenario, or a shipped one: {', '.join(scenarios())}")
-    layer = overlaid(file_layer(config).within("slam").over(given), sets, overrides or {}, LASER_BY_NAME)
+    layer = overlay(file_layer(config).within("slam").over(given), sets, overrides or {}, LASER_BY_NAME)
     layer = layer.over(method_layer(layer.values.get(("slam", "method"))).within("slam"))
     layer = layer.over(Layer({("name",): path.stem}))
-    scenario = validated(Scenario, layer, str(path))
+    scenario = read_model(Scenario, layer, str(path))
     for key, problem in _problems(scenario):
         raise ConfigError(f"{origin(layer, key, str(path))}: {'.'.join(key)} {problem}")
     return scenario

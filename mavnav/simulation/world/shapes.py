@@ -1,8 +1,9 @@
-"""Simple shapes that walls are written with, and their segments, arcs and plates. World frame, metres and degrees."""
+"""Shapes that walls are written with, and their segments, arcs and plates. World frame, metres and degrees."""
 
 from __future__ import annotations
 
 from itertools import pairwise
+from math import inf
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
@@ -54,9 +55,7 @@ def rectangle(center_m: XY, size_m: tuple[float, float], yaw_deg: float) -> Arra
 class Shape(Strict, frozen=True):
     """What the simple shapes have in common."""
 
-    height_m: Annotated[
-        Band | None, setting("lowest and highest point above the floor, [low, high]; null: from the floor to above all")
-    ] = None
+    height_m: Annotated[Band | None, setting("lowest and highest point above the floor; null: all heights")] = None
 
     def __post_init__(self) -> None:
         """Raise ValueError if the heights are not in order."""
@@ -164,3 +163,48 @@ class Circle(Shape, frozen=True, kw_only=True):
     def contains(self, xy_m: XY) -> bool:
         """Return whether a point lies inside."""
         return bool(np.hypot(xy_m[0] - self.center_m[0], xy_m[1] - self.center_m[1]) < self.radius_m)
+
+
+class TableShape(Strict, frozen=True):
+    """A top on four legs; the legs stand at its corners."""
+
+    center_m: Annotated[XY, CENTER]
+    size_m: Annotated[tuple[Length, Length], setting("edges of the top, [along x, along y] before it is turned")]
+    yaw_deg: Annotated[Degrees, TURNED] = 0.0
+    top_m: Annotated[Band, setting("lower and upper side of the top above the floor")] = (0.7, 0.75)
+    leg_m: Annotated[Length, setting("edge of a leg")] = 0.05
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if the heights are not in order."""
+        check_order("top_m", self.top_m)
+
+    def parts(self) -> tuple[Shape, ...]:
+        """Return the top and the legs; a top that lies on the floor has none."""
+        top, leg_size_m, leg_band = (
+            self._box(self.center_m, self.size_m, self.top_m),
+            (self.leg_m,) * 2,
+            (0.0, self.top_m[0]),
+        )
+        between_m = (self.size_m[0] - self.leg_m, self.size_m[1] - self.leg_m)
+        corners = rectangle(self.center_m, between_m, self.yaw_deg).tolist() if self.top_m[0] else []
+        return (top, *(self._box((x, y), leg_size_m, leg_band) for x, y in corners))
+
+    def _box(self, center_m: XY, size_m: tuple[float, float], height_m: Band) -> Box:
+        return Box(center_m=center_m, size_m=size_m, yaw_deg=self.yaw_deg, height_m=height_m)
+
+
+class Opening(Strict, frozen=True):
+    """A wall with an opening along its whole length: a door frame (open from 0), or a window."""
+
+    points_m: Annotated[tuple[XY, XY], setting("ends of the opening, [[x, y], [x, y]]")]
+    open_m: Annotated[Band, setting("lower and upper edge of the opening above the floor; wall below and above it")]
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if the wall has no length, or the heights are not in order."""
+        check_order("open_m", self.open_m)
+        check_apart(self.points_m)
+
+    def parts(self) -> tuple[Shape, ...]:
+        """Return the wall below, unless the opening begins at the floor, and the wall above."""
+        bands = [(0.0, self.open_m[0])] * (self.open_m[0] > 0.0) + [(self.open_m[1], inf)]
+        return tuple(Polyline(points_m=self.points_m, height_m=band) for band in bands)

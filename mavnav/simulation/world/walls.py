@@ -10,22 +10,7 @@ from msgspec.structs import asdict
 
 from mavnav.config.strict import Strict, setting
 from mavnav.simulation.world.geometry import World
-from mavnav.simulation.world.shapes import (
-    CENTER,
-    TURNED,
-    XY,
-    Arc,
-    Band,
-    Box,
-    Circle,
-    Degrees,
-    Length,
-    Polyline,
-    Shape,
-    check_apart,
-    check_order,
-    rectangle,
-)
+from mavnav.simulation.world.shapes import Arc, Box, Circle, Opening, Polyline, Shape, TableShape
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,51 +19,6 @@ if TYPE_CHECKING:
 
 EVERYWHERE = (0.0, 0.0, inf, inf, 0.0, 0.0)
 """The plate of floor and ceiling, less its height."""
-
-
-class TableShape(Strict, frozen=True):
-    """A top on four legs; the legs stand at its corners."""
-
-    center_m: Annotated[XY, CENTER]
-    size_m: Annotated[tuple[Length, Length], setting("edges of the top, [along x, along y] before it is turned")]
-    yaw_deg: Annotated[Degrees, TURNED] = 0.0
-    top_m: Annotated[Band, setting("lower and upper side of the top above the floor")] = (0.7, 0.75)
-    leg_m: Annotated[Length, setting("edge of a leg")] = 0.05
-
-    def __post_init__(self) -> None:
-        """Raise ValueError if the heights are not in order."""
-        check_order("top_m", self.top_m)
-
-    def parts(self) -> tuple[Shape, ...]:
-        """Return the top and the legs; a top that lies on the floor has none."""
-        top, leg_size_m, leg_band = (
-            self._box(self.center_m, self.size_m, self.top_m),
-            (self.leg_m,) * 2,
-            (0.0, self.top_m[0]),
-        )
-        between_m = (self.size_m[0] - self.leg_m, self.size_m[1] - self.leg_m)
-        corners = rectangle(self.center_m, between_m, self.yaw_deg).tolist() if self.top_m[0] else []
-        return (top, *(self._box((x, y), leg_size_m, leg_band) for x, y in corners))
-
-    def _box(self, center_m: XY, size_m: tuple[float, float], height_m: Band) -> Box:
-        return Box(center_m=center_m, size_m=size_m, yaw_deg=self.yaw_deg, height_m=height_m)
-
-
-class Opening(Strict, frozen=True):
-    """A wall with an opening along its whole length: a door frame (open from 0), or a window."""
-
-    points_m: Annotated[tuple[XY, XY], setting("ends of the opening, [[x, y], [x, y]]")]
-    open_m: Annotated[Band, setting("lower and upper edge of the opening above the floor; wall below and above it")]
-
-    def __post_init__(self) -> None:
-        """Raise ValueError if the wall has no length, or the heights are not in order."""
-        check_order("open_m", self.open_m)
-        check_apart(self.points_m)
-
-    def parts(self) -> tuple[Shape, ...]:
-        """Return the wall below, unless the opening begins at the floor, and the wall above."""
-        bands = [(0.0, self.open_m[0])] * (self.open_m[0] > 0.0) + [(self.open_m[1], inf)]
-        return tuple(Polyline(points_m=self.points_m, height_m=band) for band in bands)
 
 
 class WallEntry(Strict, frozen=True):
