@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
-from dataclasses import asdict
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -24,6 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from msgspec import Struct
 
+from mavnav.config.layers import by_dotted_key
 from mavnav.config.loading import load_config
 from mavnav.logs import open_log
 from mavnav.metrics.map_quality import map_quality
@@ -48,37 +48,37 @@ KEPT = (20, 5)
 LEVELS: dict[str, tuple[object, ...]] = {
     "slam.paper.gate_mm2": (400, 500, 800),
     "slam.paper.gate_range_mm": ("null", 1000),
-    "slam.paper.occlusion_mm": (150, 300, 500),
-    "slam.paper.occlusion_shrink": (1, 0.7),
-    "slam.paper.occlusion_least_mm": (60, 100, 200),
-    "slam.paper.occluded": ("left_out", "counted"),
-    "slam.paper.cluster_gap_cells": (0, 4, 11, 20),
-    "slam.paper.equal_cells": ("nearest", "middle"),
+    "slam.paper.expert.occlusion_mm": (150, 300, 500),
+    "slam.paper.expert.occlusion_shrink": (1, 0.7),
+    "slam.paper.expert.occlusion_least_mm": (60, 100, 200),
+    "slam.paper.expert.occluded": ("left_out", "counted"),
+    "slam.paper.expert.cluster_gap_cells": (0, 4, 11, 20),
+    "slam.paper.expert.equal_cells": ("nearest", "middle"),
     "slam.paper.cell_mm": (14, 20, 30),
-    "slam.paper.min_beams_share": (0.1, 0.4, 0.5),
-    "slam.paper.min_beams_of": ("scan", "valid"),
-    "slam.paper.mixed_pixel_mm": (50, 100, 300),
+    "slam.paper.expert.min_beams_share": (0.1, 0.4, 0.5),
+    "slam.paper.expert.min_beams_of": ("scan", "valid"),
+    "slam.paper.expert.mixed_pixel_mm": (50, 100, 300),
     "slam.paper.far_mm": (2500, 5000),
     "slam.paper.window_mm": (100, 200),
     "slam.paper.window_deg": (15, 20, 25),
-    "slam.paper.shrink": (0.3, 0.5, 0.6),
-    "slam.paper.pivot": ("centroid", "laser"),
-    "slam.paper.converged": ("both", "either"),
-    "slam.paper.refine_above_mm2": (300, 500),
-    "slam.paper.refine_factor": (1, 2),
+    "slam.paper.expert.shrink": (0.3, 0.5, 0.6),
+    "slam.paper.expert.pivot": ("centroid", "laser"),
+    "slam.paper.expert.converged": ("both", "either"),
+    "slam.paper.expert.refine_above_mm2": (300, 500),
+    "slam.paper.expert.refine_factor": (1, 2),
     "recovery.fly_on_steps": (0, 3, 6),
     "recovery.hover_noise": ("false", "true"),
 }
 
 A = {
-    "slam.paper.gate_mm2": 800, "slam.paper.gate_range_mm": 1000, "slam.paper.occlusion_mm": 250,
-    "slam.paper.cluster_gap_cells": 8, "slam.paper.cell_mm": 30, "slam.paper.shrink": 0.6, "slam.paper.window_mm": 80,
-    "slam.paper.min_beams_share": 0.5, "slam.paper.refine_factor": 1, "slam.paper.give_up": "false",
-    "recovery.fly_on_steps": 3, "recovery.hover_noise": "true",
+    "slam.paper.gate_mm2": 800, "slam.paper.gate_range_mm": 1000, "slam.paper.expert.occlusion_mm": 250,
+    "slam.paper.expert.cluster_gap_cells": 8, "slam.paper.cell_mm": 30, "slam.paper.expert.shrink": 0.6,
+    "slam.paper.window_mm": 80, "slam.paper.expert.min_beams_share": 0.5, "slam.paper.expert.refine_factor": 1,
+    "slam.paper.expert.give_up": "false",    "recovery.fly_on_steps": 3, "recovery.hover_noise": "true",
 }  # fmt: skip
 E = A | {
-    "slam.paper.cluster_gap_cells": 12, "slam.paper.occlusion_mm": 300, "slam.paper.window_mm": 200,
-    "slam.paper.window_deg": 25, "slam.paper.mixed_pixel_mm": 300,
+    "slam.paper.expert.cluster_gap_cells": 12, "slam.paper.expert.occlusion_mm": 300, "slam.paper.window_mm": 200,
+    "slam.paper.window_deg": 25, "slam.paper.expert.mixed_pixel_mm": 300,
 }  # fmt: skip
 
 
@@ -251,16 +251,16 @@ def search(ex: Executor, folder: Path | None, designs: int) -> list[str]:
 
 def ablation(ex: Executor, folder: Path | None) -> list[str]:
     """Reset each value of `paper` to the literal reading once; return the lines of the page."""
-    best, literal = load_config("paper").paper, load_config("paper-literal").paper
+    best, literal = (by_dotted_key(load_config(name).document()["paper"]) for name in ("paper", "paper-literal"))
     undone = [
         Reading.of(f"{key} {_yaml(was)}", "paper", {f"slam.paper.{key}": _yaml(was)})
-        for key, was in asdict(literal).items()
-        if was != getattr(best, key)
+        for key, was in literal.items()
+        if was != best[key]
     ]
     others = [
         Reading.of("hovering at once", "paper", {"recovery.fly_on_steps": 0}),
-        Reading.of("occluded counted", "paper", {"slam.paper.occluded": "counted"}),
-        Reading.of("no refinement", "paper", {"slam.paper.refine_factor": 1}),
+        Reading.of("occluded counted", "paper", {"slam.paper.expert.occluded": "counted"}),
+        Reading.of("no refinement", "paper", {"slam.paper.expert.refine_factor": 1}),
         Reading.of("every occupied cell an obstacle", "paper", {"planner.min_hits": 1, "planner.min_share": 0}),
         Reading.of("planner.technique field", "paper", {"planner.technique": "field"}),
     ]
@@ -308,7 +308,7 @@ def missions(ex: Executor) -> list[str]:
 GRIDS = ((10, 5), (20, 10), (40, 20), (40, 40))
 """Yaw samples, and points per side of the position grid, of the paper's figures 7 and 8."""
 
-NARROW = ("slam.paper.shrink=0.1", "slam.paper.leave_no_gaps=false", "slam.paper.extend_border=false")
+NARROW = tuple(f"slam.paper.expert.{each}" for each in ("shrink=0.1", "leave_no_gaps=false", "extend_border=false"))
 """Settings of a search whose window shrinks faster than its grid resolves, so that gaps remain between samples."""
 
 

@@ -163,9 +163,8 @@ def _health(log: Log) -> dict[str, Any]:
 
     from mavnav.config.models import RobustConfig
     from mavnav.logs.health import sensor_health
-    from mavnav.units import MM
 
-    health = sensor_health(log, RobustConfig().far_mm * MM)
+    health = sensor_health(log, RobustConfig().far_m)
     return {**asdict(health), "findings": [asdict(finding) for finding in health.findings]}
 
 

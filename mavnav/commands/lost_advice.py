@@ -52,12 +52,14 @@ def _advice(document: dict[str, Any]) -> str:
 
 def _changed_settings(document: dict[str, Any]) -> str:
     """Name the settings of the method that are not its defaults, with their defaults."""
+    from mavnav.config.layers import by_dotted_key
     from mavnav.config.loading import load_config
 
     method = document["method"]
-    used, usual = document["config"].get(method, {}), load_config(None, [], {"method": method}).document()[method]
+    usual = by_dotted_key(load_config(None, [], {"method": method}).document())
+    used = by_dotted_key({method: document["config"].get(method, {})})
     names = [name for name, value in used.items() if value != usual.get(name, value)]
-    return ", ".join(f"{method}.{name}={used[name]} (default {usual[name]})" for name in names[:_MOST_NAMED])
+    return ", ".join(f"{name}={used[name]} (default {usual[name]})" for name in names[:_MOST_NAMED])
 
 
 def _lost_since(intervals: list[dict[str, Any]]) -> str:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct, field
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 Key = tuple[str, ...]
 
@@ -35,9 +38,13 @@ class Layer(Struct, frozen=True):
 
     def within(self, section: str) -> Layer:
         """Return the layer with all keys prefixed by a section."""
+        return self.renamed(lambda key: (section, *key))
+
+    def renamed(self, name: Callable[[Key], Key]) -> Layer:
+        """Return the layer with other keys."""
         return Layer(
-            {(section, *key): value for key, value in self.values.items()},
-            {(section, *key): origin for key, origin in self.origins.items()},
+            {name(key): value for key, value in self.values.items()},
+            {name(key): origin for key, origin in self.origins.items()},
         )
 
     def tree(self) -> dict[str, Any]:

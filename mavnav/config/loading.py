@@ -13,12 +13,12 @@ from json import dumps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
-from msgspec import Struct, ValidationError, convert
+from msgspec import Meta, Struct, ValidationError, convert
 from msgspec.json import schema
 from msgspec.structs import fields as fields_of
 
 from mavnav.config.layers import Layer
-from mavnav.config.models import Config
+from mavnav.config.models import Config, MethodName, PaperExpert, RobustExpert
 from mavnav.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -161,6 +161,12 @@ def _option_layer(overrides: Mapping[str, object]) -> Layer:
     )
 
 
+def key_now(key: Key) -> Key:
+    """Return what a key of version 0.2.0 is now: those that only experts change have moved."""
+    experts = {"paper": PaperExpert, "robust": RobustExpert}.get(key[-2]) if len(key) > 1 else None
+    return (*key[:-1], "expert", key[-1]) if experts and key[-1] in experts.__struct_fields__ else key
+
+
 def schema_of(model: type[Struct]) -> dict[str, Any]:
     """Return the JSON Schema of the input of a model."""
     definitions = schema(model)["$defs"]
@@ -194,6 +200,8 @@ def _error_message(model: type[Struct], error: str, layer: Layer, name: str) -> 
     names, help_ = tuple(part for part in key if not part.isdecimal()), HELP[model.__name__]
     where, dotted = origin(layer, key, name), ".".join(key)
     hint = _description(kinds.get(names)) or f"see '{help_}'"
+    if problem == "contains unknown" and (now := key_now(key)) != key:
+        return f"{where}: {dotted} is {'.'.join(now)} now; write that"
     if problem == "contains unknown":
         advice = _nearest(names or key, list(kinds), key) or f"see '{help_}' for the known keys"
         return f"{where}: unknown key {dotted}; {advice}"
@@ -265,7 +273,7 @@ def _annotations(model: type[Struct], above: Key = ()) -> Iterator[tuple[Key, ob
 
 
 def _description(annotation: object) -> str:
-    return next((meta.description for meta in getattr(annotation, "__metadata__", ()) if meta.description), "")
+    return next((meta.description for meta in _parts(annotation, Meta) if meta.description), "")
 
 
 def _parts(annotation: object, kind: type[Part]) -> list[Part]:
@@ -277,8 +285,9 @@ def _parts(annotation: object, kind: type[Part]) -> list[Part]:
 
 def to_yaml(config: Config) -> str:
     """Return a configuration as YAML with the description of every field as comment; ``load_config`` can read it."""
-    descriptions = dict(fields())
-    return "".join(_yaml_lines(config.document(), (), descriptions))
+    document = config.document()
+    unused = {name: document.pop(name) for name in get_args(MethodName) if name != config.method}
+    return "".join(_yaml_lines(document | unused, (), dict(fields())))
 
 
 def _yaml_lines(document: Mapping[str, Any], above: Key, descriptions: Mapping[Key, str]) -> list[str]:

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args
 from msgspec import Meta, field, to_builtins
 from msgspec.structs import force_setattr, replace
 
-from mavnav.config.strict import Strict, setting
+from mavnav.config.strict import InSI, Strict, in_si, setting
+from mavnav.units import DEG, MM, MM2
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -72,74 +73,109 @@ def paired_yaw_samples(grid: GridSize) -> int:
     return min(2 * max(grid.nx, grid.ny), MOST_YAW_SAMPLES)
 
 
-class PaperConfig(Strict, frozen=True):
-    """The paper's method. Every value is a reading of the paper's text; docs/paper.md has the sentences.
+class PaperExpert(Strict, frozen=True):
+    """Readings of the paper's text, one by one; docs/paper.md has the sentences."""
 
-    The defaults are the reading nearest to the letter (``paper-literal``); ``paper`` is the one that works best.
-    """
-
-    cell_mm: Annotated[float, setting("cell edge of the map", ge=1, le=250)] = 14.0
-    near_mm: Annotated[float, setting("cost step vi: nearer points are left out", ge=0, le=100_000)] = 100.0
-    far_mm: Annotated[float, setting("cost step vi: farther points are left out", gt=0, le=300_000)] = 5000.0
     mixed_pixel_mm: Annotated[float, setting("cost step vii: least jump to both neighbors", gt=0, le=100_000)] = 100.0
-    occlusion_mm: Annotated[
-        float, setting("cost step viii: larger radius differences are occlusions", gt=0, le=100_000)
-    ] = 300.0
-    occlusion_shrink: Annotated[
-        float, setting("factor on the occlusion threshold from iteration to iteration; 1: fixed", gt=0, le=1)
-    ] = 1.0
-    occlusion_least_mm: Annotated[
-        float, setting("the occlusion threshold shrinks no further than this", gt=0, le=100_000)
-    ] = 100.0
+    occlusion_mm: Annotated[float, setting("cost step viii: larger jumps are occlusions", gt=0, le=100_000)] = 300.0
+    occlusion_shrink: Annotated[float, setting("factor on occlusion_mm by iteration; 1: fixed", gt=0, le=1)] = 1.0
+    occlusion_least_mm: Annotated[float, setting("occlusion_mm shrinks no further", gt=0, le=100_000)] = 100.0
     occluded: Annotated[
-        Literal["left_out", "counted"],
-        setting("occluded points are left out of sum and divisor, or count with the squared threshold"),
+        Literal["left_out", "counted"], setting("leave occluded points out, or count them with the squared threshold")
     ] = "left_out"
-    cluster_gap_cells: Annotated[
-        int, setting("empty cells that a thick wall may contain along a ray", ge=0, le=1000)
-    ] = 0
+    cluster_gap_cells: Annotated[int, setting("empty cells in a thick wall along a ray", ge=0, le=1000)] = 0
     equal_cells: Annotated[
-        Literal["nearest", "middle"],
-        setting("of the cells of a thick wall with equally many hits: the nearest, or the one at its middle"),
+        Literal["nearest", "middle"], setting("which of a thick wall's cells with equally many hits represents it")
     ] = "nearest"
-    min_beams_share: Annotated[
-        float, setting("fewer contributing points than this share make no match", gt=0, le=1)
-    ] = 0.1
-    min_beams_of: Annotated[
-        Literal["scan", "valid"], setting("that share is of all beams of the scan, or of those with a valid range")
-    ] = "scan"
-    predict: Annotated[
-        Literal["rest", "velocity"], setting("without commands the laser is expected at rest, or moving on as before")
-    ] = "rest"
-    window_mm: Annotated[float, setting("half-width of the first search in the plane", gt=0, le=10_000)] = 200.0
-    window_deg: Annotated[float, setting("half-width of the first yaw search", gt=0, le=180)] = 15.0
+    min_beams_share: Annotated[float, setting("fewer contributing points make no match", gt=0, le=1)] = 0.1
+    min_beams_of: Annotated[Literal["scan", "valid"], setting("that share is of all beams, or of the valid")] = "scan"
+    predict: Annotated[Literal["rest", "velocity"], setting("without commands, expect rest or constant velocity")] = (
+        "rest"
+    )
     pivot: Annotated[Literal["centroid", "laser"], setting("the search turns the scan about this point")] = "centroid"
     shrink: Annotated[float, setting("narrowing of the search from iteration to iteration", ge=0.01, le=0.99)] = 0.3
     leave_no_gaps: Annotated[bool, setting("narrow no further than to the grid's spacing")] = True
     stop_mm: Annotated[float, setting("convergence in the plane", ge=1e-4, le=1000)] = 0.01
     stop_deg: Annotated[float, setting("convergence in yaw", ge=1e-4, le=90)] = 0.01
-    converged: Annotated[
-        Literal["both", "either"], setting("end the search once both plane and yaw have converged, or either")
-    ] = "both"
+    converged: Annotated[Literal["both", "either"], setting("of plane and yaw, which must have converged")] = "both"
     extend_border: Annotated[bool, setting("move the search when the minimum lies on its border")] = True
     max_extensions: Annotated[int, setting("border extensions an iteration at most", ge=0, le=1000)] = 5
-    refine_above_mm2: Annotated[float, setting("refine the grid where the coarse cost stays above", gt=0, le=1e9)] = (
-        300.0
-    )
-    refine_factor: Annotated[
-        int, setting("points an axis are multiplied by this; 1 turns refinement off", ge=1, le=10)
-    ] = 2
+    refine_above_mm2: Annotated[float, setting("refine the grid above this coarse cost", gt=0, le=1e9)] = 300.0
+    refine_factor: Annotated[int, setting("factor on the points of an axis; 1: no refinement", ge=1, le=10)] = 2
     give_up: Annotated[bool, setting("end a search that can only end far above the acceptance threshold")] = True
-    gate_mm2: Annotated[
-        float, setting("acceptance threshold: map and pose are updated at this cost or below", gt=0, le=1e9)
-    ] = 400.0
-    gate_range_mm: Annotated[
-        Annotated[float, Meta(gt=0, le=300_000)] | None,
-        setting(
-            "range for which gate_mm2 and refine_above_mm2 hold: both grow with the scan's mean squared range; "
-            "null: they are absolute"
-        ),
-    ] = None
+
+    mixed_pixel_m, occlusion_m, occlusion_least_m = in_si(MM, "mixed_pixel_mm", "occlusion_mm", "occlusion_least_mm")
+    stop_m, stop_rad, refine_above_m2 = InSI("stop_mm", MM), InSI("stop_deg", DEG), InSI("refine_above_mm2", MM2)
+
+
+class PaperConfig(Strict, frozen=True):
+    """The paper's method. Every value is a reading of the paper's text; docs/paper.md has the sentences.
+
+    The defaults are the reading nearest to the letter (``paper-literal``); ``paper`` is the one that works best.
+    ``gate_range_mm`` is the range for which gate_mm2 and refine_above_mm2 hold: both grow with the scan's mean squared
+    range.
+    """
+
+    cell_mm: Annotated[float, setting("cell edge of the map", ge=1, le=250)] = 14.0
+    near_mm: Annotated[float, setting("cost step vi: nearer points are left out", ge=0, le=100_000)] = 100.0
+    far_mm: Annotated[float, setting("cost step vi: farther points are left out", gt=0, le=300_000)] = 5000.0
+    window_mm: Annotated[float, setting("half-width of the first search in the plane", gt=0, le=10_000)] = 200.0
+    window_deg: Annotated[float, setting("half-width of the first yaw search", gt=0, le=180)] = 15.0
+    gate_mm2: Annotated[float, setting("acceptance threshold: cost up to which scans are inserted", gt=0, le=1e9)] = (
+        400.0
+    )
+    gate_range_mm: (
+        Annotated[float, setting("range of gate_mm2, which grows with the square; null: absolute", gt=0, le=300_000)]
+        | None
+    ) = None
+    expert: Annotated[PaperExpert, setting("for experts")] = PaperExpert()
+
+    cell_m, near_m, far_m, window_m = in_si(MM, "cell_mm", "near_mm", "far_mm", "window_mm")
+    window_rad, gate_m2, gate_range_m = InSI("window_deg", DEG), InSI("gate_mm2", MM2), InSI("gate_range_mm", MM)
+
+
+class RobustExpert(Strict, frozen=True):
+    """What only experts change: the numbers of the search, of the lines and of the acceptance; see docs/method.md."""
+
+    line_sigma_mm: Annotated[float, setting("Gaussian window of the local line fit", gt=0, le=1000)] = 60.0
+    line_noise_mm: Annotated[float, setting("noise floor of the local line fit", gt=0, le=1000)] = 10.0
+    waiting_share: Annotated[float, setting("refit lines at this share of new points to old ones", ge=0, le=1000)] = 0.2
+    truncate_mm: Annotated[float, setting("distances are capped here", gt=0, le=10_000)] = 150.0
+    near_window_mm: Annotated[float, setting("half-width of the first search; 0 skips it", ge=0, le=10_000)] = 50.0
+    near_window_deg: Annotated[float, setting("half-width of that search in yaw", gt=0, le=180)] = 5.0
+    window_mm: Annotated[float, setting("half-width of the search after a refused first one", gt=0, le=10_000)] = 350.0
+    window_deg: Annotated[float, setting("half-width of that search in yaw", gt=0, le=180)] = 20.0
+    final_window_mm: Annotated[float, setting("half-width of the final pass in the plane", gt=0, le=10_000)] = 50.0
+    final_window_deg: Annotated[float, setting("half-width of the final pass in yaw", gt=0, le=180)] = 3.0
+    final_truncate_mm: Annotated[float, setting("cap of distances in the final pass", gt=0, le=10_000)] = 50.0
+    stop_mm: Annotated[float, setting("last spacing in the plane, halved in the final pass", ge=1e-3, le=1000)] = 1.3
+    stop_deg: Annotated[float, setting("last spacing in yaw, halved in the final pass", ge=1e-4, le=90)] = 0.02
+    max_extensions: Annotated[int, setting("border extensions a level at most", ge=0, le=1000)] = 3
+    hold_below_mm: Annotated[
+        float,
+        setting("half-width of levels that keep correspondences and search yaw and plane jointly", ge=0, le=100_000),
+    ] = 51.0
+    overlap_mm: Annotated[
+        float, setting("farthest point from an occupied cell on levels within a cell; 0: all", ge=0, le=100_000)
+    ] = 120.0
+    overlap_points: Annotated[float, setting("least points of the line at such a cell", ge=0, le=1e6)] = 8.0
+    prior: Annotated[float, setting("motion-prior cost of a square meter off the odometry", ge=0, le=1e6)] = 0.01
+    first_level_points: Annotated[int, setting("sample of points on the first levels", ge=10, le=100_000)] = 100
+    sparse_points: Annotated[
+        int, setting("scans with fewer points do not keep correspondences within a cell", ge=0, le=1_000_000)
+    ] = 225
+    retry_below: Annotated[float, setting("search wider under this share of inliers", ge=0, le=1)] = 0.8
+    conflicts_below: Annotated[
+        float, setting("reject few inliers with this share of visibility conflicts (free space, occlusion)", ge=0, le=1)
+    ] = 0.15
+    track_above: Annotated[float, setting("accept a match at this share of inliers", ge=0, le=1)] = 0.6
+    regain_above: Annotated[float, setting("accept a match after a gap at this share of inliers", ge=0, le=1)] = 0.7
+
+    line_sigma_m, line_noise_m, truncate_m = in_si(MM, "line_sigma_mm", "line_noise_mm", "truncate_mm")
+    near_window_m, window_m, final_window_m = in_si(MM, "near_window_mm", "window_mm", "final_window_mm")
+    near_window_rad, window_rad, final_window_rad = in_si(DEG, "near_window_deg", "window_deg", "final_window_deg")
+    final_truncate_m, hold_below_m, overlap_m = in_si(MM, "final_truncate_mm", "hold_below_mm", "overlap_mm")
+    stop_m, stop_rad = InSI("stop_mm", MM), InSI("stop_deg", DEG)
 
 
 class RobustConfig(Strict, frozen=True):
@@ -151,68 +187,14 @@ class RobustConfig(Strict, frozen=True):
     deskew: Annotated[
         Literal["auto", "on", "off"], setting("correct scans for motion during the sweep; auto detects the beam order")
     ] = "auto"
-    voxel_mm: Annotated[float, setting("points are averaged in voxels of this size before matching", gt=0, le=5000)] = (
-        30.0
-    )
-    line_sigma_mm: Annotated[float, setting("Gaussian window of the local line fit", gt=0, le=1000)] = 60.0
-    line_noise_mm: Annotated[float, setting("noise floor of the local line fit", gt=0, le=1000)] = 10.0
-    waiting_share: Annotated[
-        float, setting("refit the lines of a cell once its new points exceed this share of the old ones", ge=0, le=1000)
-    ] = 0.2
-    truncate_mm: Annotated[float, setting("distances are capped here", gt=0, le=10_000)] = 150.0
-    near_window_mm: Annotated[
-        float, setting("half-width of the first search around the prediction; 0 skips it", ge=0, le=10_000)
-    ] = 50.0
-    near_window_deg: Annotated[float, setting("half-width of that search in yaw", gt=0, le=180)] = 5.0
-    window_mm: Annotated[
-        float, setting("half-width of the second search, made where the first is not accepted", gt=0, le=10_000)
-    ] = 350.0
-    window_deg: Annotated[float, setting("half-width of that search in yaw", gt=0, le=180)] = 20.0
-    final_window_mm: Annotated[float, setting("half-width of the final pass in the plane", gt=0, le=10_000)] = 50.0
-    final_window_deg: Annotated[float, setting("half-width of the final pass in yaw", gt=0, le=180)] = 3.0
-    final_truncate_mm: Annotated[float, setting("distances are capped here in the final pass", gt=0, le=10_000)] = 50.0
-    stop_mm: Annotated[
-        float, setting("search ends at this spacing in the plane, the final pass at half of it", ge=1e-3, le=1000)
-    ] = 1.3
-    stop_deg: Annotated[
-        float, setting("search ends at this yaw spacing, the final pass at half of it", ge=1e-4, le=90)
-    ] = 0.02
-    max_extensions: Annotated[int, setting("border extensions a level at most", ge=0, le=1000)] = 3
-    hold_below_mm: Annotated[
-        float,
-        setting(
-            "levels of this half-width or less keep correspondences fixed and search yaw and plane jointly",
-            ge=0,
-            le=100_000,
-        ),
-    ] = 51.0
-    overlap_mm: Annotated[
-        float,
-        setting("levels within a cell use only points this close to an occupied cell; 0: all points", ge=0, le=100_000),
-    ] = 120.0
-    overlap_points: Annotated[
-        float, setting("and only if the line there was fitted to at least this many points", ge=0, le=1e6)
-    ] = 8.0
-    prior: Annotated[
-        float, setting("motion-prior cost of a squared meter of distance from the odometry prediction", ge=0, le=1e6)
-    ] = 0.01
-    first_level_points: Annotated[int, setting("sample of points used on the first levels", ge=10, le=100_000)] = 100
-    sparse_points: Annotated[
-        int,
-        setting("scans with fewer points do not use fixed correspondences on levels within a cell", ge=0, le=1_000_000),
-    ] = 225
+    voxel_mm: Annotated[float, setting("points are averaged in voxels of this size", gt=0, le=5000)] = 30.0
     min_points: Annotated[int, setting("scans with fewer points are not matched", ge=3, le=100_000)] = 30
-    retry_below: Annotated[float, setting("search wider under this share of inliers", ge=0, le=1)] = 0.8
-    conflicts_below: Annotated[
-        float,
-        setting(
-            "reject a match of few inliers with this share of visibility conflicts (free space, occlusion)", ge=0, le=1
-        ),
-    ] = 0.15
-    track_above: Annotated[float, setting("accept a match at this share of inliers", ge=0, le=1)] = 0.6
-    regain_above: Annotated[float, setting("accept a match after a gap at this share of inliers", ge=0, le=1)] = 0.7
     max_speed_m_s: Annotated[float, setting("reject faster motion", gt=0, le=1000)] = 3.0
     max_turn_deg_s: Annotated[float, setting("reject faster turns", gt=0, le=100_000)] = 300.0
+    expert: Annotated[RobustExpert, setting("for experts")] = RobustExpert()
+
+    cell_m, near_m, far_m, voxel_m = in_si(MM, "cell_mm", "near_mm", "far_mm", "voxel_mm")
+    max_turn_rad_s = InSI("max_turn_deg_s", DEG)
 
 
 class OdometryConfig(Strict, frozen=True):
@@ -236,24 +218,20 @@ class Config(Strict, frozen=True):
         ),
     ] = field(default_factory=int)
     odom: Annotated[str, setting("odometry used as motion prior: auto, off, or a topic")] = "auto"
-    attitude: Annotated[
-        str, setting("tilt and height of the laser, by which scans are levelled: auto, off, or a topic")
-    ] = "auto"
-    slice_mm: Annotated[
-        float, setting("thickness of the maps by height, where the height of the laser is known", ge=50, le=10_000)
-    ] = 300.0
+    attitude: Annotated[str, setting("tilt and height of the laser, to level scans: auto, off, or a topic")] = "auto"
+    slice_mm: Annotated[float, setting("thickness of the maps by height", ge=50, le=10_000)] = 300.0
     odometry: OdometryConfig = OdometryConfig()
-    upside_down: Annotated[
-        bool, setting("the laser is mounted upside down, whatever the log says: its scans are turned over")
-    ] = False
+    upside_down: Annotated[bool, setting("the laser is mounted upside down, whatever the log says")] = False
     search: Annotated[
         Literal["pruned", "exhaustive"],
         setting("exhaustive evaluates every pose of every grid and finds the same minimum"),
     ] = "pruned"
     final_pass: Annotated[bool, setting("match every scan once more against the finished map")] = True
     loop_closure: Annotated[Literal["auto", "off"], setting("detect and close loops (with the final pass)")] = "auto"
-    paper: PaperConfig = PaperConfig()
-    robust: RobustConfig = RobustConfig()
+    robust: Annotated[RobustConfig, setting("settings of the method robust")] = RobustConfig()
+    paper: Annotated[PaperConfig, setting("settings of the method paper")] = PaperConfig()
+
+    slice_m = InSI("slice_mm", MM)
 
     def __post_init__(self) -> None:
         """Read the search grid where it is text, and choose the yaw samples where none are given."""

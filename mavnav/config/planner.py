@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from mavnav.config.strict import Strict, setting
+from mavnav.config.strict import Strict, in_si, setting
+from mavnav.units import DEG, MM
 
 TechniqueName = Literal["wavefront", "field", "wall_following", "virtual_obstacles"]
 
@@ -45,6 +46,10 @@ class PlannerConfig(Strict, frozen=True):
     stall_mm: Annotated[float, setting("a vehicle that stays within this distance has stalled", gt=0, le=1_000_000)] = (
         200.0
     )
+
+    repulsion_range_m, max_step_m, stall_m = in_si(MM, "repulsion_range_mm", "max_step_mm", "stall_mm")
+    safety_m, least_safety_m, plan_cell_m = in_si(MM, "safety_mm", "least_safety_mm", "plan_cell_mm")
+    max_turn_rad, view_rad = in_si(DEG, "max_turn_deg", "view_deg")
 
     def __post_init__(self) -> None:
         """Raise ValueError if the clearances are not in order."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec import Struct, ValidationError, convert
 
 from mavnav.config.layers import by_dotted_key
-from mavnav.config.loading import load_config, validated
+from mavnav.config.loading import key_now, load_config, validated
 from mavnav.config.named_files import read_json
 from mavnav.config.options import restore_options, words_of
 from mavnav.errors import ConfigError, UsageError
@@ -142,7 +142,7 @@ def simulation_again(run: EarlierRun) -> dict[str, Any]:
     from mavnav.simulation.world import Scenario  # noqa: PLC0415  models take time to build
 
     return {
-        "scenario": validated(Scenario, layer_of(json.dumps(run.document["scenario"]), name), name),
+        "scenario": validated(Scenario, layer_of(json.dumps(run.document["scenario"]), name).renamed(key_now), name),
         "path": run.path(source["path"]),
         "content": (source["sha256"], source["size_bytes"]),
         "report": (run.directory / REPORT_FILE).is_file(),
@@ -165,7 +165,7 @@ def run_layer(directory: str | Path) -> Layer:
 def _layer(document: dict[str, Any], path: Path) -> Layer:
     from mavnav.config.yaml_layers import layer_of  # noqa: PLC0415  yaml takes 10 ms to load
 
-    return layer_of(json.dumps(document["config"]), str(path))
+    return layer_of(json.dumps(document["config"]), str(path)).renamed(key_now)
 
 
 def _same_log(run: EarlierRun, log: Path | None) -> Path:

@@ -9,7 +9,6 @@ from mavnav.mapping.slices import placed_with_heights, sliced
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import measure_map
 from mavnav.profiling import Stage, timed
-from mavnav.units import MM
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -40,4 +39,4 @@ def map_slices_of(outcome: SlamResult, log: Log, config: Config) -> Slices | Non
         return placed_with_heights(log.scans(), outcome.trajectory, attitude.height_at)
 
     with Stage("slices"):
-        return sliced(placed, known_part(outcome.grid), config.slice_mm * MM)
+        return sliced(placed, known_part(outcome.grid), config.slice_m)

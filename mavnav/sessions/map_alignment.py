@@ -14,7 +14,7 @@ from mavnav.slam.matching.relocalization import AMBIGUITY_MARGIN, apart, around,
 from mavnav.slam.matching.scan_matching import Schedule, search_lines
 from mavnav.slam.methods.localization import MAP_CANDIDATES
 from mavnav.slam.recovery.parts import consensus
-from mavnav.units import DEG, MM
+from mavnav.units import DEG
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -86,7 +86,7 @@ class _Target:
     def __init__(self, known: PriorMap, config: Config) -> None:
         robust, cell_m = config.robust, known.grid.cell_m
         self.config, self.grid = config, GridBuilder.of(known.grid)
-        self.lines = LineMap(cell_m, robust.line_sigma_mm * MM, robust.line_noise_mm * MM)
+        self.lines = LineMap(cell_m, robust.expert.line_sigma_m, robust.expert.line_noise_m)
         self.lines.insert(known.walls_xy_m)
 
     def placed(self, scans: list[tuple[Pose, NDArray[np.float64]]], *, anywhere: bool) -> list[Placed]:

@@ -23,7 +23,7 @@ from mavnav.slam.methods.registry import make_method
 from mavnav.slam.pipeline import finish
 from mavnav.slam.track import Track
 from mavnav.slam.tracker import track
-from mavnav.units import MM, NS
+from mavnav.units import NS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -120,7 +120,7 @@ def fly(scenario: Scenario, on_step: OnStep | None = None) -> Flight:
                 break
             executing = vehicle.execute(decision, disturbance(scenario, noise, decision))
             next(executing)
-        if _closest_m(scenario, vehicle.world_T_base[-2:]) < scenario.vehicle.radius_mm * MM:
+        if _closest_m(scenario, vehicle.world_T_base[-2:]) < scenario.vehicle.radius_m:
             end = End.COLLISION
             break
     flown = Track(lambda: seen, config, motion, method, steps, on_step=on_step)
@@ -147,7 +147,7 @@ class Pilot:
         """Bring the goals to the map frame."""
         map_T_world = (scenario.world_T_base @ scenario.base_T_laser).inverse()
         self.goals = [map_T_world @ Pose(x, y) for x, y in scenario.goals_xy_m]
-        self.radius_m = scenario.goal_radius_mm * MM
+        self.radius_m = scenario.goal_radius_m
         self.max_steps = scenario.max_steps
         self.recovery = scenario.recovery
         self.planner = Planner(scenario.planner)
@@ -220,7 +220,7 @@ def _closest_m(scenario: Scenario, poses: list[Pose]) -> float:
     share = np.linspace(0.0, 1.0, SAMPLES)[:, None]
     path = [a + share * (b - a) for a, b in pairwise(xy)] or [xy]
     sampled_m = float(scenario.obstacles.clearance_m(np.vstack(path)).min())
-    long_m = (SAMPLES - 1) * SPACING_RADII * scenario.vehicle.radius_mm * MM
+    long_m = (SAMPLES - 1) * SPACING_RADII * scenario.vehicle.radius_m
     long = [(a, b) for a, b in pairwise(xy) if np.hypot(*(b - a)) > long_m]
     return min([sampled_m, *(scenario.obstacles.least_clearance_m(a, b) for a, b in long)])
 
@@ -248,7 +248,7 @@ def _landed(scenario: Scenario, vehicle: Vehicle, scans: list[Scan], end: End, o
     truth = Trajectory.of(stamps, [map_T_world @ p @ vehicle.base_T_laser for p in world_T_base[:n]])
     xy_m = np.array([(p.x_m, p.y_m) for p in (pose @ vehicle.base_T_laser for pose in world_T_base)])
     goal_distance_m = float(np.hypot(*(xy_m[-1] - scenario.goals_xy_m[-1])))
-    tolerance_m = TOLERANCE_RADII * scenario.goal_radius_mm * MM
+    tolerance_m = TOLERANCE_RADII * scenario.goal_radius_m
     if end is End.GOAL and goal_distance_m > tolerance_m:
         end = End.WRONG_PLACE
     elif end is End.GOAL and not _visited(xy_m, scenario.via_m, tolerance_m):

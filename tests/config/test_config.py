@@ -14,10 +14,16 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from mavnav.batch.manifest import Manifest
+from mavnav.config.layers import by_dotted_key
 from mavnav.config.loading import fields, load_config, method_layer, presets, schema_of, to_yaml, validated
-from mavnav.config.models import Config, GridSize, PaperConfig, RobustConfig
+from mavnav.config.models import Config, GridSize, PaperConfig, PaperExpert, RobustConfig, RobustExpert
+from mavnav.config.planner import PlannerConfig
+from mavnav.config.strict import InSI
 from mavnav.errors import ConfigError
 from mavnav.simulation.world import Scenario, load_scenario, scenario_schema
+from mavnav.simulation.world.flight import FlightConfig
+from mavnav.simulation.world.scenario import VehicleConfig
+from mavnav.units import DEG
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -85,9 +91,9 @@ def test_presets_hold_only_what_differs_from_what_lies_below_them(repo_root: Pat
     for name in presets():
         config = load_config(name)
         below = load_config(config.method) if name != config.method else Config()
+        usual = by_dotted_key(below.document())
         for key, value in load_layer(repo_root / "configs" / f"{name}.yaml").items():
-            section = below if len(key) == 1 else getattr(below, key[0])
-            assert getattr(section, key[-1]) != value or key == ("method",), key
+            assert usual[".".join(key)] != value or key == ("method",), key
         assert config.method == {"fig8": "paper", "paper-literal": "paper"}.get(name, name)
 
 
@@ -207,6 +213,22 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
             load_config(path)
 
 
+@pytest.mark.parametrize("key", ["robust.truncate_mm", "paper.shrink"])
+def test_keys_of_experts_say_where_they_went(key: str) -> None:
+    section, _, name = key.partition(".")
+    with pytest.raises(ConfigError, match=f"^--set {key}=0.5: {key} is {section}.expert.{name} now; write that$"):
+        load_config(None, [f"{key}=0.5"])
+    with pytest.raises(ConfigError, match=f"slam.{key} is slam.{section}.expert.{name} now"):
+        load_scenario("corner", [f"slam.{key}=0.5"])
+
+
+@pytest.mark.parametrize("method", ["robust", "paper"])
+def test_what_matters_is_shown_first(method: str) -> None:
+    """The settings of the method, then those of its experts, then what the method does not use."""
+    lines = to_yaml(load_config(method)).split("\n")
+    assert lines.index(f"{method}:  # settings of the method {method}") < lines.index("  expert:  # for experts") < 30
+
+
 def test_every_default_survives_a_round_trip_as_yaml(tmp_path: Path) -> None:
     for name in presets():
         config = load_config(name, ["odom=/wheel odom", "azimuth=33"])
@@ -218,6 +240,29 @@ def test_every_number_has_two_bounds(model: type) -> None:
     """Else NaN or infinity would be read; those of a pose are checked together."""
     schema = schema_of(model)
     assert [key for key, node in numbers(schema) if len(bounds(node)) < 2 and ".extrinsic." not in key] == []
+
+
+UNITS = {
+    "_mm2": ("_m2", 1e-6),
+    "_mm": ("_m", 1e-3),
+    "_ms": ("_s", 1e-3),
+    "_deg_s": ("_rad_s", DEG),
+    "_deg": ("_rad", DEG),
+}
+
+
+@pytest.mark.parametrize(
+    "section",
+    [Config, PaperConfig, PaperExpert, RobustConfig, RobustExpert, PlannerConfig, VehicleConfig, FlightConfig],
+)
+def test_values_in_si_are_those_of_their_keys(section: type) -> None:
+    made, names = section(), {name for name, value in vars(section).items() if isinstance(value, InSI)}
+    for key in section.__struct_fields__:
+        suffix = next((suffix for suffix in UNITS if key.endswith(suffix)), None)
+        if suffix and (name := key.removesuffix(suffix) + UNITS[suffix][0]) in names and getattr(made, key) is not None:
+            assert getattr(made, name) == getattr(made, key) * UNITS[suffix][1]
+            names.remove(name)
+    assert names <= {"gate_range_m"}  # it is null
 
 
 def numbers(node: object, key: str = "") -> Iterator[tuple[str, dict]]:
@@ -264,7 +309,6 @@ def test_sections_are_frozen_and_equal_by_value(tmp_path: Path) -> None:
     assert read == made
     assert hash(read) == hash(made)
     assert len({read, made, Config()}) == 2
-    assert eval(repr(made.robust), {"RobustConfig": RobustConfig}) == made.robust
     assert pickle.loads(pickle.dumps(made)) == copy(made) == replace(made) == made
     assert replace(made, azimuth=7).azimuth == 7
     assert made != Config()

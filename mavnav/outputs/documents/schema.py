@@ -36,7 +36,7 @@ UNITS: Final = {
 }
 """Suffix of a name -> unit; what has none of them is a count or a ratio: 1."""
 
-CONFIGURATION: Final = ("Config", "OdometryConfig", "PaperConfig", "RobustConfig")
+CONFIGURATION: Final = ("Config", "OdometryConfig", "PaperConfig", "PaperExpert", "RobustConfig", "RobustExpert")
 """Definitions of the configuration in the schema."""
 
 

@@ -12,7 +12,6 @@ from msgspec.structs import replace
 from mavnav.kernels.planning import potential
 from mavnav.pose import wrap_angle
 from mavnav.simulation.planner.shortest_path import aim_on_shortest_path
-from mavnav.units import MM
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -56,9 +55,7 @@ class Scene(Struct, frozen=True):
     @property
     def repulsion(self) -> XY:
         """Force of all walls within range."""
-        force = potential.repulsion(
-            self.walls_xy_map_m, self.xy_map_m, self.config.repulsion_range_mm * MM, self.cell_m
-        )
+        force = potential.repulsion(self.walls_xy_map_m, self.xy_map_m, self.config.repulsion_range_m, self.cell_m)
         return self.config.repulsion_gain * force
 
 
@@ -199,7 +196,7 @@ def _along_wall(scene: Scene, memory: Memory, reason: str) -> Drive:
     normal = unit(away[nearest])
     side = memory.side or (1 if float(_left(normal) @ scene.attraction) >= 0 else -1)
     along = side * _left(normal)
-    wanted_m = scene.config.safety_mm * MM + _FOLLOW_MARGIN_M
+    wanted_m = scene.config.safety_m + _FOLLOW_MARGIN_M
     error = float(np.clip((wanted_m - distances[nearest]) / wanted_m, -1.0, 1.0))
     force = _FOLLOW_SPEED * scene.config.attraction_gain * unit(along + 2.0 * error * normal)
     following = memory.following or Following(scene.goal_m, scene.xy_map_m, atan2(along[1], along[0]))

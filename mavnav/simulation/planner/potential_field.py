@@ -75,7 +75,7 @@ class Planner:
         scene = _scene(self.config, grid, map_T_laser, goal_xy_map_m)
         drive = TECHNIQUES[self.config.technique](scene, _noted(self.memory, scene))
         step = np.zeros(2)
-        turn_rad = 0.0 if drive.reason else self.config.max_turn_deg * DEG
+        turn_rad = 0.0 if drive.reason else self.config.max_turn_rad
         if drive.force is not None and not drive.reason:
             velocity = _accelerated(self.config, drive.memory.velocity_m, drive.force)
             bearing_rad = wrap_angle(atan2(velocity[1], velocity[0]) - map_T_laser.yaw_rad)
@@ -90,7 +90,7 @@ class Planner:
 def _scene(config: PlannerConfig, grid: GridBuilder, map_T_laser: Pose, goal_xy_map_m: tuple[float, float]) -> Scene:
     walls = potential.occupied(grid.hits, grid.passes, grid.lattice, config.min_hits, config.min_share)
     xy = map_T_laser.as_array()[:2]
-    reach_m = max(_LOOK_M, (config.safety_mm + config.max_step_mm) * MM)
+    reach_m = max(_LOOK_M, config.safety_m + config.max_step_m)
     near = np.ascontiguousarray(walls[np.hypot(*(walls - xy).T) < reach_m])
     return Scene(config, grid.cell_m, walls, near, xy, np.array(goal_xy_map_m, np.float64))
 
@@ -104,7 +104,7 @@ def _noted(memory: Memory | None, scene: Scene) -> Memory:
     if memory.following is not None:
         path_m = memory.following.path_m + float(np.hypot(*memory.velocity_m))
         memory = replace(memory, following=replace(memory.following, path_m=path_m))
-    if np.hypot(*(here - memory.anchor_xy_map_m)) > scene.config.stall_mm * MM:
+    if np.hypot(*(here - memory.anchor_xy_map_m)) > scene.config.stall_m:
         return replace(memory, anchor_xy_map_m=here, idle_steps=0)
     return replace(memory, idle_steps=memory.idle_steps + 1)
 
@@ -116,15 +116,15 @@ def _accelerated(config: PlannerConfig, velocity_m: XY, force: XY) -> XY:
 
 def _limited(scene: Scene, velocity_m: XY) -> XY:
     """Bound a step by the longest one and by the distance to the goal."""
-    longest_m = min(scene.config.max_step_mm * MM, scene.goal_m)
+    longest_m = min(scene.config.max_step_m, scene.goal_m)
     return velocity_m * min(1.0, longest_m / max(1e-9, float(np.hypot(*velocity_m))))
 
 
 def _turn_rad(config: PlannerConfig, velocity_m: XY, bearing_rad: float) -> float:
     """Turn the laser to where the vehicle wants to go, unless it hardly moves."""
-    if np.hypot(*velocity_m) < 0.1 * config.max_step_mm * MM:
+    if np.hypot(*velocity_m) < 0.1 * config.max_step_m:
         return 0.0
-    return float(np.clip(bearing_rad, -config.max_turn_deg * DEG, config.max_turn_deg * DEG))
+    return float(np.clip(bearing_rad, -config.max_turn_rad, config.max_turn_rad))
 
 
 def _seen_share(scene: Scene, bearing_rad: float) -> float:
@@ -132,8 +132,8 @@ def _seen_share(scene: Scene, bearing_rad: float) -> float:
 
     A vehicle that is too near to a wall backs off at once, slowly.
     """
-    too_near = _clearance_m(scene, np.zeros(2)) < scene.config.safety_mm * MM
-    seen = (scene.config.view_deg * DEG - abs(bearing_rad)) / _TAPER_RAD
+    too_near = _clearance_m(scene, np.zeros(2)) < scene.config.safety_m
+    seen = (scene.config.view_rad - abs(bearing_rad)) / _TAPER_RAD
     return float(np.clip(seen, _BACKING_OFF if too_near else 0.0, 1.0))
 
 
@@ -156,7 +156,7 @@ def _clear_step(scene: Scene, step_m: XY, *, squeezes: bool) -> XY:
 
 
 def _levels_m(config: PlannerConfig) -> list[float]:
-    safety_m, least_m = config.safety_mm * MM, config.least_safety_mm * MM
+    safety_m, least_m = config.safety_m, config.least_safety_m
     return [safety_m, (safety_m + least_m) / 2, least_m, min(least_m, _LAST_SAFETY_M)]
 
 

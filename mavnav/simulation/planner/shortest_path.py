@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.kernels.planning import wavefront
-from mavnav.units import MM
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -34,8 +33,8 @@ def aim_on_shortest_path(
     Cells nearer to a wall than the safety clearance cost more, far more below the least one: the inflation of the walls
     shrinks by itself where there is no other path.
     """
-    origin, shape = _covering(np.vstack((walls_xy_map_m, xy_map_m, goal_xy_map_m)), config.plan_cell_mm * MM)
-    cell_m = config.plan_cell_mm * MM
+    origin, shape = _covering(np.vstack((walls_xy_map_m, xy_map_m, goal_xy_map_m)), config.plan_cell_m)
+    cell_m = config.plan_cell_m
     weights = _weights(_cells(walls_xy_map_m, origin, cell_m), shape, config)
     start = _open_cells(weights, _cells(xy_map_m[None], origin, cell_m)[0])[:1]
     goals = _open_cells(weights, _cells(goal_xy_map_m[None], origin, cell_m)[0])

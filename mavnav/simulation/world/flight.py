@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import numpy as np
 from msgspec import Meta
 
-from mavnav.config.strict import Strict, setting
+from mavnav.config.strict import Strict, in_si, setting
 from mavnav.scan import Attitude
 from mavnav.units import DEG, MM, MS
 
@@ -36,6 +36,10 @@ class FlightConfig(Strict, frozen=True):
     sensor_tilt_deg: Annotated[Tilt, setting("standard deviation of measured roll and pitch")] = 0.5
     sensor_height_mm: Annotated[float, setting("standard deviation of the measured height", ge=0, le=500)] = 10.0
 
+    tilt_noise_rad, max_tilt_rad, sensor_tilt_rad = in_si(DEG, "tilt_noise_deg", "max_tilt_deg", "sensor_tilt_deg")
+    height_noise_m, sensor_height_m = in_si(MM, "height_noise_mm", "sensor_height_mm")
+    correlation_s, response_s = in_si(MS, "correlation_ms", "response_ms")
+
     @property
     def slice_m(self) -> tuple[float, float]:
         """Lower and upper end of the slice in which walls are obstacles."""
@@ -53,9 +57,9 @@ class Body:
         """Begin in level flight with a first attitude: ``seed`` decides all."""
         self._config, self._command_s = config, command_s
         self._noise, self._sensor = (np.random.default_rng([seed, stream]) for stream in (3, 4))
-        self._kept = float(np.exp(-period_s / (config.correlation_ms * MS)))
-        self._follow = 1.0 - float(np.exp(-period_s / (config.response_ms * MS)))
-        self._sigmas = np.array([*[config.tilt_noise_deg * DEG] * 2, config.height_noise_mm * MM])
+        self._kept = float(np.exp(-period_s / (config.correlation_s)))
+        self._follow = 1.0 - float(np.exp(-period_s / (config.response_s)))
+        self._sigmas = np.array([*[config.tilt_noise_rad] * 2, config.height_noise_m])
         self._off = self._sigmas * self._noise.standard_normal(3)
         self._velocity_m_s, self._wanted, self._tilt = np.zeros(2), np.zeros(2), np.zeros(2)
         self.true: list[Attitude] = []
@@ -66,7 +70,7 @@ class Body:
         """Take a command of the laser's frame: the vehicle tilts towards where it accelerates to."""
         velocity_m_s = np.array((dx_m, dy_m)) / self._command_s
         x, y = (velocity_m_s - self._velocity_m_s) / self._command_s
-        most = self._config.max_tilt_deg * DEG
+        most = self._config.max_tilt_rad
         self._wanted = np.clip(np.arctan2([-y, x], GRAVITY_M_S2), -most, most)
         self._velocity_m_s = velocity_m_s
 
@@ -80,7 +84,7 @@ class Body:
     def _note(self) -> None:
         c = self._config
         true = np.array([*self._tilt, c.height_m]) + self._off
-        noise = np.array([*[c.sensor_tilt_deg * DEG] * 2, c.sensor_height_mm * MM])
+        noise = np.array([*[c.sensor_tilt_rad] * 2, c.sensor_height_m])
         self.true.append(_attitude(true))
         self.measured.append(_attitude(true + noise * self._sensor.standard_normal(3)))
 

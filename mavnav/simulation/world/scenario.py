@@ -15,7 +15,7 @@ from msgspec.structs import asdict, replace
 
 from mavnav.config.models import Config
 from mavnav.config.planner import PlannerConfig
-from mavnav.config.strict import Strict, setting
+from mavnav.config.strict import InSI, Strict, in_si, setting
 from mavnav.pose import Pose
 from mavnav.simulation.world.flight import FlightConfig
 from mavnav.simulation.world.laser import LASERS, LaserModel
@@ -114,6 +114,9 @@ class VehicleConfig(Strict, frozen=True):
     laser_y_mm: Annotated[float, setting("laser on the base, to the left", ge=-10_000, le=10_000)] = 0.0
     laser_yaw_deg: Annotated[Degrees, setting("laser on the base, counter-clockwise")] = 0.0
 
+    radius_m, laser_x_m, laser_y_m = in_si(MM, "radius_mm", "laser_x_mm", "laser_y_mm")
+    laser_yaw_rad, command_s = InSI("laser_yaw_deg", DEG), InSI("command_ms", MS)
+
 
 class RecoveryConfig(Strict, frozen=True):
     """What the vehicle does while its scans are not accepted (paper, "Corridor Mapping": it repositions itself)."""
@@ -158,6 +161,8 @@ class Scenario(Strict, frozen=True, kw_only=True, dict=True):
     planner: Annotated[PlannerConfig, setting("path planning")] = PlannerConfig()
     slam: Annotated[Config, setting("method, grid, azimuth and what else configures a replay")] = Config()
 
+    goal_radius_m = InSI("goal_radius_mm", MM)
+
     def __post_init__(self) -> None:
         """Raise ValueError if no file can have the scenario's name."""
         if self.name in (".", "..") or any(c in "/\\" or c < " " for c in self.name):
@@ -196,13 +201,13 @@ class Scenario(Strict, frozen=True, kw_only=True, dict=True):
     @property
     def scans_a_command(self) -> int:
         """Scans that the laser takes while the vehicle executes a command, 1 at least."""
-        return max(1, round(self.vehicle.command_ms * MS / self.laser.spec.scan_time_s))
+        return max(1, round(self.vehicle.command_s / self.laser.spec.scan_time_s))
 
     @property
     def base_T_laser(self) -> Pose:
         """Where the laser sits."""
         v = self.vehicle
-        return Pose(v.laser_x_mm * MM, v.laser_y_mm * MM, v.laser_yaw_deg * DEG)
+        return Pose(v.laser_x_m, v.laser_y_m, v.laser_yaw_rad)
 
     @property
     def goals_xy_m(self) -> tuple[XY, ...]:

@@ -150,7 +150,7 @@ def _misplaced(scenario: Scenario, xy_m: XY) -> str:
     for number, wall in enumerate(scenario.walls):
         if wall is not around and any(part.contains(xy_m) for part in wall.parts if _is_met(part, scenario)):
             return f"lies inside a wall (walls.{number}.{wall.kind}); move it into the open"
-    need = scenario.vehicle.radius_mm * MM
+    need = scenario.vehicle.radius_m
     clearance = float(scenario.obstacles.clearance_m(np.array([xy_m]))[0])
     if clearance < need:
         return f"is {clearance / MM:.0f} mm from a wall, the vehicle's radius is {need / MM:g} mm; move it away"

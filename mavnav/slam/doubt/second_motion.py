@@ -19,7 +19,7 @@ from mavnav.mapping.line_map import LineMap
 from mavnav.pose import Pose
 from mavnav.slam.matching.motion_model import motions_along
 from mavnav.slam.matching.steps import tracked_trajectory
-from mavnav.units import MM, NS
+from mavnav.units import NS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -124,10 +124,10 @@ def rival(
 ) -> tuple[float, float] | None:
     """Return the velocity of a second motion that fits as well as the track, frame of the first scan; None if none."""
     robust, (first, *later) = track.config.robust, rows
-    truncate_m, least = robust.truncate_mm * MM, robust.min_points
+    truncate_m, least = robust.expert.truncate_m, robust.min_points
     if min(len(points[row]) for row in rows) < least:
         return None
-    lines = LineMap(robust.cell_mm * MM, robust.line_sigma_mm * MM, robust.line_noise_mm * MM)
+    lines = LineMap(robust.cell_m, robust.expert.line_sigma_m, robust.expert.line_noise_m)
     lines.insert(points[first], extent(points[first]))
     n = len(SPEEDS_M_S)
     tried = np.column_stack([axis.ravel() for axis in np.meshgrid(SPEEDS_M_S, SPEEDS_M_S, indexing="ij")])

@@ -12,7 +12,7 @@ from mavnav.kernels.scans.points import extent
 from mavnav.mapping.line_map import LineMap
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose, transform_points, wrap_angle
-from mavnav.units import DEG, MM
+from mavnav.units import DEG
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -63,8 +63,8 @@ class Part:
     def __init__(self, config: Config) -> None:
         """Start empty."""
         robust = config.robust
-        self.grid = GridBuilder(robust.cell_mm * MM)
-        self.lines = LineMap(robust.cell_mm * MM, robust.line_sigma_mm * MM, robust.line_noise_mm * MM)
+        self.grid = GridBuilder(robust.cell_m)
+        self.lines = LineMap(robust.cell_m, robust.expert.line_sigma_m, robust.expert.line_noise_m)
         self.count = 0
 
     def grow(self, keys: Sequence[KeyFrame], count: int) -> None:

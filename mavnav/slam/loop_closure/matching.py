@@ -22,7 +22,7 @@ from mavnav.slam.matching.relocalization import (
     with_conflicts,
 )
 from mavnav.slam.matching.scan_matching import Schedule, search_lines
-from mavnav.units import DEG, MM
+from mavnav.units import DEG
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -110,9 +110,9 @@ def measured(keys: Sequence[KeyFrame], j: int, match: Match, seen: Visibility, c
     part = Part(config)
     part.grow([keys[k] for k in old if abs(keys[k].path_m - keys[i].path_m) <= PART_M], seen.count)
     robust, points = config.robust, keys[j].points
-    first = Schedule.of(config, part.lines, (robust.truncate_mm * MM, DRIFT_RAD[0]))
+    first = Schedule.of(config, part.lines, (robust.expert.truncate_m, DRIFT_RAD[0]))
     fine = search_lines(points, part.lines, match.map_T_laser, first)
-    last = Schedule.of(config, part.lines, (robust.final_window_mm * MM, robust.final_window_deg * DEG), final=True)
+    last = Schedule.of(config, part.lines, (robust.expert.final_window_m, robust.expert.final_window_rad), final=True)
     placed = search_lines(points, part.lines, fine.map_T_laser, last)
     fine = with_conflicts(fine._replace(map_T_laser=placed.map_T_laser), points, part.lines, part.grid)
     if apart(match.map_T_laser, fine.map_T_laser) or not fits(fine):

@@ -10,7 +10,6 @@ import numpy as np
 from mavnav.pose import Pose, wrap_angle
 from mavnav.profiling import timed
 from mavnav.slam.matching.scan_matching import Match, with_effort
-from mavnav.units import DEG, MM, MM2
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -38,10 +37,10 @@ def match_polar(
     level = acceptance_scale(points[:, 3], config)
     search = partial(_search_polar, virtual_m, points, spec, predicted, config, level)
     match = search(config.grid, config.azimuth)
-    worth_it = paper.refine_above_mm2 < match.cost_m2 / MM2 / level <= _give_up_mm2(config)
-    if not worth_it or paper.refine_factor == 1:
+    worth_it = paper.expert.refine_above_m2 < match.cost_m2 / level <= _give_up_m2(config)
+    if not worth_it or paper.expert.refine_factor == 1:
         return match
-    k = paper.refine_factor
+    k = paper.expert.refine_factor
     fine = search(config.grid.refined(k), config.azimuth * k)
     best = fine if fine.cost_m2 < match.cost_m2 else match
     return with_effort(best, match, fine)
@@ -56,12 +55,12 @@ def acceptance_scale(ranges_m: NDArray[np.float64], config: Config) -> float:
     paper = config.paper
     if paper.gate_range_mm is None:
         return 1.0
-    used = ranges_m[(paper.near_mm * MM < ranges_m) & (ranges_m < paper.far_mm * MM)]
-    return float(np.mean(np.square(used / (paper.gate_range_mm * MM)))) if len(used) else 1.0
+    used = ranges_m[(paper.near_m < ranges_m) & (ranges_m < paper.far_m)]
+    return float(np.mean(np.square(used / paper.gate_range_m))) if len(used) else 1.0
 
 
-def _give_up_mm2(config: Config) -> float:
-    return max(config.paper.refine_above_mm2, GIVE_UP_RATIO * config.paper.gate_mm2)
+def _give_up_m2(config: Config) -> float:
+    return max(config.paper.expert.refine_above_m2, GIVE_UP_RATIO * config.paper.gate_m2)
 
 
 @timed("search")
@@ -78,36 +77,40 @@ def _search_polar(
     from mavnav.kernels.polar_search import search as polar_search  # noqa: PLC0415  loads in 0.2 s, only for paper
 
     paper = config.paper
-    extensions = paper.max_extensions if paper.extend_border else 0
+    extensions = paper.expert.max_extensions if paper.expert.extend_border else 0
     x, y, yaw, cost, used, evaluations, iterations, converged = polar_search.search(
         virtual_m,
         points,
         np.array([azimuth, grid.nx, grid.ny, extensions, config.search == "pruned"], float),
         np.array(
             [
-                paper.window_mm * MM,
-                paper.window_deg * DEG,
-                paper.shrink,
-                paper.leave_no_gaps,
-                paper.stop_mm * MM,
-                paper.stop_deg * DEG,
-                level * _give_up_mm2(config) * MM2 if paper.give_up else np.inf,
-                paper.occlusion_shrink,
-                paper.occlusion_least_mm * MM,
-                paper.pivot == "laser",
-                paper.converged == "either",
+                paper.window_m,
+                paper.window_rad,
+                paper.expert.shrink,
+                paper.expert.leave_no_gaps,
+                paper.expert.stop_m,
+                paper.expert.stop_rad,
+                level * _give_up_m2(config) if paper.expert.give_up else np.inf,
+                paper.expert.occlusion_shrink,
+                paper.expert.occlusion_least_m,
+                paper.expert.pivot == "laser",
+                paper.expert.converged == "either",
             ]
         ),
         np.array(
             [
                 spec.angle_min_rad,
                 spec.angle_step_rad,
-                paper.near_mm * MM,
-                paper.far_mm * MM,
-                paper.occlusion_mm * MM,
-                paper.mixed_pixel_mm * MM,
-                max(3.0, paper.min_beams_share * (len(points) if paper.min_beams_of == "valid" else spec.beams)),
-                paper.occluded == "counted",
+                paper.near_m,
+                paper.far_m,
+                paper.expert.occlusion_m,
+                paper.expert.mixed_pixel_m,
+                max(
+                    3.0,
+                    paper.expert.min_beams_share
+                    * (len(points) if paper.expert.min_beams_of == "valid" else spec.beams),
+                ),
+                paper.expert.occluded == "counted",
             ]
         ),
     )

@@ -18,7 +18,7 @@ from mavnav.kernels.scans.points import extent
 from mavnav.pose import Pose, wrap_angle
 from mavnav.profiling import timed
 from mavnav.slam.matching.scan_matching import Match, Schedule, search_lines, with_effort
-from mavnav.units import DEG, MM
+from mavnav.units import DEG
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -90,7 +90,7 @@ def with_conflicts(match: Match, points: NDArray[np.float64], line_map: LineMap,
 
 def misfit(match: Match, config: Config) -> float:
     """Return the cost of a match as a share of the worst cost, plus its share of visibility conflicts; 0 is best."""
-    return match.cost_m2 / (config.robust.truncate_mm * MM) ** 2 + match.conflicts
+    return match.cost_m2 / config.robust.expert.truncate_m**2 + match.conflicts
 
 
 def within_reach(pose: Pose, elapsed_s: float) -> Region:
@@ -158,7 +158,7 @@ def candidates(
     Minima with a cost above ``limit``, a share of the worst cost, are left out. ``points`` (n, 2) are those of the
     scan, laser frame, m, shuffled, so that any prefix is a fair sample.
     """
-    few, truncate_m = points[: config.robust.first_level_points], config.robust.truncate_mm * MM
+    few, truncate_m = points[: config.robust.expert.first_level_points], config.robust.expert.truncate_m
     limit_m2, exhaustive = limit * truncate_m**2, config.search == "exhaustive"
     starts = lowest(few, line_map, region, truncate_m, most, limit_m2, exhaustive=exhaustive)
     schedule = Schedule.of(config, line_map, (1.5 * STEP_M, 1.5 * STEP_RAD))
@@ -271,7 +271,7 @@ def growth(
     config: Config,
 ) -> NDArray[np.float64]:
     """Return the increase of the cost a step away from a pose in some directions (k,), as shares of the worst cost."""
-    truncate_m = config.robust.truncate_mm * MM
+    truncate_m = config.robust.expert.truncate_m
     steps = step_m * np.column_stack((np.cos(angles_rad), np.sin(angles_rad)))
     xy_m, yaw_rad = np.vstack(([(0.0, 0.0)], steps)) + map_T_laser.as_array()[:2], np.array([map_T_laser.yaw_rad])
     costs = pose_costs(points, xy_m, yaw_rad, truncate_m, line_map.nearest, line_map.lines, line_map.geometry)[0]
@@ -300,7 +300,7 @@ def heading_margin(points: NDArray[np.float64], map_T_laser: Pose, line_map: Lin
 
     It is nearly 0, or negative, where the walls look alike from several headings.
     """
-    truncate_m, some = config.robust.truncate_mm * MM, points[: config.robust.first_level_points]
+    truncate_m, some = config.robust.expert.truncate_m, points[: config.robust.expert.first_level_points]
     xy_m, yaws_rad = around(map_T_laser, OTHER_HEADING_M, pi)
     costs = pose_costs(some, xy_m, yaws_rad, truncate_m, line_map.nearest, line_map.lines, line_map.geometry)
     other = np.abs(yaws_rad - map_T_laser.yaw_rad) > OTHER_HEADING_RAD

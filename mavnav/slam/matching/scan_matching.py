@@ -10,7 +10,6 @@ from msgspec import Struct
 from mavnav.kernels.line_search import search as line_search
 from mavnav.pose import Pose, wrap_angle
 from mavnav.profiling import timed
-from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -88,19 +87,19 @@ class Schedule(Struct, frozen=True):
         finer = FINAL_STOP if final else 1.0
         limits = [
             *window,
-            finer * robust.stop_mm * MM,
-            finer * robust.stop_deg * DEG,
-            (robust.final_truncate_mm if final else robust.truncate_mm) * MM,
-            robust.first_level_points,
+            finer * robust.expert.stop_m,
+            finer * robust.expert.stop_rad,
+            robust.expert.final_truncate_m if final else robust.expert.truncate_m,
+            robust.expert.first_level_points,
             FINAL_ALTERNATIONS if final else ALTERNATIONS,
             prior,
-            robust.hold_below_mm * MM,
+            robust.expert.hold_below_m,
             0.0 if final else line_map.cell_m,
-            line_map.closeness_at(robust.overlap_mm * MM) if robust.overlap_mm and not final else 0.0,
+            line_map.closeness_at(robust.expert.overlap_m) if robust.expert.overlap_m and not final else 0.0,
             line_map.known_points,
-            robust.sparse_points,
+            robust.expert.sparse_points,
         ]
-        points = [config.azimuth, grid.nx, grid.ny, robust.max_extensions, config.search == "pruned"]
+        points = [config.azimuth, grid.nx, grid.ny, robust.expert.max_extensions, config.search == "pruned"]
         return cls(np.array(points, float), np.array(limits))
 
 

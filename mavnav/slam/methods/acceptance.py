@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 from mavnav.slam.matching.motion_model import LONGEST_S
 from mavnav.slam.matching.track_state import Verdict
-from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
     from mavnav.config.models import RobustConfig
@@ -43,12 +42,12 @@ class Acceptance:
     def is_inside(self, near: Match, predicted: Pose) -> bool:
         """Return whether a match lies well inside the near window, so that the pose is not outside of it."""
         config, (off_m, off_rad) = self.config, predicted.gap(near.map_T_laser)
-        half_m, half_rad = config.near_window_mm * MM, config.near_window_deg * DEG
+        half_m, half_rad = config.expert.near_window_m, config.expert.near_window_rad
         return off_m <= INNER_SHARE * half_m and off_rad <= INNER_SHARE * half_rad
 
     def is_good(self, match: Match) -> bool:
         """Return whether a match has many inliers and few visibility conflicts."""
-        return match.inliers >= self.config.retry_below and match.conflicts <= self.config.conflicts_below
+        return match.inliers >= self.config.expert.retry_below and match.conflicts <= self.config.expert.conflicts_below
 
     def is_acceptable(self, match: Match, motion: Motion, elapsed_s: float) -> bool:
         """Return whether a match is good, and its pose possible."""
@@ -57,7 +56,7 @@ class Acceptance:
     def is_possible(self, match: Match, motion: Motion, elapsed_s: float) -> bool:
         """Return whether a vehicle can have moved so far in the elapsed time."""
         config, (moved_m, turned_rad) = self.config, motion.map_T_laser.gap(match.map_T_laser)
-        return moved_m <= config.max_speed_m_s * elapsed_s and turned_rad <= config.max_turn_deg_s * DEG * elapsed_s
+        return moved_m <= config.max_speed_m_s * elapsed_s and turned_rad <= config.max_turn_rad_s * elapsed_s
 
     def conflicts_after_gap(self, match: Match, motion: Motion, elapsed_s: float) -> bool:
         """Return whether a pose after a long gap has too many visibility conflicts."""
@@ -69,13 +68,17 @@ class Acceptance:
         After a gap or a jump, more inliers are required, and the match is only probable.
         """
         config, good = self.config, self.is_good(match)
-        if match.ambiguous or match.inliers < config.track_above or not self.is_possible(match, motion, elapsed_s):
+        if (
+            match.ambiguous
+            or match.inliers < config.expert.track_above
+            or not self.is_possible(match, motion, elapsed_s)
+        ):
             return Verdict.REFUSED
-        if match.conflicts > config.conflicts_below and match.inliers < config.retry_below:
+        if match.conflicts > config.expert.conflicts_below and match.inliers < config.expert.retry_below:
             return Verdict.REFUSED
         if (match.motion_cost > REACHABLE and not good) or self.conflicts_after_gap(match, motion, elapsed_s):
             return Verdict.REFUSED
         if elapsed_s <= max(LONGEST_S if good else REGAIN_S, motion.period_s) and match.motion_cost <= REACHABLE:
             return Verdict.SURE
         expected = match.motion_cost <= EXPECTED
-        return Verdict.PROBABLE if expected or match.inliers >= config.regain_above else Verdict.REFUSED
+        return Verdict.PROBABLE if expected or match.inliers >= config.expert.regain_above else Verdict.REFUSED

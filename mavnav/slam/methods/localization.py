@@ -10,7 +10,7 @@ from mavnav.pose import Pose, transform_points
 from mavnav.slam.matching.relocalization import AMBIGUITY_MARGIN, around, candidates, everywhere, unambiguous
 from mavnav.slam.matching.scan_matching import no_match
 from mavnav.slam.methods.robust import Robust
-from mavnav.units import DEG, MM
+from mavnav.units import DEG
 
 if TYPE_CHECKING:
     import numpy as np
@@ -41,7 +41,7 @@ class Localizer(Robust):
         super().__init__(config)
         robust, cell_m = config.robust, known.grid.cell_m
         self.known = GridBuilder.of(known.grid)
-        self.lines = LineMap(cell_m, robust.line_sigma_mm * MM, robust.line_noise_mm * MM)
+        self.lines = LineMap(cell_m, robust.expert.line_sigma_m, robust.expert.line_noise_m)
         self.lines.insert(known.walls_xy_m)
         self.start, self.tries = known.start, 0
 

@@ -12,7 +12,6 @@ from mavnav.profiling import timed
 from mavnav.slam.matching.paper_matching import acceptance_scale, match_polar, polar_points
 from mavnav.slam.matching.scan_matching import first_match, no_match
 from mavnav.slam.matching.track_state import Verdict
-from mavnav.units import MM, MM2
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -38,8 +37,8 @@ class Paper:
     def __init__(self, config: Config) -> None:
         """Start with an empty map."""
         self.config = config
-        self.expects_rest = config.paper.predict == "rest"
-        self.grid = GridBuilder(config.paper.cell_mm * MM)
+        self.expects_rest = config.paper.expert.predict == "rest"
+        self.grid = GridBuilder(config.paper.cell_m)
         self._seen: tuple[Pose, LaserSpec, NDArray[np.float64]] | None = None
 
     def first(self, scan: Scan) -> Match:
@@ -50,12 +49,16 @@ class Paper:
     def _least_beams(self, spec: LaserSpec) -> float:
         """Return the number of valid beams below which a scan is not matched."""
         paper = self.config.paper
-        return paper.min_beams_share * spec.beams if paper.min_beams_of == "scan" else LEAST_BEAMS_SHARE * spec.beams
+        return (
+            paper.expert.min_beams_share * spec.beams
+            if paper.expert.min_beams_of == "scan"
+            else LEAST_BEAMS_SHARE * spec.beams
+        )
 
     def match(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
         """Match against a virtual scan from the predicted pose (cost steps i, ii)."""
         paper = self.config.paper
-        points = polar_points(scan.ranges_m, scan.spec, paper.mixed_pixel_mm * MM)
+        points = polar_points(scan.ranges_m, scan.spec, paper.expert.mixed_pixel_m)
         if len(points) < self._least_beams(scan.spec):
             return no_match(predicted, len(points))._replace(threshold_m2=self._threshold_m2(scan))
         virtual_m = self._virtual_scan(predicted, scan.spec)
@@ -69,9 +72,9 @@ class Paper:
             ranges_m = self.grid.virtual_scan(
                 predicted,
                 spec.directions,
-                paper.far_mm * MM,
-                paper.cluster_gap_cells,
-                middle=paper.equal_cells == "middle",
+                paper.far_m,
+                paper.expert.cluster_gap_cells,
+                middle=paper.expert.equal_cells == "middle",
             )
             self._seen = predicted, spec, ranges_m
         return self._seen[2]
@@ -83,7 +86,7 @@ class Paper:
 
     def _threshold_m2(self, scan: Scan) -> float:
         """Return the acceptance threshold for a scan."""
-        return acceptance_scale(scan.ranges_m, self.config) * self.config.paper.gate_mm2 * MM2
+        return acceptance_scale(scan.ranges_m, self.config) * self.config.paper.gate_m2
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Count the hits of every valid beam."""

@@ -39,7 +39,6 @@ from mavnav.slam.matching.scan_matching import (
 from mavnav.slam.matching.track_state import Verdict
 from mavnav.slam.methods.acceptance import FOUND_CONFLICTS, Acceptance
 from mavnav.slam.methods.pauses import Pauses
-from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -112,7 +111,7 @@ class Robust:
         robust = config.robust
         self.config, self.acceptance = config, Acceptance(robust, self.found_conflicts)
         self._begin()
-        self._limits_m = np.array([robust.near_mm * MM, robust.far_mm * MM, robust.voxel_mm * MM])
+        self._limits_m = np.array([robust.near_m, robust.far_m, robust.voxel_m])
         self._deskewed: tuple[Scan, Motion, Points] | None = None
         self._free: Region | None = None  # the free area of the whole map, until it grows
         self._bounded = False  # whether cost bounds were computed since the map last grew
@@ -130,27 +129,27 @@ class Robust:
     def _near(self) -> tuple[Schedule, Schedule]:
         """Schedules of the search close to the prediction: without odometry, and with it."""
         robust = self.config.robust
-        window = (robust.near_window_mm * MM, robust.near_window_deg * DEG)
+        window = (robust.expert.near_window_m, robust.expert.near_window_rad)
         return Schedule.of(self.config, self.lines, window), Schedule.of(
-            self.config, self.lines, window, prior=robust.prior
+            self.config, self.lines, window, prior=robust.expert.prior
         )
 
     @cached_property
     def _final(self) -> Schedule:
         """Schedule of the search of the final pass."""
-        window = (self.config.robust.final_window_mm * MM, self.config.robust.final_window_deg * DEG)
+        window = (self.config.robust.expert.final_window_m, self.config.robust.expert.final_window_rad)
         return Schedule.of(self.config, self.lines, window, final=True)
 
     def _begin(self) -> None:
         """Start an empty map."""
         robust = self.config.robust
-        self.known = self.grid = GridBuilder(robust.cell_mm * MM)
+        self.known = self.grid = GridBuilder(robust.cell_m)
         self.lines = LineMap(
-            robust.cell_mm * MM,
-            robust.line_sigma_mm * MM,
-            robust.line_noise_mm * MM,
-            robust.overlap_points,
-            robust.waiting_share,
+            robust.cell_m,
+            robust.expert.line_sigma_m,
+            robust.expert.line_noise_m,
+            robust.expert.overlap_points,
+            robust.expert.waiting_share,
         )
 
     def first(self, scan: Scan) -> Match:
@@ -227,17 +226,17 @@ class Robust:
         best = min(tried, key=lambda match: match.cost_m2)
         if motion.odometry is None or self.observability(points, best)[0] >= LEAST_OBSERVABILITY:
             return best
-        prior = self.config.robust.prior
+        prior = self.config.robust.expert.prior
         return min(tried, key=lambda match: match.cost_m2 + prior * predicted.gap(match.map_T_laser)[0] ** 2)
 
     def _search_around(self, points: NDArray[np.float64], predicted: Pose) -> list[Match]:
         """Search the second window around the prediction."""
-        region = around(predicted, self.config.robust.window_mm * MM, self.config.robust.window_deg * DEG)
+        region = around(predicted, self.config.robust.expert.window_m, self.config.robust.expert.window_rad)
         return candidates(points, self.lines, self.known, region, self.config, most=NEAR_MINIMA)
 
     def _search_near(self, points: NDArray[np.float64], predicted: Pose, motion: Motion) -> list[Match]:
         """Search close to the prediction, unless the configuration disables that."""
-        if not self.config.robust.near_window_mm:
+        if not self.config.robust.expert.near_window_mm:
             return []
         found = search_lines(points, self.lines, predicted, self._near[motion.odometry is not None])
         return [with_conflicts(found, points, self.lines, self.known)]
@@ -251,7 +250,7 @@ class Robust:
 
     def _work(self, points: NDArray[np.float64], region: Region) -> float:
         """Return the work of a search of a region; that of cost bounds counts once until the map grows."""
-        (xy_m, yaws_rad), some = region, points[: self.config.robust.first_level_points]
+        (xy_m, yaws_rad), some = region, points[: self.config.robust.expert.first_level_points]
         cells = 0.0 if self._bounded or not len(xy_m) else self.lines.cells_within(reached_by(some, xy_m))
         return search_work(len(xy_m) * len(yaws_rad), cells, CANDIDATES)
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from mavnav.config.models import Config, GridSize, PaperConfig
+from mavnav.config.models import Config, GridSize, PaperConfig, PaperExpert
 from mavnav.kernels.polar_search import search as polar_search
 from mavnav.kernels.polar_search.cost import polar_cost
 from mavnav.kernels.scans import beams
@@ -115,10 +115,10 @@ def test_grid_is_refined_only_for_a_high_cost_up_to_the_give_up_ratio() -> None:
     b = scan_at(furnished_rooms(), Pose(2.9, 2.2, 1.2))
     points = polar_points(a.ranges_m, a.spec, 0.1)
 
-    def matched(ranges: np.ndarray, **paper: float) -> Match:
+    def matched(ranges: np.ndarray, **paper: object) -> Match:
         return match_polar(ranges, points, a.spec, Pose(), Config(method="paper", paper=PaperConfig(**paper)))
 
-    easy, coarse = matched(a.ranges_m), matched(b.ranges_m, refine_factor=1, gate_mm2=1e6)
+    easy, coarse = matched(a.ranges_m), matched(b.ranges_m, expert=PaperExpert(refine_factor=1), gate_mm2=1e6)
     hard = matched(b.ranges_m, gate_mm2=coarse.cost_m2 * 1e6 / GIVE_UP_RATIO + 1)
     given_up = matched(b.ranges_m, gate_mm2=coarse.cost_m2 * 1e6 / GIVE_UP_RATIO - 1)
     assert given_up.evaluations <= coarse.evaluations
@@ -134,7 +134,7 @@ def test_search_that_can_only_end_in_a_wrong_place_ends_at_once() -> None:
     points = polar_points(a.ranges_m, a.spec, 0.1)
     whole, ended = (
         match_polar(b.ranges_m, points, a.spec, Pose(), Config(method="paper", paper=PaperConfig(**paper)))
-        for paper in ({"refine_factor": 1, "gate_mm2": 1e6}, {"gate_mm2": 100.0})
+        for paper in ({"expert": PaperExpert(refine_factor=1), "gate_mm2": 1e6}, {"gate_mm2": 100.0})
     )
     assert whole.converged
     assert not ended.converged

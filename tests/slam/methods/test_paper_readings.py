@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavnav.config.loading import load_config
-from mavnav.config.models import Config, PaperConfig
+from mavnav.config.models import Config, PaperConfig, PaperExpert
 from mavnav.logs import open_log
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose
@@ -33,7 +33,8 @@ SPEC = LaserSpec(-1.0, 0.01, 200, 0.02, 10.0)
 
 def reading(**values: object) -> Config:
     """Return the literal reading with some values."""
-    return Config(method="paper", paper=PaperConfig(**values))
+    expert = {key: values.pop(key) for key in [*values] if key in PaperExpert.__struct_fields__}
+    return Config(method="paper", paper=PaperConfig(**values, expert=PaperExpert(**expert)))
 
 
 # ---- the acceptance threshold ---------------------------------------------------------------------------------------
