@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mavnav.config.given_pose import pose_problem
-from mavnav.config.option_kinds import FILE, POSE, TOPICS, TRUTH, Kind, recorded_topic
+from mavnav.config.option_kinds import FILE, POSE, TOPICS, TRUTH, ValueKind, recorded_topic
 from mavnav.config.options import OPTIONS, given_options
 from mavnav.errors import UsageError
 from mavnav.pose import Pose
@@ -109,16 +109,14 @@ def sets_of(settings: Mapping[str, object] | None) -> list[str]:
 def options_of(options: Mapping[str, Any]) -> ReplayOptions[Path]:
     """Return the options of a replay that are given, checked."""
     given = {name: value for name, value in options.items() if value is not None}
-    return given_options({n: _CHECKS.get(OPTIONS[n].kind, _same_value)(value, n) for n, value in given.items()})
-
-
-def _same_value(value: Any, _: str) -> Any:  # noqa: ANN401  the configuration checks it
-    return value
+    return given_options(
+        {n: _CHECKS[OPTIONS[n].kind](value, n) if OPTIONS[n].kind in _CHECKS else value for n, value in given.items()}
+    )
 
 
 def _truth_of(truth: File, name: str) -> str | Path:
-    return truth if isinstance(truth, str) and recorded_topic(truth) else path_of(truth, name)
+    return truth if isinstance(truth, str) and recorded_topic(truth) is not None else path_of(truth, name)
 
 
-_CHECKS: dict[Kind, Callable[[Any, str], Any]] = {FILE: path_of, POSE: pose_of, TOPICS: text_of, TRUTH: _truth_of}
-"""Kind of an option -> what checks its values."""
+_CHECKS: dict[ValueKind, Callable[[Any, str], Any]] = {FILE: path_of, POSE: pose_of, TOPICS: text_of, TRUTH: _truth_of}
+"""Kind of an option -> what checks its values; the configuration checks those of the others."""

@@ -28,7 +28,7 @@ def _same(value: Any, _: object) -> Any:  # noqa: ANN401  a value of any kind
     return value
 
 
-class Kind(NamedTuple):
+class ValueKind(NamedTuple):
     """What the values of an option are.
 
     ``typed`` is the type that typer reads, ``stored`` that of documents. ``read`` makes a value of what is typed, given
@@ -70,14 +70,14 @@ def _restore_truth(text: str, path: Callable[[str], Path]) -> str | Path:
     return path(text) if recorded_topic(text) is None else text
 
 
-TEXT: Final = Kind(str | None)
-TOPICS: Final = Kind(list[str] | None, str, _join)
-NUMBER: Final = Kind(float | None, float)
-COUNT: Final = Kind(int | None, int)
-SWITCH: Final = Kind(bool, bool)
-POSE: Final = Kind(str | None, tuple[float, float, float], _read_pose, _restore_pose)
-FILE: Final = Kind(Path | None, str, _same, lambda text, path: path(text))
-TRUTH: Final = Kind(str | None, str, lambda text, _: _restore_truth(text, Path), _restore_truth)
+TEXT: Final = ValueKind(str | None)
+TOPICS: Final = ValueKind(list[str] | None, str, _join)
+NUMBER: Final = ValueKind(float | None, float)
+COUNT: Final = ValueKind(int | None, int)
+SWITCH: Final = ValueKind(bool, bool)
+POSE: Final = ValueKind(str | None, tuple[float, float, float], _read_pose, _restore_pose)
+FILE: Final = ValueKind(Path | None, str, _same, lambda text, path: path(text))
+TRUTH: Final = ValueKind(str | None, str, lambda text, _: _restore_truth(text, Path), _restore_truth)
 """A trajectory: a path, or a text that names a topic of the log."""
 
 
@@ -100,7 +100,7 @@ class Option(NamedTuple):
     absent: bool = False
     manifest: bool = False
     reference: bool = False
-    kind: Kind = TEXT
+    kind: ValueKind = TEXT
 
     @property
     def flag(self) -> str:

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 import mavnav
+from mavnav.config.layers import by_dotted_key
+from mavnav.config.models import Config
 from mavnav.config.options import (
     OPTIONS,
     READING,
@@ -70,7 +72,9 @@ def test_a_pose_that_cannot_be_meant_is_refused_by_its_option() -> None:
 
 def test_names_are_those_of_options() -> None:
     assert {*READING, *REFERENCES} <= OPTIONS.keys()
-    assert not {name for name, option in OPTIONS.items() if option.setting and option.manifest}
+    settings = {option.setting: option for option in OPTIONS.values() if option.setting}
+    assert settings.keys() <= by_dotted_key(Config().document()).keys()
+    assert not any(option.manifest for option in settings.values())
 
 
 @pytest.mark.parametrize("function", [mavnav.replay, mavnav.simulate, mavnav.track])
