@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec import Struct, field
 
-from mavnav.arrays import blank
 from mavnav.kernels.maps.layout import FAR, NEAR, REACH_CELLS
 from mavnav.kernels.maps.linemap import insert_points, rebuild
 from mavnav.kernels.scans.points import extent
@@ -130,7 +129,7 @@ class LineMap(Struct):
             band = slice(first, min(first + _AT_ONCE, n))
             for held in (self.cells, self.moments, self.lines):
                 held[band] = held[kept[band]]
-        self.nearest = blank(self.nearest.shape, np.uint32)
+        self.nearest = np.zeros(self.nearest.shape, np.uint32)
         rebuild(self.geometry, self.nearest, self.cells[:n], self.moments[:n], self.lines[:n])
 
     def _add_waiting(self) -> None:

@@ -10,7 +10,6 @@ import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import force_setattr
 
-from mavnav.arrays import SMALL_BYTES
 from mavnav.errors import MapTooLargeError
 from mavnav.kernels.maps import hits as hits_kernel
 from mavnav.kernels.maps.dynamic_cells import dynamic_cells
@@ -39,6 +38,9 @@ BLOCK_CELLS = 64
 _MARGIN_CELLS: Final = 2
 MAX_CELLS = 1 << 28
 """Maximum number of cells of a map: 819 m x 819 m with cells of 50 mm."""
+
+LARGE_BYTES: Final = 1 << 22
+"""Size of an array of counts from which its largest count is not looked for."""
 
 OCCUPIED_SHARE: Final = 0.2
 """Minimum share of hits among the beams that reached an occupied cell."""
@@ -128,7 +130,7 @@ class GridBuilder(Struct):
 
         They are not looked for any more once a cell is more than half full, nor in large maps.
         """
-        if 0 <= self._room < crossings and self.passes.nbytes < SMALL_BYTES:
+        if 0 <= self._room < crossings and self.passes.nbytes < LARGE_BYTES:
             room = MOST - int(self.passes.max(initial=0))
             self._room = room if room > MOST // 2 else -1
         if self._room < crossings:

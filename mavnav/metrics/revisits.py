@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Final
 import numpy as np
 from msgspec import Struct
 
-from mavnav.arrays import distinct
 from mavnav.kernels.walls.overlap import scan_distances
 from mavnav.metrics.fields import Measured, number
 from mavnav.metrics.journey import spread, used_ranges_m
@@ -69,7 +68,7 @@ class Pairs(Struct, frozen=True):
     @property
     def rows(self) -> NDArray[np.intp]:
         """All rows without repetition."""
-        return distinct(np.concatenate((self.short, self.long)))
+        return np.unique(np.concatenate((self.short, self.long)))
 
 
 def pairs_of(trajectory: Trajectory) -> Pairs:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import builtins
 import ctypes
+import pickle
 import sys
 from functools import cache
 from importlib.machinery import EXTENSION_SUFFIXES
@@ -88,7 +89,7 @@ def _address(symbol: str) -> int:
     if symbol.startswith("PyExc_"):
         return id(getattr(builtins, symbol.removeprefix("PyExc_")))
     try:
-        return ctypes.cast(getattr(ctypes.pythonapi, symbol), ctypes.c_void_p).value or 0
+        return _address_of(getattr(ctypes.pythonapi, symbol))
     except AttributeError:
         raise LookupError(symbol) from None
 
@@ -100,7 +101,22 @@ def _c_functions() -> dict[str, int]:
     memory = _extension("core.runtime._nrt_python").c_helpers
     known = {f"numba_{name}": address for name, address in {**helpers, **_extension("_dynfunc").c_helpers}.items()}
     known |= {name if name.startswith("_") else f"NRT_{name}": address for name, address in memory.items()}
-    return helpers | known | {"_Py_NoneStruct": id(None)}
+    return helpers | known | {"_Py_NoneStruct": id(None), "numba_unpickle": _address_of(_UNPICKLE)}
+
+
+@cache
+def _unpickled(content: bytes) -> Any:  # noqa: ANN401
+    return pickle.loads(content)  # noqa: S301  a part of the machine code
+
+
+_UNPICKLE = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.c_int, ctypes.c_void_p)(
+    lambda content, size, _digest: _unpickled(ctypes.string_at(content, size))
+)
+"""What machine code calls for the type of an array that it returns; numba's own function imports numba for it."""
+
+
+def _address_of(function: Any) -> int:  # noqa: ANN401
+    return ctypes.cast(function, ctypes.c_void_p).value or 0
 
 
 @cache
