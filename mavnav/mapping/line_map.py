@@ -10,7 +10,7 @@ import numpy as np
 from msgspec import Struct, field
 
 from mavnav.kernels.maps.layout import FAR, NEAR, REACH_CELLS
-from mavnav.kernels.maps.linemap import insert_points, rebuild
+from mavnav.kernels.maps.linemap import Geometry, insert_points, rebuild
 from mavnav.kernels.scans.points import extent
 from mavnav.mapping.cost_floors import CostFloors
 from mavnav.mapping.tiled_arrays import NO_EXTENT, covered_extent, covering, moved, within
@@ -54,15 +54,20 @@ class LineMap(Struct):
     waiting: NDArray[np.float64] = field(default_factory=lambda: np.zeros((MOST_WAITING + 1, 8)))
 
     geometry: NDArray[np.float64] = field(default_factory=partial(np.zeros, 6))
-    """Origin x, origin y, cell, line sigma, line noise in m, the share of waiting points, shape (6,)."""
+    """The fields of `Geometry`, (6,)."""
     _floors: CostFloors | None = None
     _covered_m: Extent = NO_EXTENT
 
     def __post_init__(self) -> None:
         """Make the array of the geometry for the kernels."""
-        self.geometry = np.array(
-            [*self.origin_xy_m, self.cell_m, self.line_sigma_m, self.line_noise_m, self.waiting_share]
+        geometry = Geometry(
+            *self.origin_xy_m,
+            cell_m=self.cell_m,
+            line_sigma_m=self.line_sigma_m,
+            line_noise_m=self.line_noise_m,
+            waiting_share=self.waiting_share,
         )
+        self.geometry = np.array(geometry)
 
     @property
     def origin_xy_m(self) -> tuple[float, float]:

@@ -15,7 +15,7 @@ from msgspec import Struct
 
 from mavnav.kernels.walls.scan_pairs import best_alignments, wall_gaps, wall_normals
 from mavnav.metrics.ghost_walls import GhostWall, GhostWalls, as_ghost_walls
-from mavnav.metrics.journey import spread, used_ranges_m
+from mavnav.metrics.journey import spread, used_beams
 from mavnav.metrics.lines import fit_line, linked, members
 from mavnav.units import DEG, MM, NS
 
@@ -122,7 +122,7 @@ def doubled_walls(trajectory: Trajectory, scans: PlacedScans, cell_m: float) -> 
 
 def _keys(trajectory: Trajectory, scans: PlacedScans) -> _Keys:
     spec = scans.spec
-    limits_m = used_ranges_m(spec)
+    beams = used_beams(spec)
     keys_ns = trajectory.stamps_ns[key_rows(trajectory)]
     rows = np.flatnonzero(np.isin(scans.stamps_ns, keys_ns))  # some may be left out
     ranges_m = np.ascontiguousarray(scans.ranges_m[rows])
@@ -130,9 +130,9 @@ def _keys(trajectory: Trajectory, scans: PlacedScans) -> _Keys:
         stamps_ns=scans.stamps_ns[rows],
         poses=scans.poses[rows],
         ranges_m=ranges_m,
-        normals=wall_normals(ranges_m, spec.directions, np.array(limits_m)),
+        normals=wall_normals(ranges_m, spec.directions, np.array([beams.near_m, beams.far_m])),
         directions=spec.directions,
-        beams=np.array([spec.angle_min_rad, spec.angle_step_rad, *limits_m]),
+        beams=np.array(beams),
     )
 
 

@@ -75,41 +75,41 @@ def _search_polar(
     grid: GridSize,
     azimuth: int,
 ) -> Match:
+    from mavnav.kernels.polar_search import cost as polar_cost  # noqa: PLC0415
     from mavnav.kernels.polar_search import search as polar_search  # noqa: PLC0415  loads in 0.2 s, only for paper
 
     paper = config.paper
     extensions = paper.max_extensions if paper.extend_border else 0
+    samples = polar_search.SearchGrid(azimuth, grid.nx, grid.ny, extensions, prune=config.search == "pruned")
+    schedule = polar_search.Schedule(
+        half_m=paper.window_mm * MM,
+        half_rad=paper.window_deg * DEG,
+        shrink=paper.shrink,
+        leave_no_gaps=paper.leave_no_gaps,
+        stop_m=paper.stop_mm * MM,
+        stop_rad=paper.stop_deg * DEG,
+        give_up_m2=level * _give_up_mm2(config) * MM2 if paper.give_up else np.inf,
+        occlusion_shrink=paper.occlusion_shrink,
+        occlusion_least_m=paper.occlusion_least_mm * MM,
+        about_laser=paper.pivot == "laser",
+        either=paper.converged == "either",
+    )
+    limits = polar_cost.Limits(
+        first_rad=spec.angle_min_rad,
+        step_rad=spec.angle_step_rad,
+        near_m=paper.near_mm * MM,
+        far_m=paper.far_mm * MM,
+        occlusion_m=paper.occlusion_mm * MM,
+        edge_m=paper.mixed_pixel_mm * MM,
+        fewest_beams=max(3.0, paper.min_beams_share * (len(points) if paper.min_beams_of == "valid" else spec.beams)),
+        counted=paper.occluded == "counted",
+    )
     x, y, yaw, cost, used, evaluations, iterations, converged = polar_search.search(
         virtual_m,
         points,
-        np.array([azimuth, grid.nx, grid.ny, extensions, config.search == "pruned"], float),
-        np.array(
-            [
-                paper.window_mm * MM,
-                paper.window_deg * DEG,
-                paper.shrink,
-                paper.leave_no_gaps,
-                paper.stop_mm * MM,
-                paper.stop_deg * DEG,
-                level * _give_up_mm2(config) * MM2 if paper.give_up else np.inf,
-                paper.occlusion_shrink,
-                paper.occlusion_least_mm * MM,
-                paper.pivot == "laser",
-                paper.converged == "either",
-            ]
-        ),
-        np.array(
-            [
-                spec.angle_min_rad,
-                spec.angle_step_rad,
-                paper.near_mm * MM,
-                paper.far_mm * MM,
-                paper.occlusion_mm * MM,
-                paper.mixed_pixel_mm * MM,
-                max(3.0, paper.min_beams_share * (len(points) if paper.min_beams_of == "valid" else spec.beams)),
-                paper.occluded == "counted",
-            ]
-        ),
+        np.array(samples, float),
+        np.array(schedule, float),
+        np.array(limits, float),
     )
     pose = predicted @ Pose(float(x), float(y), wrap_angle(float(yaw)))
     beams = int(used) if cost < np.inf else len(points)

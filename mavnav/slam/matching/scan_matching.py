@@ -86,22 +86,24 @@ class Schedule(Struct, frozen=True):
         """
         robust, grid = config.robust, config.grid
         finer = FINAL_STOP if final else 1.0
-        limits = [
+        limits = line_search.SearchLimits(
             *window,
-            finer * robust.stop_mm * MM,
-            finer * robust.stop_deg * DEG,
-            (robust.final_truncate_mm if final else robust.truncate_mm) * MM,
-            robust.first_level_points,
-            FINAL_ALTERNATIONS if final else ALTERNATIONS,
-            prior,
-            robust.hold_below_mm * MM,
-            0.0 if final else line_map.cell_m,
-            line_map.closeness_at(robust.overlap_mm * MM) if robust.overlap_mm and not final else 0.0,
-            line_map.known_points,
-            robust.sparse_points,
-        ]
-        points = [config.azimuth, grid.nx, grid.ny, robust.max_extensions, config.search == "pruned"]
-        return cls(np.array(points, float), np.array(limits))
+            stop_m=finer * robust.stop_mm * MM,
+            stop_rad=finer * robust.stop_deg * DEG,
+            truncate_m=(robust.final_truncate_mm if final else robust.truncate_mm) * MM,
+            few_points=robust.first_level_points,
+            alternations=FINAL_ALTERNATIONS if final else ALTERNATIONS,
+            prior=prior,
+            fixed_below_m=robust.hold_below_mm * MM,
+            within_below_m=0.0 if final else line_map.cell_m,
+            closeness=line_map.closeness_at(robust.overlap_mm * MM) if robust.overlap_mm and not final else 0.0,
+            known_points=line_map.known_points,
+            dense_points=robust.sparse_points,
+        )
+        samples = line_search.SearchGrid(
+            config.azimuth, grid.nx, grid.ny, robust.max_extensions, prune=config.search == "pruned"
+        )
+        return cls(np.array(samples, float), np.array(limits, float))
 
 
 @timed("search")

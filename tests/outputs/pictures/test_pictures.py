@@ -1,6 +1,5 @@
 """Pictures: there, of a sane size, and drawn from any map."""
 
-
 import numpy as np
 import pytest
 from hypothesis import given
