@@ -13,7 +13,7 @@ from mavnav.kernels.maps.layout import FAR, NEAR, REACH_CELLS
 from mavnav.kernels.maps.linemap import Geometry, insert_points, rebuild
 from mavnav.kernels.scans.points import extent
 from mavnav.mapping.cost_floors import CostFloors
-from mavnav.mapping.tiled_arrays import NO_EXTENT, covered_extent, covering, moved, within
+from mavnav.mapping.tiled_arrays import NO_EXTENT, covered_extent, covering, enlarge, within
 from mavnav.profiling import timed
 
 if TYPE_CHECKING:
@@ -155,7 +155,7 @@ class LineMap(Struct):
             return
         new_origin, shape = grown
         dc, dr = origin[0] - new_origin[0], origin[1] - new_origin[1]
-        self.nearest = moved(self.nearest, shape, dr, dc)
+        self.nearest = enlarge(self.nearest, shape, dr, dc)
         self.cells[1 : self.count] += np.array([dr, dc], np.int32)
         self.origin_cells = new_origin
         self.geometry[:2] = self.origin_xy_m

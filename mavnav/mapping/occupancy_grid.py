@@ -21,8 +21,8 @@ from mavnav.mapping.tiled_arrays import (
     blank_strips,
     covered_extent,
     covering,
+    enlarge,
     in_strips,
-    moved,
     plain,
     within,
 )
@@ -177,9 +177,9 @@ class GridBuilder(Struct):
         new_origin, shape = grown
         self._check_size(shape)
         dc, dr = origin[0] - new_origin[0], origin[1] - new_origin[1]
-        self.hits = moved(self.hits, shape, dr, dc)  # one by one: each old array is freed before the next is copied
-        self.passes = moved(self.passes, shape, dr, dc)
-        self.shielded = moved(self.shielded, shape, dr, dc)
+        self.hits = enlarge(self.hits, shape, dr, dc)  # one by one: each old array is freed before the next is copied
+        self.passes = enlarge(self.passes, shape, dr, dc)
+        self.shielded = enlarge(self.shielded, shape, dr, dc)
         self.origin_xy_m = (float(new_origin[0] * self.cell_m), float(new_origin[1] * self.cell_m))
         self.lattice[:2] = self.origin_xy_m
 
@@ -231,11 +231,11 @@ def occupied_xy_m(grid: Grid) -> NDArray[np.float64]:
 
 def occupied_cells(grid: Grid) -> NDArray[np.int64]:
     """Return row and column of the occupied cells, (n, 2), without a copy of the whole map."""
-    found = [np.zeros((0, 2), np.int64)]
+    by_band = [np.zeros((0, 2), np.int64)]
     for _, _, band in bands(grid.hits.shape):
         part = Grid(grid.cell_m, grid.origin_xy_m, grid.hits[band], grid.passes[band])
-        found.append(np.argwhere(occupancy(part) == OCCUPIED) + np.array([band.start, 0]))
-    return np.concatenate(found)
+        by_band.append(np.argwhere(occupancy(part) == OCCUPIED) + np.array([band.start, 0]))
+    return np.concatenate(by_band)
 
 
 def known_part(grid: Grid, *, hits_only: bool = False) -> Grid:

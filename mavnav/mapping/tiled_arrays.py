@@ -43,7 +43,7 @@ def blank_strips(cells: Cell, dtype: Any) -> NDArray[Any]:  # noqa: ANN401
     return np.zeros((cells[1] // WIDE, cells[0], WIDE), dtype)
 
 
-def moved(cells: NDArray[Any], extent: Cell, row: int, col: int) -> NDArray[Any]:
+def enlarge(cells: NDArray[Any], extent: Cell, row: int, col: int) -> NDArray[Any]:
     """Return a larger array (rows, cols), row-major or in strips as this one, with this one at cell (row, col).
 
     All columns are whole strips. Memory of zeros is not touched.
@@ -96,8 +96,8 @@ def bands(shape: tuple[int, ...], margin: int = 0) -> Iterator[tuple[slice, slic
 
 def where(cells: NDArray[Any], test: CellFunction) -> NDArray[np.intp]:
     """Return row and column, (n, 2), of the cells that pass a test, in row-major order, without a mask of all cells."""
-    found = [np.argwhere(test(cells[band])) + np.array([band.start, 0]) for _, _, band in bands(cells.shape)]
-    return np.concatenate([np.zeros((0, 2), np.intp), *found])
+    by_band = [np.argwhere(test(cells[band])) + np.array([band.start, 0]) for _, _, band in bands(cells.shape)]
+    return np.concatenate([np.zeros((0, 2), np.intp), *by_band])
 
 
 def count(cells: NDArray[Any], test: CellFunction) -> int:

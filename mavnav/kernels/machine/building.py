@@ -49,7 +49,7 @@ def prepare(progress: Progress, unused: Collection[str] = ()) -> None:
     if not missing:
         return
     share_private_directory()
-    for done, _ in enumerate(_compiled(sorted(missing, key=_rank))):
+    for done, _ in enumerate(_compile(sorted(missing, key=_rank))):
         progress(f"compiling kernels (first run only): {done} of {len(missing)}", 0, None)
     for made in missing:
         made.recheck_disk()
@@ -70,7 +70,7 @@ def _rank(made: Kernel) -> int:
     return LONG.index(made.module[len(_full("")) :]) if made.module in map(_full, LONG) else len(LONG)
 
 
-def _compiled(kernels: Sequence[Kernel]) -> Iterator[None]:
+def _compile(kernels: Sequence[Kernel]) -> Iterator[None]:
     """Compile kernels into the cache; yield at the start, and after each kernel."""
     paths = os.pathsep.join(map(os.path.abspath, sys.path))
     environment = os.environ | {"PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1"} | _FASTER

@@ -40,7 +40,7 @@ def as_helper(function: Callable[..., Any]) -> Any:  # noqa: ANN401
     return numba.njit(no_cpython_wrapper=True, **_OPTIONS)(function)
 
 
-def compiled(function: Callable[..., Any], signature: Signature) -> tuple[Callable[..., Any], MachineCode | None]:
+def compile_kernel(function: Callable[..., Any], signature: Signature) -> tuple[Callable[..., Any], MachineCode | None]:
     """Compile a kernel; return the callable, and its code, None if this numba does not provide it."""
     made = numba.njit(**_OPTIONS)(function)
     with whole_kernels(made.targetctx):
@@ -48,7 +48,7 @@ def compiled(function: Callable[..., Any], signature: Signature) -> tuple[Callab
     made.disable_compile()
     (result,) = made.overloads.values()
     try:
-        return made, _packed(function, result)
+        return made, _machine_code(function, result)
     except (AttributeError, ImportError, TypeError, ValueError):
         return made, None  # a numba with other internals: kernels compile at every start
 
@@ -65,7 +65,7 @@ def load_by_numba(code: bytes, function: Callable[..., Any]) -> Callable[..., An
     return made  # type: ignore[no-any-return]
 
 
-def _packed(function: Callable[..., Any], result: Any) -> MachineCode:  # noqa: ANN401
+def _machine_code(function: Callable[..., Any], result: Any) -> MachineCode:  # noqa: ANN401
     """Return the machine code of a compiled function: an object file if it can be linked, else all that numba needs."""
     try:
         entry = _object_file(result)

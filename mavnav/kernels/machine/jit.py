@@ -99,18 +99,18 @@ class Kernel:
             return
         run = None if self.code is None else self._from_disk(self.code)
         if run is None:
-            from mavnav.kernels.machine.compiler import compiled  # noqa: PLC0415
+            from mavnav.kernels.machine.compiler import compile_kernel  # noqa: PLC0415
 
-            run, made = compiled(self.function, self.signature)
+            run, made = compile_kernel(self.function, self.signature)
             self.compiled = True
             if made is not None:
-                write_code(self._entry, made.packed())
+                write_code(self._entry, made.pack())
         self.run, self.loaded, self.code = run, True, None  # type: ignore[method-assign]
 
     def _from_disk(self, content: memoryview) -> Callable[..., Any] | None:
         """Load an entry; None if it is not valid, or if numba has other internals than when it was written."""
         with suppress(Exception):
-            entry = MachineCode.unpacked(content)
+            entry = MachineCode.parse(content)
             if entry.wrapper:
                 return link(entry, self.module, self.name)
             from mavnav.kernels.machine.compiler import load_by_numba  # noqa: PLC0415

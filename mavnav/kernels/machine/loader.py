@@ -38,12 +38,12 @@ class MachineCode(Struct, frozen=True):
     dtypes: tuple[str, ...] = ()
     symbols: tuple[str, ...] = ()
 
-    def packed(self) -> bytes:
+    def pack(self) -> bytes:
         """Return the content of the entry's file."""
         return dumps(astuple(self))
 
     @classmethod
-    def unpacked(cls, content: bytes | memoryview) -> MachineCode:
+    def parse(cls, content: bytes | memoryview) -> MachineCode:
         """Parse the content of a file; raises ValueError, EOFError or TypeError if it is not valid."""
         return cls(*loads(content))  # noqa: S302  the checksum has been compared
 
@@ -105,12 +105,12 @@ def _c_functions() -> dict[str, int]:
 
 
 @cache
-def _unpickled(content: bytes) -> Any:  # noqa: ANN401
+def _object_of(content: bytes) -> Any:  # noqa: ANN401
     return pickle.loads(content)  # noqa: S301  a part of the machine code
 
 
 _UNPICKLE = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.c_int, ctypes.c_void_p)(
-    lambda content, size, _digest: _unpickled(ctypes.string_at(content, size))
+    lambda content, size, _digest: _object_of(ctypes.string_at(content, size))
 )
 """What machine code calls for the type of an array that it returns; numba's own function imports numba for it."""
 
