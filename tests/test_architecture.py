@@ -18,7 +18,7 @@ ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "mavnav"
 FILES = sorted(PACKAGE.rglob("*.py"))
 
-SHARED = {"arrays", "atomic_files", "errors", "pose", "profiling", "scan", "units", "version"}
+SHARED = {"atomic_files", "errors", "pose", "profiling", "scan", "units", "version"}
 """Modules that import nothing of ours but errors, and that every package but the kernels may import."""
 
 ALLOWED: dict[str, set[str]] = {

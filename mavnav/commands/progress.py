@@ -106,12 +106,8 @@ def reporting(*, quiet: bool, stages: dict[str, int] | None = None) -> Iterator[
 def loading_modules() -> Iterator[None]:
     """Context for imports that take long; a signal ends the process immediately.
 
-    Garbage collection is disabled, and the imported objects are excluded from it later: that saves 0.1 s. The process
-    keeps some free memory from here on.
+    Garbage collection is disabled, and the imported objects are excluded from it later: that saves 0.1 s.
     """
-    from mavnav.commands.heap import keep_free_memory
-
-    keep_free_memory()
     gc.disable()
     try:
         with signals.at_once():

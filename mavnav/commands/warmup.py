@@ -21,7 +21,6 @@ def warmup() -> None:
     from mavnav.kernels.machine.building import not_on_disk, prepare
     from mavnav.kernels.machine.cache import is_kept, user_directory
     from mavnav.kernels.machine.jit import KERNELS
-    from mavnav.kernels.machine.loader import cache_key
 
     started_s = perf_counter()
     folder = Path(mavnav.kernels.__path__[0])
@@ -29,7 +28,7 @@ def warmup() -> None:
     for name in names:
         import_module(f"mavnav.kernels.{name}")
     missing = len(not_on_disk())
-    if missing and not is_kept(cache_key()):
+    if missing and not is_kept():
         raise OutputError(f"{user_directory()} cannot be written; set MAVNAV_CACHE_DIR to a directory that can")
     with reporting(quiet=False) as report:
         prepare(report)

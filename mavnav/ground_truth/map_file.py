@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeGuard
 import numpy as np
 from msgspec import Struct
 
-from mavnav.arrays import contained
 from mavnav.config.named_files import read_named
 from mavnav.errors import ConfigError, UsageError
 from mavnav.mapping.occupancy_grid import Grid, occupied_xy_m
@@ -166,7 +165,7 @@ def _kinds(path: Path, about: dict[str, Any], shades: _Shades) -> tuple[NDArray[
     used = np.zeros(len(shade), np.bool_)
     for row in shades.levels:
         used[row] = True
-    if mode == "trinary" and not negate and contained(shade[used], SAVED_SHADES).all():
+    if mode == "trinary" and not negate and np.isin(shade[used], SAVED_SHADES).all():
         share = np.where(shade == SAVED_UNKNOWN, np.nan, share)
     return share > least, share < most
 

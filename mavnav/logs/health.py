@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from msgspec import Struct
 
-from mavnav.arrays import median, quantile
 from mavnav.logs.stamps import REPEATED_SHARE
 from mavnav.units import DEG, NS, counted
 
@@ -82,7 +81,7 @@ def sensor_health(log: Log, far_m: float = inf) -> SensorHealth:
     share = log.cleaning["valid"] / max(sum(log.cleaning.values()), 1)
     partial, jitter = _partial(seen.valid), _jitter(seen.stamps_ns, log.period_s)
     sectors = _sectors(seen.covered & ~seen.returned) if len(seen.valid) >= SECTOR_SCANS else []
-    usual = median(seen.valid) if len(seen.valid) else 0.0
+    usual = float(np.median(seen.valid)) if len(seen.valid) else 0.0
     findings = [
         *_sparse(share, usual),
         *_partial_scans(partial, seen.stamps_ns),
@@ -155,14 +154,14 @@ def _partial(valid: NDArray[np.int64]) -> NDArray[np.intp]:
     if len(valid) <= NEIGHBOURS:
         return np.zeros(0, np.intp)
     padded = np.pad(valid, NEIGHBOURS, mode="reflect")
-    usual = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBOURS + 1), axis=1)
+    usual = float(np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBOURS + 1), axis=1))
     return np.flatnonzero(valid < PARTIAL * usual)
 
 
 def _jitter(stamps_ns: NDArray[np.int64], period_s: float) -> float:
     steps_s = np.diff(stamps_ns) * NS
     steps_s = steps_s[steps_s <= 3.0 * period_s]
-    return quantile(np.abs(steps_s - period_s), 0.9) / period_s if len(steps_s) and period_s else 0.0
+    return float(np.quantile(np.abs(steps_s - period_s), 0.9)) / period_s if len(steps_s) and period_s else 0.0
 
 
 def _sectors(dead: NDArray[np.bool_]) -> list[tuple[float, float]]:

@@ -9,7 +9,6 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from mavnav.arrays import median
 from mavnav.errors import TopicError
 from mavnav.logs.attitude import NAME
 from mavnav.logs.stamps import in_order
@@ -188,7 +187,7 @@ def _tilts(found: RecordedAttitude) -> bool:
     """Return whether the laser tilts often and by much from how it usually is."""
     if not len(found.stamps_ns):
         return False
-    off = [(v - median(v) + pi) % (2 * pi) - pi for v in (found.roll_rad, found.pitch_rad)]
+    off = [(v - np.median(v) + pi) % (2 * pi) - pi for v in (found.roll_rad, found.pitch_rad)]
     return float((np.hypot(*off) > LEAST_RAD).mean()) >= LEAST_SHARE
 
 

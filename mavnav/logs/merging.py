@@ -9,7 +9,6 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from mavnav.arrays import median
 from mavnav.scan import LaserSpec, Scan, nearest_returns, on_bearings
 from mavnav.units import NS
 
@@ -44,7 +43,7 @@ def partners(stamps_ns: NDArray[np.int64], others_ns: NDArray[np.int64]) -> NDAr
     ascend.
     """
     there, back = _nearest(stamps_ns, others_ns), _nearest(others_ns, stamps_ns)
-    half_ns = 0.5 * median(np.diff(stamps_ns)) if len(stamps_ns) > 1 else np.inf
+    half_ns = 0.5 * float(np.median(np.diff(stamps_ns))) if len(stamps_ns) > 1 else np.inf
     mutual = back[there] == np.arange(len(stamps_ns))
     return np.where(mutual & (np.abs(others_ns[there] - stamps_ns) <= half_ns), there, -1)
 

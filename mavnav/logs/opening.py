@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Literal
 
 from msgspec.structs import replace
 
-from mavnav.arrays import trim
 from mavnav.errors import NoScansError, TopicError
 from mavnav.logs.attitude import AttitudeTracks
 from mavnav.logs.ceiling import with_ceiling
@@ -88,12 +87,8 @@ def open_log(
         No log, or no usable scan in it.
     """
     window = partial(survey, path, start_s=start_s, end_s=end_s)
-    found = window(topic=topic, progress=progress, strict=strict, truth=truth, odom=odom, attitude=attitude)
-    log = choose(found, topic=topic, odom=odom, extrinsic=extrinsic, upside_down=upside_down)
-    del found
-    if not log.is_short:
-        trim()
-    return log
+    surveyed = window(topic=topic, progress=progress, strict=strict, truth=truth, odom=odom, attitude=attitude)
+    return choose(surveyed, topic=topic, odom=odom, extrinsic=extrinsic, upside_down=upside_down)
 
 
 def choose(

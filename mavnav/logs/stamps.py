@@ -11,7 +11,6 @@ import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
 
-from mavnav.arrays import contained, distinct, median, quantile
 from mavnav.logs.preprocessing import KINDS
 from mavnav.logs.records import Gap
 from mavnav.units import NS
@@ -117,7 +116,7 @@ def in_order(
     """
     possible = np.flatnonzero(~_impossible(stamps_ns))
     chosen = _better_order(possible, recorded_ns, lambda numbers: numbers[ascending(stamps_ns[numbers])])
-    if len(chosen) < len(stamps_ns) and (left_out := ~contained(stamps_ns, stamps_ns[chosen])).any():
+    if len(chosen) < len(stamps_ns) and (left_out := ~np.isin(stamps_ns, stamps_ns[chosen])).any():
         warn(f"{topic}: {left_out.sum()} of {len(stamps_ns)} messages are left out, their stamps do not ascend")
     return chosen
 
@@ -263,8 +262,8 @@ class TopicScans(Struct):
         kinds = np.array(self._kind)
         header_ns, log_ns = self._stamps.by("header")
         offsets = header_ns - log_ns
-        usual = median(offsets[~suspect])
-        known = {_geometry(self._kinds[kind]) for kind in distinct(kinds[~suspect]).tolist()}
+        usual = float(np.median(offsets[~suspect]))
+        known = {_geometry(self._kinds[kind]) for kind in np.unique(kinds[~suspect]).tolist()}
         like = np.array([_geometry(kind) in known for kind in self._kinds])
         plausible: NDArray[np.bool_] = like[kinds] & (np.abs(offsets - usual) < _SUSPECT_OFFSET_NS)
         return plausible | ~suspect
@@ -294,7 +293,7 @@ class TopicScans(Struct):
         impossible = left & _impossible(stamps_ns)
         implausible = left & ~impossible & ~self._plausible()
         rest = stamps_ns[left & ~impossible & ~implausible]
-        twice = int(contained(rest, stamps_ns[chosen]).sum())
+        twice = int(np.isin(rest, stamps_ns[chosen]).sum())
         counts = (impossible.sum(), implausible.sum(), twice, len(rest) - twice)
         reasons = ("impossible_stamp", "implausible", "duplicate_stamp", "backward_stamp")
         return Counter(dict(zip(reasons, map(int, counts), strict=True)))
@@ -309,7 +308,7 @@ def _geometry(kind: tuple[LaserSpec, str]) -> tuple[LaserSpec, str]:
 def _impossible(stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return which stamps are no times; zero is one, unless the clock has a date."""
     given = stamps_ns[stamps_ns != 0]
-    least = 1 if len(given) and median(given) > _CALENDAR_NS else 0
+    least = 1 if len(given) and np.median(given) > _CALENDAR_NS else 0
     return (stamps_ns < least) | (stamps_ns >= _LATEST_NS)
 
 
@@ -329,9 +328,9 @@ def period_and_gaps(stamps_ns: NDArray[np.int64]) -> tuple[float, tuple[Gap, ...
     if len(stamps_ns) < 2:
         return 0.0, ()
     steps = np.diff(stamps_ns)
-    period_ns = burst_ns = median(steps)
+    period_ns = burst_ns = float(np.median(steps))
     if comes_in_bursts(stamps_ns):
-        period_ns, burst_ns = _mean_step_ns(stamps_ns), quantile(steps, _BURST_QUANTILE)
+        period_ns, burst_ns = _mean_step_ns(stamps_ns), float(np.quantile(steps, _BURST_QUANTILE))
     return period_ns * NS, tuple(
         Gap(int(stamps_ns[k]), float(steps[k]) * NS) for k in np.flatnonzero(steps > _GAP_PERIODS * burst_ns)
     )
@@ -347,4 +346,4 @@ def comes_in_bursts(stamps_ns: NDArray[np.int64]) -> bool:
 def _mean_step_ns(stamps_ns: NDArray[np.int64]) -> float:
     """Return the median of the mean steps over many scans, which pauses do not change."""
     n = min(_MANY_SCANS, len(stamps_ns) - 1)
-    return median(stamps_ns[n:] - stamps_ns[:-n]) / n
+    return float(np.median(stamps_ns[n:] - stamps_ns[:-n])) / n

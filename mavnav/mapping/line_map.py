@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec import Struct, field
 
-from mavnav.arrays import blank
 from mavnav.kernels.maps.layout import FAR, NEAR, REACH_CELLS
-from mavnav.kernels.maps.linemap import insert_points, rebuild
+from mavnav.kernels.maps.linemap import Geometry, insert_points, rebuild
 from mavnav.kernels.scans.correlative_search import pose_costs
 from mavnav.kernels.scans.points import extent
 from mavnav.mapping.cost_floors import CostFloors
-from mavnav.mapping.tiled_arrays import NO_EXTENT, covered_extent, covering, moved, within
+from mavnav.mapping.tiled_arrays import NO_EXTENT, covered_extent, covering, enlarge, within
 from mavnav.profiling import timed
 
 if TYPE_CHECKING:
@@ -56,15 +55,20 @@ class LineMap(Struct):
     waiting: NDArray[np.float64] = field(default_factory=lambda: np.zeros((MOST_WAITING + 1, 8)))
 
     geometry: NDArray[np.float64] = field(default_factory=partial(np.zeros, 6))
-    """Origin x, origin y, cell, line sigma, line noise in m, the share of waiting points, shape (6,)."""
+    """The fields of `Geometry`, (6,)."""
     _floors: CostFloors | None = None
     _covered_m: Extent = NO_EXTENT
 
     def __post_init__(self) -> None:
         """Make the array of the geometry for the kernels."""
-        self.geometry = np.array(
-            [*self.origin_xy_m, self.cell_m, self.line_sigma_m, self.line_noise_m, self.waiting_share]
+        geometry = Geometry(
+            *self.origin_xy_m,
+            cell_m=self.cell_m,
+            line_sigma_m=self.line_sigma_m,
+            line_noise_m=self.line_noise_m,
+            waiting_share=self.waiting_share,
         )
+        self.geometry = np.array(geometry)
 
     @property
     def origin_xy_m(self) -> tuple[float, float]:
@@ -141,7 +145,7 @@ class LineMap(Struct):
             band = slice(first, min(first + _AT_ONCE, n))
             for held in (self.cells, self.moments, self.lines):
                 held[band] = held[kept[band]]
-        self.nearest = blank(self.nearest.shape, np.uint32)
+        self.nearest = np.zeros(self.nearest.shape, np.uint32)
         rebuild(self.geometry, self.nearest, self.cells[:n], self.moments[:n], self.lines[:n])
 
     def _add_waiting(self) -> None:
@@ -162,7 +166,7 @@ class LineMap(Struct):
             return
         new_origin, shape = grown
         dc, dr = origin[0] - new_origin[0], origin[1] - new_origin[1]
-        self.nearest = moved(self.nearest, shape, dr, dc)
+        self.nearest = enlarge(self.nearest, shape, dr, dc)
         self.cells[1 : self.count] += np.array([dr, dc], np.int32)
         self.origin_cells = new_origin
         self.geometry[:2] = self.origin_xy_m

@@ -10,7 +10,6 @@ import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import force_setattr
 
-from mavnav.arrays import SMALL_BYTES
 from mavnav.errors import MapTooLargeError
 from mavnav.kernels.maps import hits as hits_kernel
 from mavnav.kernels.maps.dynamic_cells import dynamic_cells
@@ -22,8 +21,8 @@ from mavnav.mapping.tiled_arrays import (
     blank_strips,
     covered_extent,
     covering,
+    enlarge,
     in_strips,
-    moved,
     plain,
     within,
 )
@@ -39,6 +38,9 @@ BLOCK_CELLS = 64
 _MARGIN_CELLS: Final = 2
 MAX_CELLS = 1 << 28
 """Maximum number of cells of a map: 819 m x 819 m with cells of 50 mm."""
+
+LARGE_BYTES: Final = 1 << 22
+"""Size of an array of counts from which its largest count is not looked for."""
 
 OCCUPIED_SHARE: Final = 0.2
 """Minimum share of hits among the beams that reached an occupied cell."""
@@ -128,7 +130,7 @@ class GridBuilder(Struct):
 
         They are not looked for any more once a cell is more than half full, nor in large maps.
         """
-        if 0 <= self._room < crossings and self.passes.nbytes < SMALL_BYTES:
+        if 0 <= self._room < crossings and self.passes.nbytes < LARGE_BYTES:
             room = MOST - int(self.passes.max(initial=0))
             self._room = room if room > MOST // 2 else -1
         if self._room < crossings:
@@ -175,9 +177,9 @@ class GridBuilder(Struct):
         new_origin, shape = grown
         self._check_size(shape)
         dc, dr = origin[0] - new_origin[0], origin[1] - new_origin[1]
-        self.hits = moved(self.hits, shape, dr, dc)  # one by one: each old array is freed before the next is copied
-        self.passes = moved(self.passes, shape, dr, dc)
-        self.shielded = moved(self.shielded, shape, dr, dc)
+        self.hits = enlarge(self.hits, shape, dr, dc)  # one by one: each old array is freed before the next is copied
+        self.passes = enlarge(self.passes, shape, dr, dc)
+        self.shielded = enlarge(self.shielded, shape, dr, dc)
         self.origin_xy_m = (float(new_origin[0] * self.cell_m), float(new_origin[1] * self.cell_m))
         self.lattice[:2] = self.origin_xy_m
 
@@ -229,11 +231,11 @@ def occupied_xy_m(grid: Grid) -> NDArray[np.float64]:
 
 def occupied_cells(grid: Grid) -> NDArray[np.int64]:
     """Return row and column of the occupied cells, (n, 2), without a copy of the whole map."""
-    found = [np.zeros((0, 2), np.int64)]
+    by_band = [np.zeros((0, 2), np.int64)]
     for _, _, band in bands(grid.hits.shape):
         part = Grid(grid.cell_m, grid.origin_xy_m, grid.hits[band], grid.passes[band])
-        found.append(np.argwhere(occupancy(part) == OCCUPIED) + np.array([band.start, 0]))
-    return np.concatenate(found)
+        by_band.append(np.argwhere(occupancy(part) == OCCUPIED) + np.array([band.start, 0]))
+    return np.concatenate(by_band)
 
 
 def known_part(grid: Grid, *, hits_only: bool = False) -> Grid:

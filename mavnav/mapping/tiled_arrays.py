@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mavnav.arrays import SMALL_BYTES, blank, release_free_memory, release_rows
 from mavnav.kernels.maps.layout import WIDE
 
 if TYPE_CHECKING:
@@ -41,26 +40,22 @@ MARGIN = 8
 
 def blank_strips(cells: Cell, dtype: Any) -> NDArray[Any]:  # noqa: ANN401
     """Return strips of zeros for (rows, cols)."""
-    return blank((cells[1] // WIDE, cells[0], WIDE), dtype)
+    return np.zeros((cells[1] // WIDE, cells[0], WIDE), dtype)
 
 
-def moved(cells: NDArray[Any], extent: Cell, row: int, col: int) -> NDArray[Any]:
+def enlarge(cells: NDArray[Any], extent: Cell, row: int, col: int) -> NDArray[Any]:
     """Return a larger array (rows, cols), row-major or in strips as this one, with this one at cell (row, col).
 
-    All columns are whole strips. Memory of zeros is not touched. The contents of ``cells`` are lost: its pages are
-    released as they are copied, because two copies of a large array may not fit into memory.
+    All columns are whole strips. Memory of zeros is not touched.
     """
     in_strips = cells.ndim == 3
-    grown = blank_strips(extent, cells.dtype) if in_strips else blank(extent, cells.dtype)
+    grown = blank_strips(extent, cells.dtype) if in_strips else np.zeros(extent, cells.dtype)
     first, along = (col // WIDE, row) if in_strips else (row, col // WIDE)
     new, old = _runs(grown)[first:], _runs(cells)
     step = max(1, AT_ONCE // max(old[:1].size, 1))
     for at in range(0, len(old), step):
         i, j = np.nonzero(np.bitwise_or.reduce(old[at : at + step].view(np.uint64), axis=2))
         new[i + at, j + along] = old[i + at, j]
-        release_rows(cells, at, min(at + step, len(old)))
-    if grown.nbytes > SMALL_BYTES:
-        release_free_memory()
     return grown
 
 
@@ -72,7 +67,7 @@ def _runs(cells: NDArray[Any]) -> NDArray[Any]:
 def plain(strips: NDArray[Any], dtype: Any = None) -> NDArray[Any]:  # noqa: ANN401
     """Return a row-major copy of strips, (rows, cols); memory of zeros is not touched."""
     rows, cols = strips.shape[1], strips.shape[0] * WIDE
-    out = blank((rows, cols), dtype or strips.dtype)
+    out = np.zeros((rows, cols), dtype or strips.dtype)
     by_rows = strips.transpose(1, 0, 2)
     for first in range(0, rows, WIDE):
         band = by_rows[first : first + WIDE]
@@ -101,8 +96,8 @@ def bands(shape: tuple[int, ...], margin: int = 0) -> Iterator[tuple[slice, slic
 
 def where(cells: NDArray[Any], test: CellFunction) -> NDArray[np.intp]:
     """Return row and column, (n, 2), of the cells that pass a test, in row-major order, without a mask of all cells."""
-    found = [np.argwhere(test(cells[band])) + np.array([band.start, 0]) for _, _, band in bands(cells.shape)]
-    return np.concatenate([np.zeros((0, 2), np.intp), *found])
+    by_band = [np.argwhere(test(cells[band])) + np.array([band.start, 0]) for _, _, band in bands(cells.shape)]
+    return np.concatenate([np.zeros((0, 2), np.intp), *by_band])
 
 
 def count(cells: NDArray[Any], test: CellFunction) -> int:

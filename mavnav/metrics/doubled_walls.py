@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from msgspec import Struct
 
-from mavnav.arrays import contained, distinct, median
 from mavnav.kernels.walls.scan_pairs import best_alignments, wall_gaps, wall_normals
 from mavnav.metrics.ghost_walls import GhostWall, GhostWalls, as_ghost_walls
-from mavnav.metrics.journey import spread, used_ranges_m
+from mavnav.metrics.journey import spread, used_beams
 from mavnav.metrics.lines import fit_line, linked, members
 from mavnav.units import DEG, MM, NS
 
@@ -123,17 +122,17 @@ def doubled_walls(trajectory: Trajectory, scans: PlacedScans, cell_m: float) -> 
 
 def _keys(trajectory: Trajectory, scans: PlacedScans) -> _Keys:
     spec = scans.spec
-    limits_m = used_ranges_m(spec)
+    beams = used_beams(spec)
     keys_ns = trajectory.stamps_ns[key_rows(trajectory)]
-    rows = np.flatnonzero(contained(scans.stamps_ns, keys_ns))  # some may be left out
+    rows = np.flatnonzero(np.isin(scans.stamps_ns, keys_ns))  # some may be left out
     ranges_m = np.ascontiguousarray(scans.ranges_m[rows])
     return _Keys(
         stamps_ns=scans.stamps_ns[rows],
         poses=scans.poses[rows],
         ranges_m=ranges_m,
-        normals=wall_normals(ranges_m, spec.directions, np.array(limits_m)),
+        normals=wall_normals(ranges_m, spec.directions, np.array([beams.near_m, beams.far_m])),
         directions=spec.directions,
-        beams=np.array([spec.angle_min_rad, spec.angle_step_rad, *limits_m]),
+        beams=np.array(beams),
     )
 
 
@@ -259,17 +258,17 @@ def _places(found: _Doubled, keys: _Keys) -> list[GhostWall]:
 
 def _place(found: _Doubled, group: NDArray[np.intp], keys: _Keys) -> GhostWall | None:
     """Return the ghost wall of a group of doubled points; None without enough evidence."""
-    pairs = len(distinct(found.pair[group]))
+    pairs = len(np.unique(found.pair[group]))
     group = group[found.explained[group]]
-    explained = len(distinct(found.pair[group]))
-    front, rear = distinct(found.front[group]), distinct(found.rear[group])
+    explained = len(np.unique(found.pair[group]))
+    front, rear = np.unique(found.front[group]), np.unique(found.rear[group])
     scans, shared = min(len(front), len(rear)), len(np.intersect1d(front, rear))
     if explained < max(LEAST_PAIRS, LEAST_EXPLAINED * pairs) or scans < LEAST_SCANS or shared > MOST_SHARED * scans:
         return None
     line = fit_line(found.xy_m[group], np.ones(len(group)), ALONG_M)
     if line.length_m < LEAST_LENGTH_M:
         return None
-    offset_mm = median(found.offset_m[group]) / MM
+    offset_mm = float(np.median(found.offset_m[group])) / MM
     first_ns = keys.stamps_ns.min()
-    front_s, rear_s = (median(keys.stamps_ns[which] - first_ns) * NS for which in (front, rear))
+    front_s, rear_s = (float(np.median(keys.stamps_ns[which] - first_ns)) * NS for which in (front, rear))
     return GhostWall(line.x_m, line.y_m, line.direction_rad / DEG, line.length_m, offset_mm, explained, front_s, rear_s)

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Final
 import numpy as np
 from msgspec import Struct
 
-from mavnav.arrays import median
 from mavnav.kernels.walls.profiles import wall_profiles
 from mavnav.metrics.fields import Measured, number
 from mavnav.metrics.lines import fit_line, linked, members
@@ -203,7 +202,7 @@ def _places(twins: _Twins, grid: Grid) -> list[GhostWall]:
     places = []
     for here in members(groups):
         line = fit_line(xy_m[here], np.ones(len(here)), SPACING_CELLS * grid.cell_m)
-        offset_mm = median(twins.offset_cells[here]) * grid.cell_m / MM
+        offset_mm = float(np.median(twins.offset_cells[here])) * grid.cell_m / MM
         if line.length_m >= LEAST_LENGTH_M:
             places.append(GhostWall(line.x_m, line.y_m, line.direction_rad / DEG, line.length_m, offset_mm))
     return places

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from math import tau
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from msgspec import Struct, field
@@ -60,9 +60,22 @@ class PlacedScans(Struct, frozen=True):
         return self.ranges_m[k], self.spec.directions
 
 
-def used_ranges_m(spec: LaserSpec) -> tuple[float, float]:
-    """Return the least and greatest range, m, of points in comparisons of scans."""
-    return NEAR_M, min(FAR_SHORT_M if spec.range_max_m <= SHORT_SENSOR_M else FAR_LONG_M, spec.range_max_m)
+class UsedBeams(NamedTuple):
+    """The points of a scan in comparisons: bearing of the first beam and step (rad), least and greatest range (m).
+
+    Kernels take it as an array (4,).
+    """
+
+    first_rad: float
+    step_rad: float
+    near_m: float
+    far_m: float
+
+
+def used_beams(spec: LaserSpec) -> UsedBeams:
+    """Return the points of a laser's scans that are compared."""
+    far_m = FAR_SHORT_M if spec.range_max_m <= SHORT_SENSOR_M else FAR_LONG_M
+    return UsedBeams(spec.angle_min_rad, spec.angle_step_rad, NEAR_M, min(far_m, spec.range_max_m))
 
 
 def spread(n: int, most: int) -> NDArray[np.intp]:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Final
 import numpy as np
 from msgspec import Struct, field
 
-from mavnav.arrays import quantile
 from mavnav.metrics.fields import Measured, number
 from mavnav.units import MM
 
@@ -66,8 +65,8 @@ def map_distance(occupied_xy_m: NDArray[np.float64], truth: TrueMap) -> MapDista
         alignment=truth.alignment,
         cells=n,
         mean_mm=float(distance_mm.mean()),
-        median_mm=quantile(distance_mm, 0.5),
-        p95_mm=quantile(distance_mm, 0.95),
+        median_mm=float(np.quantile(distance_mm, 0.5)),
+        p95_mm=float(np.quantile(distance_mm, 0.95)),
         max_mm=float(distance_mm.max()),
         covered_share=float((gap_m <= COVERED_M).mean()) if len(gap_m) else np.nan,
     )

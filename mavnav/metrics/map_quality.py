@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Final
 import numpy as np
 from msgspec import Struct
 
-from mavnav.arrays import blank, distinct
 from mavnav.mapping.occupancy_grid import UNKNOWN, occupancy, occupied_cells
 from mavnav.mapping.tiled_arrays import pooled
 from mavnav.metrics.crispness import Crispness, crispness
@@ -131,7 +130,7 @@ def _compare_scans(journey: Journey) -> tuple[Revisits, PlacedScans | None]:
     trajectory = journey.map_T_laser
     pairs = pairs_of(trajectory)
     rows = (pairs.rows, spread(len(trajectory), max(SAMPLE_SCANS, WALL_SCANS)), key_rows(trajectory))
-    scans = placed_scans(journey, distinct(np.concatenate(rows)))
+    scans = placed_scans(journey, np.unique(np.concatenate(rows)))
     return revisits(trajectory, pairs, scans), scans
 
 
@@ -143,7 +142,7 @@ def _at_most(cells: NDArray[np.int8], cell_m: float) -> tuple[NDArray[np.int8], 
 
 def only_occupied(grid: Grid) -> NDArray[np.uint16]:
     """Return an array with 1 in the occupied cells; the rest of it takes no memory."""
-    out = blank(grid.hits.shape, np.uint16)
+    out = np.zeros(grid.hits.shape, np.uint16)
     row, col = occupied_cells(grid).T
     out[row, col] = 1
     return out

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Final
 import numpy as np
 from msgspec import Struct
 
-from mavnav.arrays import distinct
 from mavnav.kernels.walls.overlap import scan_distances
 from mavnav.metrics.fields import Measured, number
-from mavnav.metrics.journey import spread, used_ranges_m
+from mavnav.metrics.journey import spread, used_beams
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
@@ -69,7 +68,7 @@ class Pairs(Struct, frozen=True):
     @property
     def rows(self) -> NDArray[np.intp]:
         """All rows without repetition."""
-        return distinct(np.concatenate((self.short, self.long)))
+        return np.unique(np.concatenate((self.short, self.long)))
 
 
 def pairs_of(trajectory: Trajectory) -> Pairs:
@@ -141,8 +140,8 @@ def _fractions(n: int) -> NDArray[np.float64]:
 def _distances(scans: PlacedScans, trajectory: Trajectory, pairs: NDArray[np.intp]) -> NDArray[np.float64]:
     """Return the sums of `scan_distances` for the pairs of rows with enough points."""
     spec = scans.spec
-    near_m, far_m = used_ranges_m(spec)
-    points = np.count_nonzero((scans.ranges_m >= near_m) & (scans.ranges_m <= far_m), axis=1)
+    beams = used_beams(spec)
+    points = np.count_nonzero((scans.ranges_m >= beams.near_m) & (scans.ranges_m <= beams.far_m), axis=1)
     order = np.argsort(scans.stamps_ns)
     there = np.searchsorted(scans.stamps_ns, trajectory.stamps_ns[pairs], sorter=order)
     numbers = order[np.minimum(there, len(order) - 1)]
@@ -153,7 +152,7 @@ def _distances(scans: PlacedScans, trajectory: Trajectory, pairs: NDArray[np.int
         scans.poses,
         np.ascontiguousarray(numbers[found & enough], np.int64),
         spec.directions,
-        np.array([spec.angle_min_rad, spec.angle_step_rad, near_m, far_m]),
+        np.array(beams),
         CAP_M,
         EVERY,
     )

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Final
 import numpy as np
 from msgspec import Struct
 
-from mavnav.arrays import blank, median
 from mavnav.kernels.maps.regions import region_sizes
 from mavnav.kernels.walls.smoothing import smoothed
 from mavnav.mapping.occupancy_grid import OCCUPIED, UNKNOWN
@@ -73,7 +72,7 @@ def corners(cells: NDArray[np.int8], cell_m: float) -> int:
     occupied = np.pad(cells == OCCUPIED, int(2 * radius))
     if not occupied.any():
         return 0
-    heights, peaks, walls = blank(occupied.shape, np.float32), np.zeros_like(occupied), []
+    heights, peaks, walls = np.zeros(occupied.shape, np.float32), np.zeros_like(occupied), []
     reach = int(4.0 * SLOPE_CELLS + 0.5) + int(2.0 * radius + 0.5) + int(radius) + coarse
     for around, inside, band in bands(occupied.shape, margin=reach):
         image = widened(occupied[around]) if coarse else occupied[around]
@@ -83,7 +82,7 @@ def corners(cells: NDArray[np.int8], cell_m: float) -> int:
         peaks[band] = (weak == highest(weak, int(radius)))[inside]
         some = peaks[band] & (weak[inside] != 0.0)
         heights[band][some] = weak[inside][some]
-    least = CORNER_SHARE * median(np.concatenate(walls))
+    least = CORNER_SHARE * float(np.median(np.concatenate(walls, dtype=np.float64)))
     for _, _, band in bands(occupied.shape):
         peaks[band] &= heights[band] >= least
     return len(region_sizes(peaks, True))

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Final
 import numpy as np
 from msgspec import Struct
 
-from mavnav.arrays import blank
 from mavnav.kernels.maps.hits import show_ends
 from mavnav.mapping.occupancy_grid import OCCUPIED
 from mavnav.mapping.tiled_arrays import bands
@@ -102,7 +101,7 @@ def near_walls(occupied: NDArray[np.uint16]) -> NDArray[np.int8]:
 
     Zeros take no memory.
     """
-    near = blank(occupied.shape, np.int8)
+    near = np.zeros(occupied.shape, np.int8)
     for around, inside, band in bands(occupied.shape, margin=1):
         near[band][widened(occupied[around] > 0)[inside]] = OCCUPIED
     return near

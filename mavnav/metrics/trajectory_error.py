@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Final
 import numpy as np
 from msgspec import Struct
 
-from mavnav.arrays import median
 from mavnav.metrics.fields import Measured, number
 from mavnav.pose import Trajectory, between, rigid_fit, transform_points
 from mavnav.units import DEG
@@ -62,7 +61,7 @@ def absolute_error(
     if aligned:
         estimate_xy_m = transform_points(rigid_fit(estimate_xy_m, truth_xy_m), estimate_xy_m)
     error = np.hypot(*(estimate_xy_m - truth_xy_m).T)
-    return AbsoluteError(n, float(np.sqrt((error**2).mean())), median(error), float(error.max()))
+    return AbsoluteError(n, float(np.sqrt((error**2).mean())), float(np.median(error)), float(error.max()))
 
 
 def relative_error(estimate: Trajectory, truth: Trajectory) -> RelativeError:
@@ -111,7 +110,7 @@ def position_errors(estimate: Trajectory, truth: Trajectory, *, aligned: bool) -
 def _stretches(path: Trajectory) -> tuple[list[int], list[int]]:
     """Return the first and last rows of stretches of a path, each of `DELTA_M` or just above and without a gap."""
     steps_ns = np.diff(path.stamps_ns)
-    longest_ns = max(MAX_GAP_NS, GAP_PERIODS * median(steps_ns)) if len(steps_ns) else MAX_GAP_NS
+    longest_ns = max(MAX_GAP_NS, GAP_PERIODS * float(np.median(steps_ns))) if len(steps_ns) else MAX_GAP_NS
     first: list[int] = []
     last: list[int] = []
     start, walked_m = 0, 0.0

@@ -9,7 +9,6 @@ from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
-from mavnav.arrays import release_free_memory
 from mavnav.errors import UsageError
 from mavnav.outputs.directory import RUN_FILE, file_sha256, staged
 from mavnav.outputs.files.document import plain, plain_json, run_document, with_picture, write_metrics
@@ -159,6 +158,5 @@ def _scans_of(number: int, run: Run, path: Path) -> None:
 def _write(write: Callable[[Run, Path], None], run: Run, path: Path) -> str:
     """Write one file and return its SHA-256."""
     with Stage("pictures" if path.suffix == ".png" else "outputs"):
-        release_free_memory()
         write(run, path)
         return file_sha256(path)

@@ -19,7 +19,7 @@ from mavnav.errors import ConfigError, UsageError
 from mavnav.logs import content_sha256
 from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.documents.addresses import is_address
-from mavnav.outputs.documents.provenance import Typed
+from mavnav.outputs.documents.provenance import Typed, installed_version
 from mavnav.outputs.documents.run_json import Provenance
 from mavnav.outputs.writers import REPORT_FILE
 from mavnav.version import __version__
@@ -51,7 +51,7 @@ class EarlierRun(Struct, frozen=True):
         changed = [
             f"{name} {then} then, {installed} now"
             for name, then in made.items()
-            if (installed := now.get(name) or _installed_version(name)) != then
+            if (installed := now.get(name) or installed_version(name)) != then
         ]
         lines = (
             [f"other versions than in {self.directory}, results may differ: {', '.join(changed)}"] if changed else []
@@ -72,15 +72,6 @@ class EarlierRun(Struct, frozen=True):
 
 def _versions(document: dict[str, Any]) -> dict[str, str]:
     return {"mavnav": document["mavnav_version"], "Python": document["python"], **document["libraries"]}
-
-
-def _installed_version(library: str) -> str:
-    from importlib.metadata import PackageNotFoundError, version  # noqa: PLC0415  it takes 8 ms to load
-
-    try:
-        return version(library)
-    except PackageNotFoundError:
-        return "none"
 
 
 def earlier_run(directory: Path, *, simulated: bool) -> EarlierRun:

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 from msgspec import Struct, field
 from msgspec.structs import replace as changed
 
-from mavnav.arrays import release_free_memory
 from mavnav.config.models import OdometryConfig
 from mavnav.config.option_kinds import recorded_topic
 from mavnav.config.options import ReplayOptions, paths_of, reference_files
@@ -202,7 +201,6 @@ def _track_and_write(
 ) -> tuple[Run, dict[str, Any]]:
     """Track, measure and write; ``began`` holds the clocks as they stood at the start."""
     outcome = _track(log, request.config, given.known, progress, stop)
-    release_free_memory()
     stopped = stop()
     if stopped is not None and not len(outcome.trajectory):
         raise StoppedError(f"{request.log}: stopped before the first pose; nothing is written", stopped)

@@ -8,7 +8,6 @@ from zlib import crc32
 import numpy as np
 from msgspec import Struct
 
-from mavnav.arrays import median
 from mavnav.slam.loop_closure.key_frames import KeyFrame, key_rows
 from mavnav.slam.matching.motion_model import USUAL_PERIOD_S, Motion
 from mavnav.slam.methods.robust import Robust
@@ -44,7 +43,7 @@ class Session(Struct, frozen=True):
     def at_rest(self) -> Motion:
         """The motion before the first scan: the time between two scans alone is known."""
         steps_ns = np.diff(self.map_T_laser.stamps_ns)
-        return Motion(median(steps_ns) * NS if len(steps_ns) else USUAL_PERIOD_S)
+        return Motion(float(np.median(steps_ns)) * NS if len(steps_ns) else USUAL_PERIOD_S)
 
 
 def make_session(

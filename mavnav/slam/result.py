@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec import Struct, field
 
-from mavnav.arrays import distinct, median
 from mavnav.slam.findings import NOT_PLANAR, Loops
 from mavnav.slam.matching.steps import LostInterval, Steps, jumps, lost_intervals, tracked_trajectory
 from mavnav.slam.methods.pauses import blind_warnings, pause_warnings
@@ -137,7 +136,7 @@ def scattered_warnings(steps: Steps, lost: Sequence[LostInterval]) -> Iterator[s
 def few_beams_warnings(steps: Steps, *, odometry: bool) -> Iterator[str]:
     """Yield a warning if most tracked scans have few points: they may fit at several poses."""
     used = steps.column("beams_used")[steps.column("tracked")]
-    if len(used) and (usual := median(used)) < FEW_BEAMS:
+    if len(used) and (usual := float(np.median(used))) < FEW_BEAMS:
         yield (
             f"the scans have only {usual:.0f} points in the median: single poses may be off by a meter; "
             f"check the map{'' if odometry else ', or record odometry'}"
@@ -161,6 +160,6 @@ def doubtful_parts(slam: SlamResult) -> list[NDArray[np.float64]]:
     stamps_ns = slam.trajectory.stamps_ns
     marked, breaks = slam.doubtful(stamps_ns), [lost.start_ns for lost in slam.lost]
     turns, gaps = np.flatnonzero(np.diff(marked)) + 1, np.searchsorted(stamps_ns, breaks, side="right")
-    ends = distinct(np.concatenate((turns, gaps)))
+    ends = np.unique(np.concatenate((turns, gaps)))
     parts = zip(np.split(slam.trajectory.xyyaw[:, :2], ends), np.split(marked, ends), strict=True)
     return [xy_m for xy_m, doubtful in parts if doubtful.any()]

@@ -77,10 +77,10 @@ def test_machine_code_that_is_lost_with_the_power_is_noticed(tmp_path: Path, mon
     from mavnav.kernels.machine import cache as _cache
 
     monkeypatch.setenv("MAVNAV_CACHE_DIR", str(tmp_path))
-    _cache.write_code("key", "kernel-1", b"code")
-    assert _cache.read_code("key", "kernel-1") == b"code"
-    (tmp_path / "key" / "kernel-1").write_bytes(b"")
-    assert _cache.read_code("key", "kernel-1") is None
+    _cache.write_code("kernel-1", b"code")
+    assert _cache.read_code("kernel-1") == b"code"
+    (tmp_path / _cache.cache_key() / "kernel-1").write_bytes(b"")
+    assert _cache.read_code("kernel-1") is None
 
 
 def test_a_write_in_place_would_be_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -56,6 +56,42 @@ class Grid(NamedTuple):
     extensions: int
 
 
+class SearchGrid(NamedTuple):
+    """The argument ``grid`` of `search`: a `Grid`, its numbers per grid, and 1 to prune."""
+
+    azimuths: float
+    nx: float
+    ny: float
+    extensions: float
+    prune: float
+
+
+class SearchLimits(NamedTuple):
+    """The argument ``limits`` of `search`.
+
+    Half-window in the plane (m) and yaw (rad); final spacing (m, rad); truncation (m); number of points until those on
+    mapped area are selected; rounds per level down to a cell; cost per point of a squared metre from the start; largest
+    half-window (m) with fixed correspondences; largest half-window (m) within a cell (0: none); closeness and points of
+    a line on mapped area; least number of points of a dense scan. Within a cell, points elsewhere than on mapped area
+    are left out; only dense scans fix correspondences there, and alternate between yaw and plane on the first and the
+    last of these levels only.
+    """
+
+    half_m: float
+    half_rad: float
+    stop_m: float
+    stop_rad: float
+    truncate_m: float
+    few_points: float
+    alternations: float
+    prior: float
+    fixed_below_m: float
+    within_below_m: float
+    closeness: float
+    known_points: float
+    dense_points: float
+
+
 @helper
 def _shifted(middle: Middle, right_m: float, up_m: float) -> Middle:
     return Middle(middle.x_m + right_m, middle.y_m + up_m, middle.yaw_rad, middle.expected_x_m, middle.expected_y_m)
@@ -206,13 +242,7 @@ def search(
     ----------
     points : (n, 2) points in the laser's frame, m, in an order that makes any prefix a fair sample
     start : (3,) predicted pose in the map frame: x, y (m), yaw (rad)
-    grid : (5,) yaw samples, nodes of the plane in x and y, maximum border extensions per grid, 1 to prune
-    limits : (13,) half-window in the plane (m) and yaw (rad), final spacing (m, rad), truncation (m), number of points
-        until those on mapped area are selected, rounds per level down to a cell, cost per point of a squared metre from
-        the start, largest half-window (m) with fixed correspondences, largest half-window (m) within a cell (0: none),
-        closeness and points of a line on mapped area, and least number of points of a dense scan. Within a cell, points
-        elsewhere than on mapped area are left out; only dense scans fix correspondences there, and alternate between
-        yaw and plane on the first and the last of these levels only
+    grid, limits : the fields of `SearchGrid`, (5,), and of `SearchLimits`, (13,)
     nearest, lines, geometry : the map, see ``linemap``
     """
     (n_azimuths, n_x, n_y, n_extensions, prune), n = grid, len(points)

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Final
 
 from mavnav.kernels.machine.cache import share_private_directory
 from mavnav.kernels.machine.jit import DISABLED, KERNELS, Kernel
-from mavnav.kernels.machine.loader import cache_key
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence
@@ -49,8 +48,8 @@ def prepare(progress: Progress, unused: Collection[str] = ()) -> None:
     missing = [] if DISABLED else not_on_disk(unused)
     if not missing:
         return
-    share_private_directory(cache_key())
-    for done, _ in enumerate(_compiled(sorted(missing, key=_rank))):
+    share_private_directory()
+    for done, _ in enumerate(_compile(sorted(missing, key=_rank))):
         progress(f"compiling kernels (first run only): {done} of {len(missing)}", 0, None)
     for made in missing:
         made.recheck_disk()
@@ -71,7 +70,7 @@ def _rank(made: Kernel) -> int:
     return LONG.index(made.module[len(_full("")) :]) if made.module in map(_full, LONG) else len(LONG)
 
 
-def _compiled(kernels: Sequence[Kernel]) -> Iterator[None]:
+def _compile(kernels: Sequence[Kernel]) -> Iterator[None]:
     """Compile kernels into the cache; yield at the start, and after each kernel."""
     paths = os.pathsep.join(map(os.path.abspath, sys.path))
     environment = os.environ | {"PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1"} | _FASTER

@@ -15,6 +15,7 @@ import sys
 from contextlib import suppress
 from functools import cache
 from hashlib import sha256
+from importlib.metadata import version
 from pathlib import Path
 from typing import Final, cast
 
@@ -29,6 +30,18 @@ VERSIONS_KEPT = 4
 _DIGEST_BYTES = 32
 
 
+@cache
+def cache_key() -> str:
+    """Return a key of what machine code depends on besides its source: numba, Python, the system and the processor."""
+    from llvmlite import binding as llvm  # noqa: PLC0415  it loads the code later
+
+    names = ("CPU_NAME", "CPU_FEATURES", "OPT", "ENABLE_AVX", "BOUNDSCHECK")
+    chosen = [os.environ.get(f"NUMBA_{name}", "") for name in names]
+    processor = [llvm.get_process_triple(), llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()]
+    digest = sha256(repr([*processor, *chosen]).encode()).hexdigest()[:16]
+    return f"numba-{version('numba')}-py{sys.version_info.major}{sys.version_info.minor}-{digest}"
+
+
 def user_directory() -> Path:
     """Return the directory of the machine code, which may not exist; relative only without a home directory."""
     for variable in ("MAVNAV_CACHE_DIR", "NUMBA_CACHE_DIR"):
@@ -41,17 +54,17 @@ def user_directory() -> Path:
     return Path(os.path.expanduser(base)) / "mavnav"  # noqa: PTH111  Path's own raises where there is no home
 
 
-def share_private_directory(key: str) -> None:
+def share_private_directory() -> None:
     """Create the private directory if the user's cannot be written, for this process and its children."""
-    if not is_kept(key):
+    if not is_kept():
         _private_directory()
 
 
-def is_kept(key: str) -> bool:
+def is_kept() -> bool:
     """Return whether the user's directory can be written, so that new entries outlast the process."""
     from tempfile import TemporaryFile  # noqa: PLC0415  runs with all kernels on disk do without
 
-    folder = user_directory() / key
+    folder = user_directory() / cache_key()
     with suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True)
         TemporaryFile(dir=folder).close()
@@ -74,25 +87,25 @@ def _remove(folder: str, owner: int) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def read_code(key: str, name: str) -> memoryview | None:
+def read_code(name: str) -> memoryview | None:
     """Return the content of an entry; None if there is none with a valid checksum."""
     private = os.environ.get(PRIVATE)
     for folder in (user_directory(), *([Path(private)] if private else [])):
         with suppress(OSError):
-            content = memoryview((folder / key / name).read_bytes())  # whose slices are not copied
+            content = memoryview((folder / cache_key() / name).read_bytes())  # whose slices are not copied
             if sha256(content[_DIGEST_BYTES:]).digest() == content[:_DIGEST_BYTES]:
                 return content[_DIGEST_BYTES:]
     return None
 
 
-def write_code(key: str, name: str, code: bytes) -> None:
+def write_code(name: str, code: bytes) -> None:
     """Store an entry, if any disk allows it. Files appear complete, because two processes may write one."""
     content = sha256(code).digest() + code
     with suppress(OSError):
-        _write(user_directory() / key, name, content)
+        _write(user_directory() / cache_key(), name, content)
         return
     with suppress(OSError):
-        _write(_private_directory() / key, name, content)
+        _write(_private_directory() / cache_key(), name, content)
 
 
 def _write(folder: Path, name: str, content: bytes) -> None:
@@ -125,7 +138,7 @@ def source_stamp(module: str) -> bytes:
     """Return the hash of a module's source and of the modules it imports, at any depth, of its package and of this one.
 
     Imports must have the form ``from package.module import name`` at the start of a line; the modules must be loaded.
-    The sources of what compiles and lays out machine code, which is imported only then, are included.
+    The source of the compiler, which is imported only then, is included.
     """
     packages = {name.partition(".")[0].encode() for name in (module, __name__)}
     digests: dict[str, bytes] = {}
@@ -135,14 +148,13 @@ def source_stamp(module: str) -> bytes:
         if name not in digests:
             digests[name], imported = _source(name)
             left += [other.decode() for other in imported if other.split(b".")[0] in packages]
-    return sha256(_compilers() + b"".join(name.encode() + digests[name] for name in sorted(digests))).digest()
+    return sha256(_compiler() + b"".join(name.encode() + digests[name] for name in sorted(digests))).digest()
 
 
 @cache
-def _compilers() -> bytes:
-    """Return the hash of the sources of the compiler."""
-    names = ("compiler.py", "object_file.py")
-    return sha256(b"".join(Path(__file__).with_name(name).read_bytes() for name in names)).digest()
+def _compiler() -> bytes:
+    """Return the hash of the compiler's source."""
+    return sha256(Path(__file__).with_name("compiler.py").read_bytes()).digest()
 
 
 @cache

@@ -10,16 +10,14 @@ unoptimized, and the kernel is optimized once with all code that it calls.
 from __future__ import annotations
 
 import pickle
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
 import numba
 import numpy as np
-from msgspec.structs import astuple
 
-from mavnav.kernels.machine.loader import MachineCode, copied
-from mavnav.kernels.machine.object_file import image_of
+from mavnav.kernels.machine.loader import MachineCode, link
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -42,7 +40,7 @@ def as_helper(function: Callable[..., Any]) -> Any:  # noqa: ANN401
     return numba.njit(no_cpython_wrapper=True, **_OPTIONS)(function)
 
 
-def compiled(function: Callable[..., Any], signature: Signature) -> tuple[Callable[..., Any], MachineCode | None]:
+def compile_kernel(function: Callable[..., Any], signature: Signature) -> tuple[Callable[..., Any], MachineCode | None]:
     """Compile a kernel; return the callable, and its code, None if this numba does not provide it."""
     made = numba.njit(**_OPTIONS)(function)
     with whole_kernels(made.targetctx):
@@ -50,82 +48,52 @@ def compiled(function: Callable[..., Any], signature: Signature) -> tuple[Callab
     made.disable_compile()
     (result,) = made.overloads.values()
     try:
-        return made, _packed(function, result)
+        return made, _machine_code(function, result)
     except (AttributeError, ImportError, TypeError, ValueError):
         return made, None  # a numba with other internals: kernels compile at every start
 
 
-def loaded_by_numba(
-    entry: MachineCode, function: Callable[..., Any], signature: Signature
-) -> Callable[..., Any] | None:
-    """Load the code of a kernel as numba's own cache does, but without the compiler; None if that is not possible.
-
-    It is not with other internals of numba, or if the content is not valid: then the kernel is compiled.
-    """
-    made = numba.njit(**_OPTIONS)(function)
+def load_by_numba(code: bytes, function: Callable[..., Any]) -> Callable[..., Any]:
+    """Load the code of a kernel as numba's own cache does; may raise any exception if it is not valid."""
+    made: Any = numba.njit(**_OPTIONS)(function)
     context = made.targetctx
-    try:
-        _initialize(context)
-        (name, kind, (_, bitcode)), *rest = pickle.loads(entry.rest)  # noqa: S301
-        parts = ((name, kind, (entry.code, bitcode)), *rest)
-        found = numba.core.compiler.CompileResult._rebuild(context, *parts)  # noqa: SLF001
-        context.insert_user_function(found.entry_point, found.fndesc, [found.library])
-        made.add_overload(found)
-        made._cache_hits[signature.numba] += 1  # noqa: SLF001
-    except Exception:  # whatever is wrong with the entry, it is compiled again
-        return None
+    context.refresh()
+    result = numba.core.compiler.CompileResult._rebuild(context, *pickle.loads(code))  # noqa: S301, SLF001
+    context.insert_user_function(result.entry_point, result.fndesc, [result.library])
+    made.add_overload(result)
     made.disable_compile()
     return made  # type: ignore[no-any-return]
 
 
-def _initialize(context: Any) -> None:  # noqa: ANN401
-    """Load numba's runtime, but not its tables of Python and NumPy functions, which take 0.3 s."""
+def _machine_code(function: Callable[..., Any], result: Any) -> MachineCode:  # noqa: ANN401
+    """Return the machine code of a compiled function: an object file if it can be linked, else all that numba needs."""
     try:
-        from numba.core.runtime import rtsys  # noqa: PLC0415
+        entry = _object_file(result)
+        link(entry, function.__module__, function.__qualname__)
+    except Exception:  # another system, other internals of numba
+        from numba.core.serialize import dumps  # noqa: PLC0415
 
-        rtsys.initialize(context)
-    except (AttributeError, ImportError):
-        context.refresh()
-
-
-def _packed(function: Callable[..., Any], result: Any) -> MachineCode:  # noqa: ANN401
-    """Return the machine code of a compiled function: an image if it can be loaded, else all that numba needs."""
-    (_, _, (code, _)), *_ = result._reduce()  # noqa: SLF001
-    wrapper = result.fndesc.llvm_cpython_wrapper_name
-    try:
-        environment, dtypes, symbols = _needs(result)
-    except (AttributeError, LookupError):
-        return MachineCode(code=code, rest=_rest(result))
-    with suppress(Exception):  # another system, other internals of numba
-        image = astuple(image_of(code, (wrapper, environment)))
-        entry = MachineCode(wrapper, environment, dtypes, image)
-        copied(entry, function.__module__, function.__qualname__)
-        return entry
-    return MachineCode(wrapper, environment, dtypes, None, code, symbols, _rest(result))
+        return MachineCode(dumps(result._reduce()))  # noqa: SLF001
+    return entry
 
 
-def _rest(result: Any) -> bytes:  # noqa: ANN401
-    """Return what numba needs to load the code, without the parts for calls by other compiled functions."""
-    from llvmlite.binding import parse_assembly  # noqa: PLC0415
-    from numba.core.serialize import dumps  # noqa: PLC0415
+def _object_file(result: Any) -> MachineCode:  # noqa: ANN401
+    """Return the object file of a compiled function.
 
-    (name, kind, _), *rest = result._reduce()  # noqa: SLF001
-    names = f'define void @"{result.fndesc.llvm_cpython_wrapper_name}"() {{ ret void }}'
-    packed: bytes = dumps(((name, kind, (b"", parse_assembly(names).as_bitcode())), *rest))
-    return packed
-
-
-def _needs(result: Any) -> tuple[str, tuple[str, ...], tuple[str, ...]]:  # noqa: ANN401
-    """Return the variable of a function's environment, the types in it, and the unresolved symbols of its code.
-
-    Raises LookupError if the environment holds anything else, which only numba can restore.
+    Raises LookupError if its environment holds anything but types of arrays, which only numba can restore.
     """
+    (_, _, (code, _)), *_ = result._reduce()  # noqa: SLF001
     module, kept = result.library._final_module, result.environment.consts  # noqa: SLF001
     if not all(isinstance(one, np.dtype) and one.isbuiltin for one in kept):
         raise LookupError(kept)
     declared = (one.name for one in (*module.functions, *module.global_variables) if one.is_declaration)
-    symbols = tuple(name for name in declared if not name.startswith("llvm."))
-    return result.target_context.get_env_name(result.fndesc), tuple(one.str for one in kept), symbols
+    return MachineCode(
+        code,
+        result.fndesc.llvm_cpython_wrapper_name,
+        result.target_context.get_env_name(result.fndesc),
+        tuple(one.str for one in kept),
+        tuple(name for name in declared if not name.startswith("llvm.")),
+    )
 
 
 @contextmanager

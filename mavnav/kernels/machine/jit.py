@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, cast
 
 from mavnav.kernels.machine.cache import read_code, source_stamp, write_code
-from mavnav.kernels.machine.loader import MachineCode, cache_key, copied, linked
+from mavnav.kernels.machine.loader import MachineCode, link
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -79,14 +79,14 @@ class Kernel:
         return f"{self.name} takes other arguments than ({given})"
 
     @cached_property
-    def _entry(self) -> tuple[str, str]:
-        """Key and name of the cache entry."""
-        return cache_key(), f"{self.module}.{self.name}-{source_stamp(self.module).hex()[:24]}"
+    def _entry(self) -> str:
+        """Name of the cache entry."""
+        return f"{self.module}.{self.name}-{source_stamp(self.module).hex()[:24]}"
 
     @cached_property
     def code(self) -> memoryview | None:
         """Content of the cache entry; None if there is no valid one."""
-        return read_code(*self._entry)
+        return read_code(self._entry)
 
     def recheck_disk(self) -> None:
         """Read the disk again at the next use if it had no entry: another process may have compiled it since."""
@@ -99,26 +99,24 @@ class Kernel:
             return
         run = None if self.code is None else self._from_disk(self.code)
         if run is None:
-            from mavnav.kernels.machine.compiler import compiled  # noqa: PLC0415
+            from mavnav.kernels.machine.compiler import compile_kernel  # noqa: PLC0415
 
-            run, made = compiled(self.function, self.signature)
+            run, made = compile_kernel(self.function, self.signature)
             self.compiled = True
             if made is not None:
-                write_code(*self._entry, made.packed())
+                write_code(self._entry, made.pack())
         self.run, self.loaded, self.code = run, True, None  # type: ignore[method-assign]
 
     def _from_disk(self, content: memoryview) -> Callable[..., Any] | None:
-        """Load the code without LLVM, else without numba, else with numba; None if the content is not valid."""
-        try:
-            entry = MachineCode.unpacked(content)
-        except (ValueError, EOFError, TypeError):
-            return None
-        for load in (copied, linked):
-            with suppress(Exception):  # there is no image, or numba has other internals, which it can load itself
-                return load(entry, self.module, self.name)
-        from mavnav.kernels.machine.compiler import loaded_by_numba  # noqa: PLC0415
+        """Load an entry; None if it is not valid, or if numba has other internals than when it was written."""
+        with suppress(Exception):
+            entry = MachineCode.parse(content)
+            if entry.wrapper:
+                return link(entry, self.module, self.name)
+            from mavnav.kernels.machine.compiler import load_by_numba  # noqa: PLC0415
 
-        return loaded_by_numba(entry, self.function, self.signature)
+            return load_by_numba(entry.code, self.function)
+        return None
 
 
 KERNELS: list[Kernel] = []

@@ -11,7 +11,7 @@ Arrays of a map, which the other kernels read:
 ``lines``    (capacity, 8) float64   foot x, y and the metric a_xx, a_xy, a_yy of the local line, and the number of
                                   points that it is fitted to; then the row of ``waiting`` with the cell's new points,
                                   0 without any, and scratch
-``geometry`` (6,) float64        origin x, origin y, cell, line sigma, line noise, in m, and the share that may wait
+``geometry`` (6,) float64        the fields of `Geometry`
 ``waiting``  (rows, 8) float64   row 0: number of cells with new points that no moments include yet; the other rows: n,
                                   sum x, sum y, sum xx, sum xy, sum yy of these points, the cell, and the number of
                                   points that it had when the first of them came
@@ -19,7 +19,7 @@ Arrays of a map, which the other kernels read:
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -33,6 +33,17 @@ if TYPE_CHECKING:
 
 WINDOW_CELLS = 4  # half-width of the line fit's window: 9x9 cells
 BLOCK = 64  # lines that are fitted at a time
+
+
+class Geometry(NamedTuple):
+    """Corner of cell [0, 0], size of a cell, least spread and noise of a line (m), and the share that may wait."""
+
+    origin_x_m: float
+    origin_y_m: float
+    cell_m: float
+    line_sigma_m: float
+    line_noise_m: float
+    waiting_share: float
 
 
 @helper

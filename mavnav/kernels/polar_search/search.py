@@ -31,6 +31,40 @@ if TYPE_CHECKING:
 MAX_ITERATIONS = 60
 
 
+class SearchGrid(NamedTuple):
+    """The argument ``grid`` of `search`.
+
+    Yaw samples; nodes of the plane in x and in y; maximum border extensions; 1 to prune.
+    """
+
+    azimuths: float
+    nx: float
+    ny: float
+    extensions: float
+    prune: float
+
+
+class Schedule(NamedTuple):
+    """The argument ``schedule`` of `search`.
+
+    Half-window in the plane (m) and in yaw (rad); shrink factor; 1 to leave no gaps between grids; final spacings
+    (m, rad); cost (m2) above which the search gives up; factor of the occlusion threshold per iteration and its minimum
+    (m); 1 to rotate about the laser instead of the points' centroid; 1 to stop at either final spacing instead of both.
+    """
+
+    half_m: float
+    half_rad: float
+    shrink: float
+    leave_no_gaps: float
+    stop_m: float
+    stop_rad: float
+    give_up_m2: float
+    occlusion_shrink: float
+    occlusion_least_m: float
+    about_laser: float
+    either: float
+
+
 class Grid(NamedTuple):
     """The middle of a grid: position of the pivot, and yaw; and the pivot in the scan, m."""
 
@@ -126,11 +160,7 @@ def search(
     ----------
     virtual, limits : as for ``polar_cost``
     points : (n, 5), the transpose of those of ``polar_cost``
-    grid : (5,) yaw samples, nodes of the plane in x and in y, maximum border extensions, 1 to prune
-    schedule : (11,) half-window in the plane (m) and in yaw (rad), shrink factor, 1 to leave no gaps between grids,
-        final spacings (m, rad), cost (m2) above which the search gives up, factor of the occlusion threshold per
-        iteration and its minimum (m), 1 to rotate about the laser instead of the points' centroid, 1 to stop at either
-        final spacing instead of both
+    grid, schedule : the fields of `SearchGrid`, (5,), and of `Schedule`, (11,)
 
     If occluded beams count, there are no bounds and every candidate is evaluated. A motion changes ranges by about its
     length. So the search gives up, not converged, if the root of the cost exceeds the root of its bound by more than

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from mavnav.arrays import distinct, median
 from mavnav.logs.messages.definitions import CLOUD, MULTI_ECHO
 from mavnav.logs.messages.records import DecodeError, LaserMessage
 
@@ -144,7 +143,7 @@ def _picker(points: dict[str, Array], part: str) -> Pick:
         return partial(_between, low_m=float(low), high_m=float(high))
     if part.startswith("ring_"):
         return partial(_in_ring, ring=int(part.removeprefix("ring_")))
-    if "ring" in points and len(rings := distinct(points["ring"][np.isfinite(points["ring"])])) > 1:
+    if "ring" in points and len(rings := np.unique(points["ring"][np.isfinite(points["ring"])])) > 1:
         level = np.abs(np.arctan2(points["z"], np.hypot(points["x"], points["y"])))
         slopes = [np.nanmedian(level[points["ring"] == ring]) for ring in rings]
         return partial(_in_ring, ring=int(rings[int(np.argmin(slopes))]))
@@ -168,7 +167,7 @@ def _bearings(bearing_rad: Array) -> tuple[float, float, int]:
     """
     apart = np.diff(np.sort(bearing_rad))
     apart = apart[apart > _MIN_STEP_RAD / 2]
-    step_rad = median(apart) if len(apart) else _DEFAULT_STEP_RAD
+    step_rad = float(np.median(apart)) if len(apart) else _DEFAULT_STEP_RAD
     whole = np.round(apart / step_rad)
     regular = np.abs(apart - whole * step_rad) < 0.2 * step_rad
     if len(apart) and regular.mean() > 0.8 and _MIN_STEP_RAD <= step_rad <= _MAX_STEP_RAD:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct, field
 
 from mavnav.logs.messages.definitions import definition
-from mavnav.logs.writing.mcap_stream import McapStream
 from mavnav.version import __version__
 
 if TYPE_CHECKING:
@@ -76,22 +75,24 @@ def write_serialized(
     Messages are bytes in CDR; ``stamp_ns`` is their time of recording. A chunk is closed when it holds ``chunk_bytes``
     or more. The extras are written first.
     """
+    from mcap.writer import Writer  # noqa: PLC0415  only writers need it
+
     with path.open("wb") as file:
-        stream = McapStream(file, chunk_bytes, "ros2", f"mavnav {__version__}")
+        writer = Writer(file, chunk_bytes)
+        writer.start("ros2", f"mavnav {__version__}")
         kinds = dict.fromkeys(channel.type for channel in channels.values())
-        schemas = {kind: stream.schema(kind, "ros2msg", definition(kind).encode()) for kind in kinds}
+        schemas = {kind: writer.register_schema(kind, "ros2msg", definition(kind).encode()) for kind in kinds}
         numbers = {
-            topic: stream.channel(topic, "cdr", schemas[c.type], {"offered_qos_profiles": qos_text(c)})
+            topic: writer.register_channel(topic, "cdr", schemas[c.type], {"offered_qos_profiles": qos_text(c)})
             for topic, c in channels.items()
         }
-
         for name, values in extras.metadata.items():
-            stream.metadata(name, values)
+            writer.add_metadata(name, values)
         for a in extras.attachments:
-            stream.attachment(extras.stamp_ns, a.name, a.media_type, a.data)
+            writer.add_attachment(extras.stamp_ns, extras.stamp_ns, a.name, a.media_type, a.data)
 
         def put(topic: str, stamp_ns: int, message: bytes) -> None:
-            stream.message(numbers[topic], stamp_ns, message)
+            writer.add_message(numbers[topic], stamp_ns, message, stamp_ns)
 
         yield put
-        stream.finish()
+        writer.finish()

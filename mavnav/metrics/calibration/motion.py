@@ -13,7 +13,6 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from mavnav.arrays import median
 from mavnav.pose import Trajectory
 from mavnav.units import NS
 
@@ -115,7 +114,7 @@ def motions_of(map_T_laser: Trajectory, odom_T_base: Trajectory, sweep_s: float)
     laser_s = (map_T_laser.stamps_ns - odom_T_base.stamps_ns[0]) * NS + 0.5 * sweep_s
     inside = (laser_s > LONGEST_OFFSET_S) & (laser_s < odom_s[-1] - LONGEST_OFFSET_S)
     laser_s, poses = laser_s[inside], map_T_laser.xyyaw[inside]
-    period_s = median(np.diff(laser_s)) if len(laser_s) > 1 else STEP_S
+    period_s = float(np.median(np.diff(laser_s))) if len(laser_s) > 1 else STEP_S
     every = max(1, int(np.ceil(STEP_S / period_s - 0.1)))
     laser_s, poses = laser_s[::every], poses[::every]
     where, heading_rad = _plane(poses)

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from msgspec import Struct
 
-from mavnav.arrays import median
 from mavnav.metrics.calibration.motion import DISTANCE, LONGEST_OFFSET_S, OFFSET, STEP_S
 from mavnav.metrics.calibration.solve import LEAST_STEPS, estimate
 from mavnav.metrics.calibration.start import start_of
@@ -158,7 +157,7 @@ def _unusable(motion: Motion) -> str:
 
 def _sparse(motions: Motions) -> str:
     """Return why the odometry comes too rarely; empty where it does not."""
-    period_s = median(np.diff(motions.odom_s))
+    period_s = float(np.median(np.diff(motions.odom_s)))
     if period_s <= SLOWEST_ODOM_S:
         return ""
     return f"the odometry comes every {period_s:.2g} s; record it at 10 Hz or more"

@@ -16,7 +16,6 @@ import numpy as np
 from msgspec import Struct
 from scipy.special import stdtrit
 
-from mavnav.arrays import median
 from mavnav.metrics.calibration.motion import LONGEST_OFFSET_S, OFFSET, YAW
 from mavnav.metrics.calibration.noise import NoiseModel
 from mavnav.units import DEG
@@ -156,7 +155,7 @@ def _derivatives(motions: Motions, values: Array, of_odometry: Array) -> Array:
     yaw = np.column_stack((np.zeros((len(turned), 5)), turns))
     derivatives = np.stack((plane.real, plane.imag, yaw), axis=1)
     shift = np.zeros(len(values))
-    shift[OFFSET] = median(np.diff(motions.laser_s))
+    shift[OFFSET] = np.median(np.diff(motions.laser_s))
     later, earlier = (_errors(motions, values + by) for by in (shift, -shift))
     derivatives[:, :, OFFSET] = (later - earlier) / (2.0 * shift[OFFSET])
     return np.where(motions.linked[:, None, None], derivatives, 0.0)

@@ -7,7 +7,6 @@ from typing import Annotated
 import numpy as np
 from msgspec import Struct
 
-from mavnav.arrays import median
 from mavnav.logs.levelling import RecordedAttitude
 from mavnav.mapping.occupancy_grid import OCCUPIED, occupancy
 from mavnav.mapping.slices import Slice, slice_name
@@ -51,7 +50,7 @@ def attitude_source(attitude: RecordedAttitude) -> AttitudeSource:
         topic=attitude.topic,
         source=attitude.source,
         messages=len(attitude.stamps_ns),
-        tilt_median_deg=median(tilts_deg),
+        tilt_median_deg=float(np.median(tilts_deg)),
         tilt_max_deg=float(tilts_deg.max()),
         height_min_m=float(heights_m.min()) if known else np.nan,
         height_max_m=float(heights_m.max()) if known else np.nan,

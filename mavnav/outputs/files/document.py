@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import json
 import platform
-import sys
 from functools import cache
 from math import hypot, isfinite
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import asdict, astuple, replace
 
-from mavnav.arrays import median
 from mavnav.config.models import Config
 from mavnav.metrics.fields import ABSENT
 from mavnav.outputs.documents import run_json as model
 from mavnav.outputs.documents import tracking_section as tracking
 from mavnav.outputs.documents.addresses import public_address
+from mavnav.outputs.documents.provenance import installed_version
 from mavnav.outputs.documents.slices_section import attitude_source, map_slices
 from mavnav.outputs.run import base_frame
 from mavnav.units import DEG, MM, NS
@@ -27,6 +25,7 @@ from mavnav.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Collection
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -84,21 +83,7 @@ def run_document(run: Run, outputs: dict[str, str]) -> model.RunDocument:
 
 @cache
 def _versions() -> dict[str, str]:
-    """Return the versions of the libraries: of a loaded one its own attribute, which cannot be that of another copy.
-
-    Of others it is in the names of the folders beside numpy's (PyPA specification "Recording installed projects"),
-    read in a tenth of the time that importlib.metadata takes.
-    """
-    folders = (path.stem for path in Path(np.__file__).parents[1].glob("*.dist-info"))
-    found = {name.lower(): number for name, _, number in (folder.partition("-") for folder in folders)}
-    loaded = {name: getattr(sys.modules.get(name), "__version__", None) for name in LIBRARIES}
-    return {name: loaded[name] or found.get(name) or _searched_version(name) for name in LIBRARIES}
-
-
-def _searched_version(name: str) -> str:
-    from importlib.metadata import version  # noqa: PLC0415  it takes 8 ms to load
-
-    return version(name)
+    return {name: installed_version(name) for name in LIBRARIES}
 
 
 def write_metrics(run: Run, path: Path) -> None:
@@ -291,7 +276,7 @@ def _search(run: Run) -> model.Search:
 def _spread(values: NDArray[Any]) -> model.Spread:
     if not len(values):
         return model.Spread(np.nan, np.nan, np.nan, np.nan)
-    return model.Spread(float(np.mean(values)), median(values), values.min().item(), values.max().item())
+    return model.Spread(float(np.mean(values)), float(np.median(values)), values.min().item(), values.max().item())
 
 
 def _map(run: Run) -> model.Map:

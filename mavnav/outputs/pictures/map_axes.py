@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from PIL import Image
 
-from mavnav.arrays import quantile
 from mavnav.mapping.occupancy_grid import FREE
 from mavnav.mapping.tiled_arrays import pooled, unchanged, where
 from mavnav.outputs.pictures.canvas import Canvas, dashed, ramp, rgb_of, stroke
@@ -159,7 +158,7 @@ def top_of_scale(grids: Iterable[Grid]) -> float:
     """Return the end of the scale of hits, at least 10: few crowded cells do not change it."""
     cells = [(grid, *where(grid.hits, lambda hits: hits > 0).T) for grid in grids]
     counts = np.concatenate([grid.hits[row, col] for grid, row, col in cells])
-    return max(quantile(counts, 0.995) if counts.size else 1.0, 10.0)
+    return max(float(np.quantile(counts, 0.995)) if counts.size else 1.0, 10.0)
 
 
 def hit_ticks(top: float) -> list[tuple[float, str]]:

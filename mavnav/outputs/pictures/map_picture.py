@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from mavnav.arrays import contained, distinct
 from mavnav.outputs.pictures import map_axes
 from mavnav.outputs.pictures.canvas import stroke
 from mavnav.outputs.pictures.plot import Line, centred_legend, heading, legend_room
@@ -91,7 +90,7 @@ def _ends(run: Run, stamps_ns: list[int]) -> list[tuple[Mark, NDArray[np.float64
 def truth_marks(truth: Truth, stamps_ns: list[int]) -> list[tuple[Mark, NDArray[np.float64]]]:
     """Mark the true poses at the stamps, the true start and the goal."""
     xy_m = truth.map_T_laser.xyyaw[:, :2]
-    at = contained(truth.map_T_laser.stamps_ns, stamps_ns)
+    at = np.isin(truth.map_T_laser.stamps_ns, stamps_ns)
     return [
         (map_axes.TRUE_POSE, xy_m[at]),
         (map_axes.START, xy_m[:1]),
@@ -105,7 +104,7 @@ def thinned(xy_m: NDArray[np.float64], spacing_m: float) -> NDArray[np.intp]:
         return np.empty(0, np.intp)
     along = np.concatenate(([0.0], np.hypot(*np.diff(xy_m, axis=0).T).cumsum()))
     circles = max(2, int(along[-1] / spacing_m) + 1)
-    return distinct(np.searchsorted(along, np.linspace(0.0, along[-1], circles)))
+    return np.unique(np.searchsorted(along, np.linspace(0.0, along[-1], circles)))
 
 
 def _subtitle(run: Run) -> str:

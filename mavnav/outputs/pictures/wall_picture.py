@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from msgspec import Struct
 
-from mavnav.arrays import quantile
 from mavnav.outputs.pictures.canvas import Canvas, font, ramp, rgb_of
 from mavnav.outputs.pictures.map_axes import draw_axes, draw_cells, draw_free, map_axes
 from mavnav.outputs.pictures.plot import Axes, colour_bar, ticks
@@ -85,7 +84,7 @@ def _draw_cuts(axes: Axes, cuts: WallCuts) -> None:
     """Draw each cut across its wall in the colour of its width, and the scale of these colours."""
     measured = np.isfinite(cuts.width_m)
     width_mm = cuts.width_m[measured] / MM
-    top_mm = max(60.0, quantile(width_mm, 0.99) if len(width_mm) else 0.0)
+    top_mm = max(60.0, float(np.quantile(width_mm, 0.99)) if len(width_mm) else 0.0)
     top_mm = 10.0 * ceil(top_mm / 10.0)
     colours = THICKNESS
     level = np.minimum(width_mm / top_mm, 1.0) * (len(colours) - 1)

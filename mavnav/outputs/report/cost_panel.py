@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from mavnav.arrays import median, quantile
 from mavnav.outputs.pictures.canvas import dashed, stroke
 from mavnav.outputs.pictures.plot import Axes, Line, Mark, cross, labelled, legend, ticks
 from mavnav.outputs.pictures.viewport import GOAL_RED, MUTED
@@ -44,7 +43,7 @@ def cost_panels(entries: Sequence[Entry]) -> list[Image]:
     """Draw the cost over time for each run, all on the same scale."""
     costs = np.concatenate([e.scans.cost_mm2[e.scans.cost_mm2 > MIN_COST_MM2] for e in entries])
     thresholds = [e.scans.threshold_mm2[np.isfinite(e.scans.threshold_mm2)].max(initial=0.0) for e in entries]
-    low = quantile(costs, BELOW_SCALE_SHARE) if costs.size else 1.0
+    low = float(np.quantile(costs, BELOW_SCALE_SHARE)) if costs.size else 1.0
     limits = (0.5 * low, 2.0 * max([float(costs.max(initial=low)), *map(float, thresholds)]))
     end_s = max(float(e.scans.time_s.max(initial=0.1)) for e in entries)
     return [_panel(e, limits, end_s) for e in entries]
@@ -125,7 +124,7 @@ def rejected(entry: Entry) -> NDArray[np.bool_]:
 
 def _draw_lost(axes: Axes, entry: Entry) -> bool:
     """Shade the intervals of lost tracking, at least one scan wide; return whether there are any."""
-    period_s = median(np.diff(entry.scans.time_s)) if len(entry.scans.time_s) > 1 else 0.1
+    period_s = float(np.median(np.diff(entry.scans.time_s))) if len(entry.scans.time_s) > 1 else 0.1
     left, top, right, bottom = axes.box
     for interval in _intervals(entry):
         x0, x1 = (left + t_s * axes.per_unit[0] for t_s in (interval["start_s"], interval["end_s"] + period_s))

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from mavnav.arrays import median
 from mavnav.outputs.pictures.canvas import Canvas, stroke
 from mavnav.outputs.pictures.plot import Axes, Line, labelled, ticks
 from mavnav.outputs.report.panels import CHART, CHART_MARGINS, FONT_PT
@@ -66,7 +65,7 @@ def speeds(time_s: Floats, xy_m: Floats) -> Floats:
         return out
     took_s = time_s[rows[2:]] - time_s[rows[:-2]]
     moved_m = np.hypot(*(xy_m[rows[2:]] - xy_m[rows[:-2]]).T)
-    near = took_s <= 2.0 * MAX_PERIODS * median(np.diff(time_s[rows]))
+    near = took_s <= 2.0 * MAX_PERIODS * np.median(np.diff(time_s[rows]))
     out[rows[1:-1]] = np.where(near, moved_m / took_s, np.nan)
     return out
 

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from mavnav.arrays import quantile
 from mavnav.pose import motions
 from mavnav.slam.doubt.evidence import turns_rad, wrap_angles
 from mavnav.slam.doubt.second_motion import LEAST_AGREEING
@@ -78,7 +77,7 @@ def slip(evidence: TrackEvidence) -> Floats:
 
 def _spikes(changes: Floats, steady: float) -> Floats:
     """Return the lesser of two successive changes (n,), as a multiple of a spike."""
-    spike = SPIKE * (quantile(changes, 0.9) + steady)
+    spike = SPIKE * (float(np.quantile(changes, 0.9)) + steady)
     return np.asarray(np.minimum(changes[:-1], changes[1:]) / spike)
 
 
@@ -153,7 +152,7 @@ class Feature(NamedTuple):
 
     def total(self, shown: Floats) -> float:
         """Return the value for a track from the values of its scans; NaN if it was not measured."""
-        return quantile(shown, self.quantile)
+        return float(np.quantile(shown, self.quantile)) if len(shown) else np.nan
 
 
 DISAGREEMENT: Final = "tracks_disagree"

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.arrays import distinct
 from mavnav.kernels.scans.points import extent
 from mavnav.pose import Pose
 from mavnav.slam.matching.scan_matching import empty_line_map
@@ -92,7 +91,7 @@ def second_motion(track: Track, refiner: Refiner, conflicts: Floats) -> Floats:
 def examined_rows(stamps_ns: NDArray[np.int64], period_s: float) -> list[tuple[int, ...]]:
     """Return the rows of the examined scans, each with those of the later ones it is compared with."""
     stamps_s, rows = (stamps_ns - stamps_ns[0]) * NS, []
-    for first in distinct(np.linspace(0, len(stamps_s) - 1, EXAMINED + 1).astype(int))[:-1].tolist():
+    for first in np.unique(np.linspace(0, len(stamps_s) - 1, EXAMINED + 1).astype(int))[:-1].tolist():
         later = [int(np.searchsorted(stamps_s, stamps_s[first] + span_s - 0.5 * period_s)) for span_s in SPANS_S]
         some = (first, *later)
         late_s = [stamps_s[min(k, len(stamps_s) - 1)] - stamps_s[first] for k in later]

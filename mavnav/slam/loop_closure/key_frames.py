@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec import Struct
 
-from mavnav.arrays import distinct
 from mavnav.kernels.scans.points import extent
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose, transform_points, wrap_angle
@@ -108,5 +107,5 @@ class Visibility:
 def squares(key: KeyFrame) -> list[int]:
     """Return the numbers of the squares with points of a key frame."""
     col, row = np.floor(transform_points(key.map_T_laser, key.points) / SQUARE_M).astype(np.int64).T
-    numbers: list[int] = distinct(row * _ROW + col).tolist()
+    numbers: list[int] = np.unique(row * _ROW + col).tolist()
     return numbers

@@ -74,45 +74,44 @@ def _search_polar(
     grid: GridSize,
     azimuth: int,
 ) -> Match:
+    from mavnav.kernels.polar_search import cost as polar_cost  # noqa: PLC0415
     from mavnav.kernels.polar_search import search as polar_search  # noqa: PLC0415  loads in 0.2 s, only for paper
 
     paper = config.paper
     extensions = paper.expert.max_extensions if paper.expert.extend_border else 0
+    samples = polar_search.SearchGrid(azimuth, grid.nx, grid.ny, extensions, prune=config.search == "pruned")
+    schedule = polar_search.Schedule(
+        half_m=paper.window_m,
+        half_rad=paper.window_rad,
+        shrink=paper.expert.shrink,
+        leave_no_gaps=paper.expert.leave_no_gaps,
+        stop_m=paper.expert.stop_m,
+        stop_rad=paper.expert.stop_rad,
+        give_up_m2=level * _give_up_m2(config) if paper.expert.give_up else np.inf,
+        occlusion_shrink=paper.expert.occlusion_shrink,
+        occlusion_least_m=paper.expert.occlusion_least_m,
+        about_laser=paper.expert.pivot == "laser",
+        either=paper.expert.converged == "either",
+    )
+    beams = len(points) if paper.expert.min_beams_of == "valid" else spec.beams
+    limits = polar_cost.Limits(
+        first_rad=spec.angle_min_rad,
+        step_rad=spec.angle_step_rad,
+        near_m=paper.near_m,
+        far_m=paper.far_m,
+        occlusion_m=paper.expert.occlusion_m,
+        edge_m=paper.expert.mixed_pixel_m,
+        fewest_beams=max(
+            3.0, paper.expert.min_beams_share * (len(points) if paper.expert.min_beams_of == "valid" else spec.beams)
+        ),
+        counted=paper.expert.occluded == "counted",
+    )
     x, y, yaw, cost, used, evaluations, iterations, converged = polar_search.search(
         virtual_m,
         points,
-        np.array([azimuth, grid.nx, grid.ny, extensions, config.search == "pruned"], float),
-        np.array(
-            [
-                paper.window_m,
-                paper.window_rad,
-                paper.expert.shrink,
-                paper.expert.leave_no_gaps,
-                paper.expert.stop_m,
-                paper.expert.stop_rad,
-                level * _give_up_m2(config) if paper.expert.give_up else np.inf,
-                paper.expert.occlusion_shrink,
-                paper.expert.occlusion_least_m,
-                paper.expert.pivot == "laser",
-                paper.expert.converged == "either",
-            ]
-        ),
-        np.array(
-            [
-                spec.angle_min_rad,
-                spec.angle_step_rad,
-                paper.near_m,
-                paper.far_m,
-                paper.expert.occlusion_m,
-                paper.expert.mixed_pixel_m,
-                max(
-                    3.0,
-                    paper.expert.min_beams_share
-                    * (len(points) if paper.expert.min_beams_of == "valid" else spec.beams),
-                ),
-                paper.expert.occluded == "counted",
-            ]
-        ),
+        np.array(samples, float),
+        np.array(schedule, float),
+        np.array(limits, float),
     )
     pose = predicted @ Pose(float(x), float(y), wrap_angle(float(yaw)))
     beams = int(used) if cost < np.inf else len(points)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.arrays import distinct
 from mavnav.kernels.maps.conflicts import conflicts
 from mavnav.kernels.maps.free_cells import free_positions
 from mavnav.kernels.scans.correlative_search import separate_minima
@@ -108,7 +107,7 @@ def within_reach_of(poses: tuple[Pose, ...], elapsed_s: float) -> Region:
     first_xy, yaws_rad = within_reach(poses[0], elapsed_s)
     cells = [np.round((within_reach(p, elapsed_s)[0] - first_xy[0]) / STEP_M).astype(np.int64) for p in poses]
     col, row = np.concatenate(cells).T
-    row, col = np.divmod(distinct(row * _ROW + col + _ROW // 2), _ROW)
+    row, col = np.divmod(np.unique(row * _ROW + col + _ROW // 2), _ROW)
     more_rad = max(abs(wrap_angle(pose.yaw_rad - poses[0].yaw_rad)) for pose in poses)
     half_rad = min(pi, 0.5 * (len(yaws_rad) - 1) * STEP_RAD + more_rad)
     return first_xy[0] + STEP_M * np.column_stack((col - _ROW // 2, row)), around(poses[0], 0.0, half_rad)[1]

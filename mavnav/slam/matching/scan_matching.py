@@ -94,22 +94,24 @@ class Schedule(Struct, frozen=True):
         """
         robust, grid = config.robust, config.grid
         finer = FINAL_STOP if final else 1.0
-        limits = [
+        limits = line_search.SearchLimits(
             *window,
-            finer * robust.expert.stop_m,
-            finer * robust.expert.stop_rad,
-            robust.expert.final_truncate_m if final else robust.expert.truncate_m,
-            robust.expert.first_level_points,
-            FINAL_ALTERNATIONS if final else ALTERNATIONS,
-            prior,
-            robust.expert.hold_below_m,
-            0.0 if final else line_map.cell_m,
-            line_map.closeness_at(robust.expert.overlap_m) if robust.expert.overlap_m and not final else 0.0,
-            line_map.known_points,
-            robust.expert.sparse_points,
-        ]
-        points = [config.azimuth, grid.nx, grid.ny, robust.expert.max_extensions, config.search == "pruned"]
-        return cls(np.array(points, float), np.array(limits))
+            stop_m=finer * robust.expert.stop_m,
+            stop_rad=finer * robust.expert.stop_rad,
+            truncate_m=robust.expert.final_truncate_m if final else robust.expert.truncate_m,
+            few_points=robust.expert.first_level_points,
+            alternations=FINAL_ALTERNATIONS if final else ALTERNATIONS,
+            prior=prior,
+            fixed_below_m=robust.expert.hold_below_m,
+            within_below_m=0.0 if final else line_map.cell_m,
+            closeness=line_map.closeness_at(robust.expert.overlap_m) if robust.expert.overlap_mm and not final else 0.0,
+            known_points=line_map.known_points,
+            dense_points=robust.expert.sparse_points,
+        )
+        samples = line_search.SearchGrid(
+            config.azimuth, grid.nx, grid.ny, robust.expert.max_extensions, prune=config.search == "pruned"
+        )
+        return cls(np.array(samples, float), np.array(limits, float))
 
 
 @timed("search")

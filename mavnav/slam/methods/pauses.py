@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.arrays import quantile
 from mavnav.slam.matching.motion_model import GAP_S
 from mavnav.units import NS
 
@@ -75,7 +74,7 @@ def highest_speed(steps: Sequence[Step]) -> float:
     """Return the highest usual speed (0.99 quantile) between successive accepted poses, m/s."""
     pairs = [(a, b, (b.stamp_ns - a.stamp_ns) * NS) for a, b in pairwise(steps)]
     speeds = [a.match.map_T_laser.gap(b.match.map_T_laser)[0] / s for a, b, s in pairs if 0.0 < s <= PAUSE_S]
-    return max(quantile(speeds, 0.99) if speeds else 0.0, LEAST_SPEED_M_S)
+    return max(float(np.quantile(speeds, 0.99)) if speeds else 0.0, LEAST_SPEED_M_S)
 
 
 def shortest_pause_s(period_s: float, least_s: float = PAUSE_S) -> float:

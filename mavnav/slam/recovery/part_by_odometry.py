@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.arrays import median
 from mavnav.slam.loop_closure.drift import drift_bound
 from mavnav.slam.matching.scan_matching import no_match
 from mavnav.slam.matching.steps import tracked_trajectory
@@ -81,7 +80,7 @@ def error_share(odometry: Odometry, map_T_laser: Trajectory) -> float:
     errors = errors_m(odometry, windows)
     if not errors:
         return np.inf
-    return float(median(errors) / max(median([size(window.moved) for window in windows]), 1e-6))
+    return float(np.median(errors) / max(np.median([size(window.moved) for window in windows]), 1e-6))
 
 
 def median_conflicts(map_T_part: Pose, scans: Iterable[tuple[Step, Scan]], track: Track) -> float:
@@ -90,7 +89,8 @@ def median_conflicts(map_T_part: Pose, scans: Iterable[tuple[Step, Scan]], track
     if refiner is None:
         return np.inf
     placed = ((no_match(map_T_part @ step.match.map_T_laser), scan) for step, scan in scans)
-    return median([refiner.conflicts(refiner.match_points(scan), match) for match, scan in placed])
+    conflicts = [refiner.conflicts(refiner.match_points(scan), match) for match, scan in placed]
+    return float(np.median(conflicts)) if conflicts else np.nan
 
 
 def placed_warning(part: Sequence[Step], first_ns: int, error_m: float) -> str:

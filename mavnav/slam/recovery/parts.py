@@ -14,7 +14,6 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from mavnav.arrays import distinct
 from mavnav.pose import Pose
 from mavnav.slam.matching.relocalization import apart
 from mavnav.slam.matching.scan_matching import no_match
@@ -233,7 +232,7 @@ def spread_out(part: list[Step], most: int = SEARCHED_SCANS) -> list[Step]:
 
 def evenly(count: int, most: int) -> list[int]:
     """Choose numbers below a count, so many at most, at even distances."""
-    numbers: list[int] = distinct(np.linspace(0, count - 1, most).astype(int)).tolist()
+    numbers: list[int] = np.unique(np.linspace(0, count - 1, most).astype(int)).tolist()
     return numbers if count else []
 
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.arrays import median
 from mavnav.kernels.scans.rts_smoother import smooth
 from mavnav.profiling import timed
 from mavnav.slam.matching.steps import jumps, tracked_trajectory
@@ -53,7 +52,7 @@ def smooth_positions(steps: Steps, period_s: float) -> None:
     poses, stamps_ns, costs_m2 = (steps.column(name) for name in ("map_T_laser", "stamp_ns", "cost_m2"))
     for stretch in stretches(steps):
         periods = np.maximum(np.round(np.diff(stamps_ns[stretch]) * NS / period_s), 1.0)
-        uncertainty_m = UNCERTAIN_SHARE * np.sqrt(median(costs_m2[stretch]))
+        uncertainty_m = UNCERTAIN_SHARE * np.sqrt(np.median(costs_m2[stretch]))
         steps.move(stretch, _smooth(poses[stretch, :2], periods, uncertainty_m))
 
 
@@ -73,7 +72,7 @@ def _smooth(xy_m: NDArray[np.float64], periods: NDArray[np.float64], uncertainty
     path_m = xy_m
     for stiffness in reversed(STIFFNESSES[: int(np.argmax(likely)) + 1]):
         smooth(centred, periods, stiffness, out)
-        if median(np.linalg.norm(out + middle - xy_m, axis=1)) <= uncertainty_m:
+        if np.median(np.linalg.norm(out + middle - xy_m, axis=1)) <= uncertainty_m:
             path_m = out + middle
             break
     for rest in rests(path_m, uncertainty_m):

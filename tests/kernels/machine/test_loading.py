@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import platform
 import subprocess
 import sys
 from hashlib import sha256
@@ -14,17 +13,12 @@ import llvmlite.binding as llvm
 import numpy as np
 import pytest
 
-from mavnav.kernels.machine import loader
-from mavnav.kernels.machine.cache import VERSIONS_KEPT
+from mavnav.kernels.machine.cache import VERSIONS_KEPT, cache_key
 from mavnav.kernels.scans.points import extent, placed
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
-
-
-HAS_IMAGES = sys.platform == "linux" and platform.machine() == "x86_64"
-"""Whether machine code is loaded without LLVM here."""
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -38,11 +32,9 @@ def test_machine_code_is_loaded_without_numba() -> None:
         "import sys, numpy as np\nfrom mavnav.kernels.scans.points import extent\n"
         "assert not extent.loaded\nextent(np.ones((3, 2)))\n"
         "assert extent.loaded and not extent.compiled and 'numba' not in sys.modules\n"
-        "print('llvmlite' in sys.modules)\n"
         "import numba\nassert numba.njit(lambda x: x + 1)(1) == 2"
     )
-    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    assert done.stdout.split() == [str(not HAS_IMAGES)]
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 @pytest.mark.parametrize(
@@ -167,28 +159,19 @@ def test_a_numba_without_these_parts_still_works(compiled_trial: Path, moved: st
     assert not list(compiled_trial.parent.glob("cache/*/.*"))
 
 
-NO_IMAGES = "from mavnav.kernels.machine import compiler, jit, loader\nloader.placed = None\n"
-"""What it looks like where memory cannot be made executable by this process itself."""
-LOADED = "import atexit, sys\natexit.register(lambda: print(*({'numba', 'llvmlite'} & sys.modules.keys())))\n"
+NOT_LINKED = "from mavnav.kernels.machine import loader\nloader._address = None\n"
+"""What it looks like on a system on which a C function that machine code calls is not known."""
+LOADED = "import atexit, sys\natexit.register(lambda: print('numba' in sys.modules))\n"
 
 
-def test_code_without_an_image_is_loaded_by_llvm_else_by_numba(trial: Path) -> None:
-    assert called(trial, NO_IMAGES) == [42.0, 2.0, 1, 1]
-    library = "from mavnav.kernels.machine import loader\n"
-    for before, loaders in {
-        library: {"llvmlite"},
-        library + "loader._address = None\n": {"llvmlite", "numba"},
-        library + "loader._extension = None\n": {"llvmlite", "numba"},
-    }.items():
-        *numbers, names = output(trial, before + LOADED).splitlines()
-        assert numbers == ["42.0 2.0 0 0"]
-        assert set(names.split()) == loaders
+def test_code_that_cannot_be_linked_is_loaded_by_numba(trial: Path) -> None:
+    assert called(trial, NOT_LINKED) == [42.0, 2.0, 1, 1]
+    assert output(trial, NOT_LINKED + LOADED).splitlines() == ["42.0 2.0 0 0", "True"]
 
 
-@pytest.mark.skipif(not HAS_IMAGES, reason="images are made for Linux on x86-64 alone")
-def test_an_image_that_cannot_be_placed_is_compiled_again(compiled_trial: Path) -> None:
-    assert called(compiled_trial, NO_IMAGES) == [42.0, 2.0, 1, 1]
-    assert called(compiled_trial, NO_IMAGES) == [42.0, 2.0, 0, 0]
+def test_code_that_can_no_longer_be_linked_is_compiled_again(compiled_trial: Path) -> None:
+    assert called(compiled_trial, NOT_LINKED) == [42.0, 2.0, 1, 1]
+    assert called(compiled_trial, NOT_LINKED) == [42.0, 2.0, 0, 0]
     assert called(compiled_trial) == [42.0, 2.0, 0, 0]
 
 
@@ -215,8 +198,8 @@ def test_what_cannot_be_written_goes_to_a_private_directory(trial: Path, monkeyp
     temporary = trial.parent / "temporary"
     temporary.mkdir()
     monkeypatch.setenv("TMPDIR", str(temporary))
-    look = "import os, tempfile\nfrom mavnav.kernels.machine import cache\ncache.write_code('key', 'name-1', b'code')\n"
-    look += "assert cache.read_code('key', 'name-1') == b'code'\n(made,) = os.scandir(tempfile.gettempdir())\n"
+    look = "import os, tempfile\nfrom mavnav.kernels.machine import cache\ncache.write_code('name-1', b'code')\n"
+    look += "assert cache.read_code('name-1') == b'code'\n(made,) = os.scandir(tempfile.gettempdir())\n"
     assert called(trial, look + "assert made.stat().st_mode & 0o777 == 0o700\n") == [42.0, 2.0, 1, 1]
     assert list(temporary.iterdir()) == []
 
@@ -283,27 +266,15 @@ def test_kernels_that_are_not_used_are_left_out(tmp_path: Path) -> None:
     assert entry.name.startswith("mavnav.kernels.maps.regions.region_sizes-")
 
 
-CPUINFO = "processor\t: 0\nvendor_id\t: Maker\nmodel\t\t: {}\nflags\t\t: fpu {}\n\nprocessor\t: 1\nmodel\t\t: 9\n"
+@pytest.mark.parametrize("variable", ["NUMBA_CPU_NAME", "NUMBA_BOUNDSCHECK"])
+def test_machine_code_of_other_settings_has_another_key(variable: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    key = cache_key.__wrapped__()
+    assert key == cache_key.__wrapped__()
+    monkeypatch.setenv(variable, os.environ.get(variable, "") + "1")
+    assert cache_key.__wrapped__() != key
 
 
-def test_the_key_of_a_processor_is_made_of_its_model_and_its_instructions(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def key(model: str, flags: str) -> str:
-        (tmp_path / "cpuinfo").write_text(CPUINFO.format(model, flags))
-        return loader.cache_key.__wrapped__()
-
-    monkeypatch.setattr(loader, "_CPUINFO", tmp_path / "cpuinfo")
-    one = key("85", "sse2 avx2")
-    assert one == key("85", "sse2 avx2 md_clear user_shstk")  # what a newer kernel of the system adds
-    assert len({one, key("85", "sse2 avx2 avx512f"), key("86", "sse2 avx2"), key("85", "sse2")}) == 4
-    monkeypatch.setenv("NUMBA_BOUNDSCHECK", "1" if os.environ.get("NUMBA_BOUNDSCHECK") != "1" else "0")
-    assert key("85", "sse2 avx2") != one
-
-
-def test_llvm_names_a_processor_of_which_the_system_says_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(loader, "_CPUINFO", tmp_path / "none")
-    name, features = loader._processor()
-    assert (name, features) == (llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten())
+def test_machine_code_for_another_processor_has_another_key(monkeypatch: pytest.MonkeyPatch) -> None:
+    key = cache_key.__wrapped__()
+    monkeypatch.setattr(llvm, "get_host_cpu_name", lambda: "another")
+    assert cache_key.__wrapped__() != key

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mavnav.arrays import blank
 from mavnav.config.loading import load_config
 from mavnav.config.models import Config
 from mavnav.kernels.maps.conflicts import conflicts
@@ -87,7 +86,7 @@ def test_everywhere_is_where_the_map_was_seen_free(beginning: Pose) -> None:
 
 def test_everywhere_takes_little_memory_beside_the_map() -> None:
     known = Robust(Config()).known
-    known.passes, known.hits = blank((4096, 4096), np.uint16), blank_strips((4096, 4096), np.uint16)
+    known.passes, known.hits = np.zeros((4096, 4096), np.uint16), blank_strips((4096, 4096), np.uint16)
     known.passes[...] = 1
     with taking_less_than(100.0):  # 672 400 positions; masks and cells of the whole map took 1.1 GB
         assert len(everywhere(known)[0]) == 820**2
