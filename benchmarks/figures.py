@@ -23,7 +23,7 @@ from matplotlib.ticker import LogLocator
 from matplotlib.transforms import Affine2D
 
 from mavnav.config.loading import load_config
-from mavnav.ground_truth.references import References, compared
+from mavnav.ground_truth.references import References, compare_to
 from mavnav.ground_truth.true_map import of_scenario
 from mavnav.logs import open_log
 from mavnav.mapping.occupancy_grid import Grid, occupied_xy_m
@@ -38,7 +38,7 @@ from mavnav.outputs.pictures.viewport import (
     PATH_GREY,
     POSE_MAGENTA,
     START_BLUE,
-    Window,
+    Viewport,
     wall_lines,
     window_around,
     window_of,
@@ -72,7 +72,7 @@ def mark_ends(axes: Axes, start_xy_m: Any, end_xy_m: Any, end: str) -> None:
     axes.plot(*end_xy_m, marker="$\\bigotimes$", ls="none", ms=13, color=GOAL_RED, mew=0.3, label=end, zorder=5)
 
 
-def draw_frame(axes: Axes, window: Window) -> None:
+def draw_frame(axes: Axes, window: Viewport) -> None:
     """Set limits, equal aspect, labels and grey spines."""
     axes.set(xlim=(window.x0_m, window.x1_m), ylim=(window.y0_m, window.y1_m), xlabel="x [m]", ylabel="y [m]")
     axes.set_aspect("equal")
@@ -88,7 +88,7 @@ def draw_hits(axes: Axes, grid: Grid, world_T_map: Pose) -> None:
     axes.imshow(hits, origin="lower", extent=extent, interpolation="nearest", cmap="viridis_r", transform=moved)
 
 
-def finish(fig: Figure, name: str, window: Window) -> None:
+def finish(fig: Figure, name: str, window: Viewport) -> None:
     """Set a common frame and a logarithmic color scale for all maps, add color bar and legend, and write the figure."""
     axes, images = fig.axes, [image for ax in fig.axes for image in ax.get_images()]
     top = float(np.quantile(np.concatenate([np.ma.compressed(image.get_array()) for image in images]), 0.995))
@@ -111,7 +111,7 @@ def finish(fig: Figure, name: str, window: Window) -> None:
 def report(name: str, outcome: SlamResult, truth: Trajectory | None = None, scenario: Scenario | None = None) -> None:
     """Print the metrics of a map; ``truth`` are the true poses in the map frame, ``scenario`` has the true walls."""
     true_map = of_scenario(scenario, scenario.world_T_base @ scenario.base_T_laser) if scenario else None
-    errors = compared(References(truth, true_map), outcome.trajectory, occupied_xy_m(outcome.grid)) or {}
+    errors = compare_to(References(truth, true_map), outcome.trajectory, occupied_xy_m(outcome.grid)) or {}
     walls = wall_thickness(outcome.grid.hits, outcome.grid.cell_m, 2)
     parts = [f"{name}: {outcome.tracked_share:.0%} of {len(outcome.steps)} scans accepted"]
     if ate := errors.get("ate"):
@@ -181,7 +181,7 @@ def corridor(name: str) -> None:
         ax.set_title(f"Figure 7: {yaws} yaw samples / {grid}")
         report(f"{name} {yaws} / {grid}", outcome, flight.map_T_laser, flight.scenario)
     x0, y0, x1, y1 = flight.scenario.world.bounds_m
-    finish(fig, name, Window(x0 - 0.3, x1 + 0.3, y0 - 0.3, y1 + 0.3))
+    finish(fig, name, Viewport(x0 - 0.3, x1 + 0.3, y0 - 0.3, y1 + 0.3))
     (coarse_s, few), (fine_s, many) = effort
     print(f"{name}: CPU time ratio {fine_s / coarse_s:.1f}, {few:.0f} and {many:.0f} evaluations a scan", flush=True)
 
@@ -222,7 +222,7 @@ def grids(name: str) -> None:
         ax.set_title(f"Figure 8: {yaws} yaw samples / {grid}")
         report(f"{name} {yaws} / {grid}", outcome, way.seen_from(way[0].inverse()))
     x, y, _ = (found or way)[0]
-    finish(fig, name, Window(x - 1.35, x + 1.35, y - 0.6, y + 0.6))
+    finish(fig, name, Viewport(x - 1.35, x + 1.35, y - 0.6, y + 0.6))
 
 
 def main() -> None:

@@ -25,7 +25,7 @@ from scipy.spatial import cKDTree
 from mavnav.ground_truth.true_map import points_on
 from mavnav.mapping.occupancy_grid import OCCUPIED, occupancy
 from mavnav.mapping.slices import Slice
-from mavnav.outputs.run import Run
+from mavnav.outputs.run import RunResult
 from mavnav.pipelines.simulate import SimulationRequest, simulate_mission
 from mavnav.pose import transform_points
 from mavnav.simulation.mission import Flight, fly
@@ -55,7 +55,7 @@ def cases() -> list[Case]:
     return found
 
 
-def flown(scenario: str, settings: tuple[str, ...], seed: int, folder: Path) -> tuple[Run, dict[str, Any]]:
+def flown(scenario: str, settings: tuple[str, ...], seed: int, folder: Path) -> tuple[RunResult, dict[str, Any]]:
     """Fly a mission, write its numbers, and return the run with run.json."""
     chosen = load_scenario(scenario, settings, {"seed": seed})
     request = SimulationRequest(chosen, scenario_path(scenario), folder, force=True, outputs=("metrics",))

@@ -26,7 +26,7 @@ import numpy as np
 
 from mavnav.logs import open_log
 from mavnav.logs.messages import cdr, definitions
-from mavnav.logs.writing.mcap_writer import Channel, write_serialized
+from mavnav.logs.writing.mcap_writer import OutputChannel, write_serialized
 
 HERE = Path(__file__).parent
 SAMPLE = HERE.parent / "sample_logs" / "corridor.mcap"
@@ -64,7 +64,7 @@ def environment() -> dict[str, str]:
 def cut(log: Path, path: Path) -> None:
     """Write a log with the scans of the first second."""
     found, write = open_log(log, odom="off", end_s=1.0), cdr.scans("laser")
-    with write_serialized(path, {"/scan": Channel(definitions.SCAN)}) as put:
+    with write_serialized(path, {"/scan": OutputChannel(definitions.SCAN)}) as put:
         for scan in found.scans():
             put("/scan", scan.stamp_ns, write(scan))
 

@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
 from mavnav.config.models import Config
 from mavnav.logs import open_log
-from mavnav.mapping.occupancy_grid import Grid, GridBuilder, measured_part
+from mavnav.mapping.occupancy_grid import Grid, GridBuilder, measured_area
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import measure_map
 from mavnav.metrics.wall_report import wall_report
@@ -49,7 +49,7 @@ def show(name: str, grid: Grid, scans: list[Scan], poses: Trajectory, tracked_sh
 
 def show_slam(name: str, scans: list[Scan], period_s: float = 0.1) -> None:
     outcome = run_slam(lambda: iter(scans), Config(), period_s)
-    show(name, measured_part(outcome.grid), scans, outcome.trajectory, outcome.tracked_share)
+    show(name, measured_area(outcome.grid), scans, outcome.trajectory, outcome.tracked_share)
 
 
 def at_rest(people: int, seconds: int) -> list[Scan]:

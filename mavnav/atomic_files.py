@@ -247,7 +247,7 @@ def _is_alive(process: int) -> bool:
 
 def _exchange(partial: Path, final: Path) -> None:
     """Replace a folder by another one, atomically where the system can, so that the name always exists."""
-    if _swapped(partial, final):
+    if _swap_names(partial, final):
         return
     old = final.with_name(f".{_label(final)}.replaced-{machine()}-{os.getpid()}")
     final.rename(old)
@@ -260,7 +260,7 @@ def _exchange(partial: Path, final: Path) -> None:
     shutil.rmtree(old, ignore_errors=True)
 
 
-def _swapped(one: Path, other: Path) -> bool:
+def _swap_names(one: Path, other: Path) -> bool:
     """Swap two names by Linux's renameat2; return whether that is possible."""
     try:
         rename = ctypes.CDLL(None, use_errno=True).renameat2

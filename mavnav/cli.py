@@ -15,7 +15,7 @@ import typer
 
 from mavnav.commands import signals
 from mavnav.commands.terminal import emit, note, print_traceback
-from mavnav.commands.values import Command, Group
+from mavnav.commands.values import CommandGroup, PlainCommand
 from mavnav.errors import ExitCode, MavnavError, lacks_memory
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def app_for(args: Sequence[str]) -> typer.Typer:
     """Return the app with the command in ``args``, or with all commands: loading the options of all takes 60 ms."""
     app = typer.Typer(
         name="mavnav",
-        cls=Group,
+        cls=CommandGroup,
         help="Map a recorded 2D laser log offline: trajectory, map and map quality, without ROS and without odometry.",
         epilog=_epilog(EPILOG, "index.md"),
         pretty_exceptions_enable=False,
@@ -117,7 +117,7 @@ def app_for(args: Sequence[str]) -> typer.Typer:
         else:
             command = getattr(module, name)
             command.__annotations__ = get_type_hints(command, include_extras=True)  # typer would do so four times
-            app.command(cls=Command, epilog=epilog)(command)
+            app.command(cls=PlainCommand, epilog=epilog)(command)
     return app
 
 

@@ -143,7 +143,7 @@ class Scan(Struct, frozen=True):
         return self.ranges_m[good, None] * self.spec.directions[good]
 
 
-def levelled(
+def level_scan(
     scan: Scan,
     roll_rad: Floats | float,
     pitch_rad: Floats | float,
@@ -216,7 +216,7 @@ def _at_bearing(x: Floats, y: Floats, range_m: Floats, bearing_rad: Floats, ahea
     ``ahead`` is the side on which the bearing lies: the neighbor there goes before the other. Without any the range
     stays.
     """
-    found, c, s = range_m, np.cos(bearing_rad), np.sin(bearing_rad)
+    crossing_m, c, s = range_m, np.cos(bearing_rad), np.sin(bearing_rad)
     apart_m = np.maximum(JUMP_M, JUMP_SHARE * range_m)
     for side in (~ahead, ahead):  # at the end of a full turn the neighbor is at its begin
         other = (np.arange(len(x)) + np.where(side, 1, -1)) % max(len(x), 1)
@@ -224,5 +224,5 @@ def _at_bearing(x: Floats, y: Floats, range_m: Floats, bearing_rad: Floats, ahea
         with np.errstate(invalid="ignore", divide="ignore"):
             moved_m = (x * along_y - y * along_x) / (c * along_y - s * along_x)
         same = (np.hypot(along_x, along_y) <= apart_m) & (np.abs(moved_m - range_m) <= apart_m)
-        found = np.where(same, moved_m, found)
-    return found
+        crossing_m = np.where(same, moved_m, crossing_m)
+    return crossing_m

@@ -16,7 +16,7 @@ LARGEST_COORDINATE_M: Final = 1e8
 """Largest coordinate of a pose or a map: map coordinates of the whole earth, m; kernels cannot count cells beyond."""
 
 
-def counted(count: int, noun: str) -> str:
+def pluralize(count: int, noun: str) -> str:
     """Return a count with its noun, which takes an s or es unless there is one."""
     ending = "" if count == 1 else "es" if noun.endswith("ch") else "s"
     return f"{count} {noun}{ending}"

@@ -279,6 +279,9 @@ def test_every_exit_code_is_documented_and_exists() -> None:
 
 TWINS = {
     "maps.linemap.rebuild": "insert_points",
+    "planning.potential.wall_centres": "occupied",
+    "scans.points.place_points": "placed",
+    "walls.smoothing.smooth_image": "smoothed",
     "line_search.search.search": "coarse_to_fine",
     "polar_search.search.search": "coarse_to_fine",
     "walls.thickness.column_runs": "naive_sections",

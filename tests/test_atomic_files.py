@@ -77,7 +77,7 @@ def test_two_processes_that_write_the_same_do_not_touch_each_other(old: Path) ->
 @pytest.mark.parametrize("exchange", [True, False])
 def test_a_folder_takes_the_place_of_another(old: Path, exchange: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     if not exchange:
-        monkeypatch.setattr(atomic_files, "_swapped", lambda one, other: False)
+        monkeypatch.setattr(atomic_files, "_swap_names", lambda one, other: False)
     with beside(old) as partial:
         partial.mkdir()
         (partial / "new").touch()
@@ -89,7 +89,7 @@ def test_a_folder_takes_the_place_of_another(old: Path, exchange: bool, monkeypa
 def test_two_folders_swap_their_names_at_once(old: Path) -> None:
     new = old.with_name("new")
     new.mkdir()
-    assert atomic_files._swapped(new, old)
+    assert atomic_files._swap_names(new, old)
     assert (names(new), names(old)) == ({"old"}, set())
 
 

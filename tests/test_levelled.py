@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from mavnav.pose import Pose
-from mavnav.scan import Attitude, LaserSpec, Scan, levelled
+from mavnav.scan import Attitude, LaserSpec, Scan, level_scan
 from support.synthetic import DEG, LDS_01, cast, room
 from support.tilted import FLOOR, directions_3d, tilted_scan
 
@@ -39,7 +39,7 @@ def test_a_levelled_scan_is_that_of_a_level_laser(
     spec = spec.turned_over() if turned else spec
     pose, attitude = Pose(2.1, 1.7, yaw_rad), Attitude(roll_rad, pitch_rad, height_m)
     scan, hits = tilted_scan(WALLS, TOPS_M, pose, attitude, spec)
-    flat = levelled(scan, *attitude)
+    flat = level_scan(scan, *attitude)
     seen = np.isfinite(flat.ranges_m)
     expected = cast(WALLS, (pose.x_m, pose.y_m), spec.angles_rad + yaw_rad)
     compared = seen & ~near_corner(spec, pose, WALLS)
@@ -53,7 +53,7 @@ def test_a_levelled_scan_is_that_of_a_level_laser(
 def test_heights_of_the_returns() -> None:
     attitude = Attitude(0.0, 10 * DEG, 1.0)  # the nose points down
     scan, _ = tilted_scan(WALLS, TOPS_M, Pose(3.0, 2.0, 0.0), attitude, LDS_01)
-    flat = levelled(scan, *attitude)
+    flat = level_scan(scan, *attitude)
     assert flat.heights_m is not None
     assert flat.ranges_m[[0, 90, 180]] == pytest.approx([3.0, 2.0, 3.0])
     assert flat.heights_m[[0, 90, 180]] == pytest.approx([1 - 3 * np.tan(10 * DEG), 1.0, 1 + 3 * np.tan(10 * DEG)])
@@ -62,12 +62,12 @@ def test_heights_of_the_returns() -> None:
 def test_returns_on_floor_and_ceiling_are_no_walls() -> None:
     attitude = Attitude(0.0, 15 * DEG, 0.5)
     scan, hits = tilted_scan(WALLS, TOPS_M, Pose(3.0, 2.0, 0.0), attitude, LDS_01)
-    flat = levelled(scan, *attitude)
+    flat = level_scan(scan, *attitude)
     expected = cast(WALLS, (3.0, 2.0), LDS_01.angles_rad)
     assert (hits == FLOOR).sum() > 20
     assert np.nanmax(np.abs(flat.ranges_m - expected)) < 0.05  # at the corners; the floor lies 1.1 m before the wall
     assert np.isnan(flat.ranges_m[np.abs(LDS_01.angles_rad) < 0.3]).all()
-    below = levelled(scan, *attitude, ceiling_m=1.3)
+    below = level_scan(scan, *attitude, ceiling_m=1.3)
     assert np.isnan(below.ranges_m[180])
     assert np.isfinite(flat.ranges_m[180])
 
@@ -76,7 +76,7 @@ def test_returns_on_floor_and_ceiling_are_no_walls() -> None:
 def test_a_level_scan_keeps_its_ranges(height_m: float) -> None:
     ranges_m = np.random.default_rng(1).uniform(0.1, 9.0, 360)
     ranges_m[::7] = nan
-    flat = levelled(Scan(5, ranges_m, LDS_01), *Attitude(0.0, 0.0, height_m), inf)
+    flat = level_scan(Scan(5, ranges_m, LDS_01), *Attitude(0.0, 0.0, height_m), inf)
     np.testing.assert_array_equal(flat.ranges_m, ranges_m)
     if np.isnan(height_m):
         assert flat.heights_m is None
@@ -87,6 +87,6 @@ def test_a_level_scan_keeps_its_ranges(height_m: float) -> None:
 
 def test_beams_keep_their_times() -> None:
     times_s = np.linspace(0.0, 0.1, 360)
-    flat = levelled(Scan(0, np.full(360, 2.0), LDS_01, times_s), *Attitude(0.2, 0.1, 1.0))
+    flat = level_scan(Scan(0, np.full(360, 2.0), LDS_01, times_s), *Attitude(0.2, 0.1, 1.0))
     assert flat.times_s is not None
     np.testing.assert_allclose(flat.times_s, times_s, atol=0.01)

@@ -13,7 +13,7 @@ from mavnav import errors
 from mavnav.errors import ExitCode, MavnavError
 from mavnav.pose import Pose, Trajectory, transform_points, wrap_angle, yaw_of_quaternion
 from mavnav.scan import LaserSpec, Scan
-from mavnav.units import counted
+from mavnav.units import pluralize
 from support.synthetic import LDS_01, URG_04LX, cast, furnished_rooms, record, room, scan_at
 
 metres = st.floats(-1e3, 1e3)
@@ -122,7 +122,9 @@ def test_points_of_a_scan_leave_out_what_is_not_valid() -> None:
 
 
 def test_nouns_agree_with_their_counts() -> None:
-    found = [counted(n, noun) for n, noun in ((0, "place"), (1, "place"), (2, "place"), (1, "stretch"), (3, "stretch"))]
+    found = [
+        pluralize(n, noun) for n, noun in ((0, "place"), (1, "place"), (2, "place"), (1, "stretch"), (3, "stretch"))
+    ]
     assert found == ["0 places", "1 place", "2 places", "1 stretch", "3 stretches"]
 
 

@@ -15,7 +15,7 @@ from mavnav.api.arguments import path_of
 from mavnav.atomic_files import naming_full_disk
 from mavnav.errors import UsageError
 from mavnav.ground_truth.tables import read_tum
-from mavnav.outputs.directory import RUN_FILE, staged
+from mavnav.outputs.directory import RUN_FILE, atomic_directory
 from mavnav.outputs.files.gridmap import read_npz
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ class Run:
         Raises OutputError if the directory exists (and ``force`` does not say to replace it) or cannot be written.
         """
         target = path_of(directory, "directory")
-        with staged(target, force=force) as folder:
+        with atomic_directory(target, force=force) as folder:
             shutil.copytree(self.directory, folder, dirs_exist_ok=True)
         return Run(target)
 

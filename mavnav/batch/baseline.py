@@ -85,7 +85,7 @@ def tolerances(given: Iterable[Tolerance]) -> tuple[Tolerance, ...]:
     return tuple(({known.name: known for known in TOLERANCES} | {mine.name: mine for mine in given}).values())
 
 
-class Change(StrEnum):
+class ChangeKind(StrEnum):
     """Change of a number or of a run since the baseline."""
 
     SAME = "same"
@@ -142,7 +142,7 @@ def _figures(cell: Mapping[str, Any]) -> dict[str, float | None] | None:
 
 def write_baseline(rows: Sequence[Mapping[str, Any]], path: Path, watched: Sequence[Tolerance]) -> None:
     """Write only the metrics that are compared, so that the file can be committed with the code."""
-    cells = [_stored(row, watched) for row in rows]
+    cells = [_baseline_row(row, watched) for row in rows]
     document = {"schema_version": SCHEMA_VERSION, "mavnav_version": __version__, "cells": cells}
     try:
         with beside(path) as partial:
@@ -151,7 +151,7 @@ def write_baseline(rows: Sequence[Mapping[str, Any]], path: Path, watched: Seque
         raise OutputError(f"{path} cannot be written: {error.strerror or error}; name another file") from error
 
 
-def _stored(row: Mapping[str, Any], watched: Sequence[Tolerance]) -> dict[str, Any]:
+def _baseline_row(row: Mapping[str, Any], watched: Sequence[Tolerance]) -> dict[str, Any]:
     figures = {tolerance.name: number(row["run"], tolerance.name) for tolerance in watched}
     return {"name": row["name"], "exit_code": row["exit_code"], "figures": figures}
 
@@ -165,13 +165,13 @@ def changes(row: Mapping[str, Any], baseline: Baseline, watched: Sequence[Tolera
     """
     before = baseline.runs.get(row["name"])
     if before is None:
-        return {"change": Change.NEW, "figures": []}
-    found = [_code_change(before["exit_code"], row["exit_code"])]
+        return {"change": ChangeKind.NEW, "figures": []}
+    items = [_code_change(before["exit_code"], row["exit_code"])]
     if row["run"]:
-        found += [_figure_change(t, _before(before, t.name), number(row["run"], t.name)) for t in watched]
-    moved = [item for item in found if item["change"] != Change.SAME]
+        items += [_figure_change(t, _before(before, t.name), number(row["run"], t.name)) for t in watched]
+    moved = [item for item in items if item["change"] != ChangeKind.SAME]
     kinds = {item["change"] for item in moved}
-    whole = next((kind for kind in (Change.WORSE, Change.BETTER) if kind in kinds), Change.SAME)
+    whole = next((kind for kind in (ChangeKind.WORSE, ChangeKind.BETTER) if kind in kinds), ChangeKind.SAME)
     return {"change": whole, "figures": moved}
 
 
@@ -195,26 +195,26 @@ def lacking_text(path: object, name: str) -> str:
 
 
 def _code_change(before: int, now: int) -> dict[str, Any]:
-    change = _ordered(SEVERITY.index(ExitCode(now)), SEVERITY.index(ExitCode(before)), 0.0)
+    change = _compare(SEVERITY.index(ExitCode(now)), SEVERITY.index(ExitCode(before)), 0.0)
     return {"name": "exit_code", "before": before, "now": now, "change": change}
 
 
 def _figure_change(tolerance: Tolerance, before: float | None, now: float | None) -> dict[str, Any]:
     if before is None:
-        change = Change.SAME
+        change = ChangeKind.SAME
     elif now is None:
-        change = Change.WORSE
+        change = ChangeKind.WORSE
     else:
         sign = -1.0 if tolerance.high else 1.0
-        change = _ordered(sign * now, sign * before, tolerance.allows(before))
+        change = _compare(sign * now, sign * before, tolerance.allows(before))
     return {"name": tolerance.name, "before": before, "now": now, "change": change}
 
 
-def _ordered(now: float, before: float, allowed: float) -> Change:
+def _compare(now: float, before: float, allowed: float) -> ChangeKind:
     """Compare two numbers of which the smaller one is better."""
     if abs(now - before) <= allowed:
-        return Change.SAME
-    return Change.WORSE if now > before else Change.BETTER
+        return ChangeKind.SAME
+    return ChangeKind.WORSE if now > before else ChangeKind.BETTER
 
 
 def missing(rows: Sequence[Mapping[str, Any]], baseline: Baseline) -> list[str]:

@@ -10,8 +10,8 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from mavnav.batch.find_logs import check_found, find_logs
-from mavnav.batch.remote import fetched
-from mavnav.batch.settings import formatted
+from mavnav.batch.remote import download
+from mavnav.batch.settings import format_value
 from mavnav.config.options import OPTIONS, REFERENCES, reference_files, run_options
 from mavnav.errors import ExitCode, MavnavError, UsageError
 from mavnav.ground_truth.map_file import map_files
@@ -151,7 +151,7 @@ def _cases(request: BatchRequest, entry: BatchLogs, log: str, name: str) -> Iter
 def _digest(request: BatchRequest, log: str) -> str:
     """Return the hash of a log's content; a log at an address is downloaded for that."""
     if is_address(log):
-        with fetched(log) as folder:
+        with download(log) as folder:
             return content_sha256(folder / public_address(log))
     path = request.base / log
     if request.patterns:
@@ -167,4 +167,4 @@ def _name(entry: BatchLogs, log: str, setting: Setting) -> str:
 
 
 def _short(value: object) -> str:
-    return ",".join(f"{x:g}" for x in value) if isinstance(value, tuple) else formatted(value)
+    return ",".join(f"{x:g}" for x in value) if isinstance(value, tuple) else format_value(value)

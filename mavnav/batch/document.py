@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING, Any, Final
 
-from mavnav.batch.baseline import Change, changes, lacking, lacking_text
+from mavnav.batch.baseline import ChangeKind, changes, lacking, lacking_text
 from mavnav.errors import SEVERITY, ExitCode, worst
 from mavnav.jobs.run_cache import run_row
 from mavnav.metrics.gates import judge_some
@@ -33,16 +33,16 @@ def judged_row(result: CaseResult, request: BatchRequest) -> dict[str, Any]:
     case, rules, row = result.case, request.rules, _row(result, request.directory)
     verdicts = [] if result.document is None else judge_some((*rules.gates, *case.gates), result.document)
     gates = [verdict.row() for verdict in verdicts]
-    found = None
+    change = None
     if rules.baseline:
         absent = [] if request.new_baseline else lacking(row, rules.baseline, rules.watched)
-        found = changes(row, rules.baseline, rules.watched) | {"lacking": absent}
+        change = changes(row, rules.baseline, rules.watched) | {"lacking": absent}
         if rules.baseline_gate or (case.baseline_gate and request.new_baseline is None):
-            gates.append(_baseline_verdict(found, rules.baseline.path))
+            gates.append(_baseline_verdict(change, rules.baseline.path))
     accepted = row["exit_code"] in rules.accept | case.accept
     codes = [] if accepted else [row["exit_code"]]
     codes += [ExitCode.GATE_FAILED for gate in gates if not gate["passed"]]
-    return row | {"gates": gates, "baseline": found, "accepted": accepted, "verdict": int(worst(codes))}
+    return row | {"gates": gates, "baseline": change, "accepted": accepted, "verdict": int(worst(codes))}
 
 
 def _row(result: CaseResult, directory: Path) -> dict[str, Any]:
@@ -71,14 +71,14 @@ def _unreadable_row(case: Case) -> dict[str, Any]:
     }
 
 
-def _baseline_verdict(found: Mapping[str, Any], path: Path) -> dict[str, Any]:
-    worse = [item for item in found["figures"] if item["change"] == Change.WORSE]
-    reasons = [f"{item['name']} went from {_shown(item['before'])} to {_shown(item['now'])}" for item in worse]
-    reasons += [lacking_text(path, name) for name in found["lacking"]]
+def _baseline_verdict(change: Mapping[str, Any], path: Path) -> dict[str, Any]:
+    worse = [item for item in change["figures"] if item["change"] == ChangeKind.WORSE]
+    reasons = [f"{item['name']} went from {_text(item['before'])} to {_text(item['now'])}" for item in worse]
+    reasons += [lacking_text(path, name) for name in change["lacking"]]
     return {"gate": "baseline", "value": len(reasons), "passed": not reasons, "why": "; ".join(reasons)}
 
 
-def _shown(number: float | None) -> str:
+def _text(number: float | None) -> str:
     return "nothing" if number is None else f"{number:.6g}"
 
 
@@ -119,7 +119,7 @@ def _counts(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 def _since(rows: Sequence[Mapping[str, Any]], baseline: Baseline, missing_runs: Sequence[str]) -> dict[str, Any]:
     kinds = Counter(row["baseline"]["change"] for row in rows)
-    counts = {str(change): kinds[change] for change in Change}
+    counts = {str(change): kinds[change] for change in ChangeKind}
     more = {
         "missing": list(missing_runs),
         "lacking": list(dict.fromkeys(n for r in rows for n in r["baseline"]["lacking"])),
@@ -132,7 +132,7 @@ def worst_first(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
     def rank(row: dict[str, Any]) -> tuple[int, int]:
         change = (row["baseline"] or {}).get("change")
-        return -SEVERITY.index(ExitCode(row["verdict"])), 0 if change == Change.WORSE else 1
+        return -SEVERITY.index(ExitCode(row["verdict"])), 0 if change == ChangeKind.WORSE else 1
 
     return sorted(rows, key=rank)
 

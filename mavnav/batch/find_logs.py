@@ -28,15 +28,15 @@ def find_logs(patterns: Iterable[str], base: Path) -> list[str]:
     unchanged, so that only its own case fails. Relative paths start at ``base``; returned paths below ``base`` are
     relative to it. Raises UsageError for a folder that cannot be read.
     """
-    found: dict[str, None] = {}
+    logs: dict[str, None] = {}
     for pattern in patterns:
         try:
-            found.update(dict.fromkeys([pattern] if is_address(pattern) else _paths(pattern, base)))
+            logs.update(dict.fromkeys([pattern] if is_address(pattern) else _paths(pattern, base)))
         except OSError as error:
             raise UsageError(
                 f"{error.filename or pattern} cannot be read: {error.strerror}; name other logs"
             ) from error
-    return list(found)
+    return list(logs)
 
 
 def check_found(log: str, path: Path) -> None:
@@ -53,9 +53,9 @@ def check_found(log: str, path: Path) -> None:
 
 def _paths(pattern: str, base: Path) -> list[str]:
     matches = _matches(pattern, base)
-    found = _logs(matches)
-    rest = [match for match in matches if not any(path.is_relative_to(match) for path in found)]
-    return [_relative(path, base) for path in sorted([*found, *(match for match in rest if not _logs([match]))])]
+    logs = _logs(matches)
+    rest = [match for match in matches if not any(path.is_relative_to(match) for path in logs)]
+    return [_relative(path, base) for path in sorted([*logs, *(match for match in rest if not _logs([match]))])]
 
 
 def _matches(pattern: str, base: Path) -> list[Path]:
@@ -64,11 +64,11 @@ def _matches(pattern: str, base: Path) -> list[Path]:
     if whole.exists() or not _PATTERN.search(pattern):
         return [whole]
     anchor = Path(whole.anchor)
-    found = anchor.glob(str(whole.absolute().relative_to(anchor.absolute())))
-    return sorted(path for path in found if not _hidden(path, whole) and not _is_result(path)) or [whole]
+    paths = anchor.glob(str(whole.absolute().relative_to(anchor.absolute())))
+    return sorted(path for path in paths if not _is_hidden(path, whole) and not _is_result(path)) or [whole]
 
 
-def _hidden(path: Path, pattern: Path) -> bool:
+def _is_hidden(path: Path, pattern: Path) -> bool:
     """Return whether a path has a hidden part that the pattern does not name; unfinished runs are hidden."""
     return any(part.startswith(".") and part not in pattern.parts for part in path.parts)
 
@@ -87,7 +87,7 @@ def _logs(paths: Sequence[Path]) -> list[Path]:
 
     Each folder is visited once, however many links lead to it; by a path without links if there is one.
     """
-    found, visited = list[Path](), set[str]()
+    logs, visited = list[Path](), set[str]()
     waiting = deque(sorted(paths, key=_links))
     while waiting:
         path = waiting.popleft()
@@ -97,12 +97,12 @@ def _logs(paths: Sequence[Path]) -> list[Path]:
             continue
         visited.add(place)
         if not folder or (path / "metadata.yaml").is_file():
-            found.append(path)
+            logs.append(path)
         elif not _is_run(path):
             inner = [each for each in path.iterdir() if not each.name.startswith(".") and _may_be_log(each)]
             waiting.extendleft(each for each in inner if not each.is_symlink())
             waiting.extend(each for each in inner if each.is_symlink())
-    return sorted(found)
+    return sorted(logs)
 
 
 def _links(path: Path) -> int:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from msgspec.structs import asdict, replace
 
-from mavnav.batch.remote import fetched
+from mavnav.batch.remote import download
 from mavnav.config.options import absolute_options
 from mavnav.errors import MavnavError
 from mavnav.outputs.documents.addresses import public_address
@@ -32,7 +32,7 @@ def replay_remote(request: ReplayRequest, report: Progress) -> None:
     paths = {name: value for name, value in asdict(request).items() if isinstance(value, Path) and name != "log"}
     absolute: dict[str, Any] = {"options": absolute_options(request.options)}
     absolute |= {name: path.absolute() for name, path in paths.items()}
-    with fetched(address) as folder, chdir(folder):
+    with download(address) as folder, chdir(folder):
         try:
             replay_local(replace(request, **absolute), report)
         except MavnavError as error:

@@ -135,7 +135,7 @@ def origins_of(manifest: Manifest, layer: Layer) -> Origins:
 
 
 @contextmanager
-def located(where: str | None) -> Iterator[None]:
+def errors_at(where: str | None) -> Iterator[None]:
     """Turn a UsageError into a ConfigError that begins with file and line, if they are known."""
     try:
         yield

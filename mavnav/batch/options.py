@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from mavnav.batch.baseline import parse_tolerance, read_baseline, tolerances
 from mavnav.batch.cases import BASELINE_GATE
 from mavnav.batch.document import BATCH_FILE
-from mavnav.batch.manifest import GATE_EXAMPLE, Manifest, located, origins_of, read_manifest
+from mavnav.batch.manifest import GATE_EXAMPLE, Manifest, errors_at, origins_of, read_manifest
 from mavnav.batch.request import BatchLogs, BatchPart, BatchRequest, Rules, RunLimits
 from mavnav.batch.settings import Setting, crossed_settings, listed_settings
 from mavnav.config.layers import Layer
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 MANIFEST_SUFFIXES = (".yaml", ".yml")
 
 
-class Options(Struct, frozen=True):
+class BatchOptions(Struct, frozen=True):
     """The command line; an option that was not given is None or empty.
 
     ``words`` is the whole command line as typed. ``sources`` are a manifest and logs, ``options`` those of all
@@ -64,7 +64,7 @@ class Options(Struct, frozen=True):
     files: Mapping[str, Path] = field(default_factory=dict)
 
 
-def request_of(options: Options) -> BatchRequest:
+def request_of(options: BatchOptions) -> BatchRequest:
     """Read the manifest, if one is given, and return the request.
 
     Raises ConfigError for an invalid manifest, and UsageError for other invalid input.
@@ -93,7 +93,7 @@ def request_of(options: Options) -> BatchRequest:
     )
 
 
-def _inputs(options: Options, manifest: Manifest, path: Path | None, baseline: Path | None) -> Iterator[Path]:
+def _inputs(options: BatchOptions, manifest: Manifest, path: Path | None, baseline: Path | None) -> Iterator[Path]:
     """Yield the files that are read besides logs and their references."""
     configs = [run["config"] for run in manifest.runs if isinstance(run.get("config"), str)]
     yield from map(Path, filter(None, [options.config]))
@@ -114,7 +114,7 @@ def _default_directory(path: Path | None) -> Path:
     return Path("runs") / (f"batch-{path.stem}" if path else "batch")
 
 
-def _entries(options: Options, manifest: Manifest, base: Path) -> tuple[BatchLogs, ...]:
+def _entries(options: BatchOptions, manifest: Manifest, base: Path) -> tuple[BatchLogs, ...]:
     """Return the entries of the manifest and of the command line, whose paths start at the current folder."""
     logs = [source for source in options.sources if not source.endswith(MANIFEST_SUFFIXES)]
     absolute = [log if is_address(log) or not base.parts else str(Path(log).absolute()) for log in logs]
@@ -128,14 +128,14 @@ def _entry(entry: LogEntry, base: Path) -> BatchLogs:
     return BatchLogs(entry.log, options, entry.gates, entry.accept)
 
 
-def _settings(options: Options, manifest: Manifest, layer: Layer, base: Path) -> list[Setting]:
+def _settings(options: BatchOptions, manifest: Manifest, layer: Layer, base: Path) -> list[Setting]:
     overrides = settings_of(options.options)
     if manifest.runs and not (options.methods or options.grids or options.azimuths or options.config):
         return listed_settings(manifest.runs, layer, base, options.sets, overrides)
     return crossed_settings(options.config, options.sets, options.methods, options.grids, options.azimuths, overrides)
 
 
-def _limits(options: Options, manifest: Manifest) -> RunLimits:
+def _limits(options: BatchOptions, manifest: Manifest) -> RunLimits:
     if options.memory_mb and options.scheduler not in {None, LOCAL}:
         raise UsageError("--memory-mb is not for workers that run already; start them with dask worker --memory-limit")
     return RunLimits(
@@ -147,7 +147,7 @@ def _limits(options: Options, manifest: Manifest) -> RunLimits:
     )
 
 
-def _rules(options: Options, manifest: Manifest, origins: Origins, path: Path | None) -> Rules:
+def _rules(options: BatchOptions, manifest: Manifest, origins: Origins, path: Path | None) -> Rules:
     texts = [*manifest.gates, *options.gates]
     gated = BASELINE_GATE in texts
     for entry in manifest.logs:  # before any log is read
@@ -177,7 +177,7 @@ def _gates(texts: Sequence[str], origins: Origins) -> list[Gate]:
 
 
 def _gate(text: str, where: str | None) -> Gate:
-    with located(where):
+    with errors_at(where):
         return parse_gate(text) if where is None else parse_gate(text, "gate", GATE_EXAMPLE)
 
 
@@ -186,7 +186,7 @@ def _codes(codes: Sequence[int], origins: Origins) -> list[int]:
     for code in codes:
         if code not in known:
             where = origins.get(("accept", code))
-            with located(where):
+            with errors_at(where):
                 what = "--accept" if where is None else "accept:"
                 raise UsageError(f"{what} {code}: mavnav has no such exit code; see docs/cli.md")
     return list(codes)
@@ -194,7 +194,7 @@ def _codes(codes: Sequence[int], origins: Origins) -> list[int]:
 
 def _parse(named: Mapping[str, float | str], origins: Origins) -> Iterator[Tolerance]:
     for name, text in named.items():
-        with located(origins[("tolerances", full_name(name))]):
+        with errors_at(origins[("tolerances", full_name(name))]):
             tolerance = parse_tolerance(name, str(text))
         yield tolerance
 

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec import Struct
 
 from mavnav.batch.document import ENDS, why, worst_first
-from mavnav.batch.summary import batch_headline, changed
+from mavnav.batch.summary import batch_headline, change_text
 from mavnav.batch.thumbnail import thumbnail
 from mavnav.config.named_files import read_json
 from mavnav.errors import ExitCode
 from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.documents.facts import facts
 from mavnav.outputs.documents.quantities import NAMED, PATH, TIME
-from mavnav.outputs.report.html import environment, inlined
+from mavnav.outputs.report.html import environment, inline
 from mavnav.outputs.writers import REPORT_FILE
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ COLUMNS: Final = (
 )
 
 
-class Field(Struct, frozen=True):
+class MetricField(Struct, frozen=True):
     """The text of a metric and its sort key; both empty if there is no value."""
 
     text: str
@@ -58,7 +58,7 @@ class PageLine(Struct, frozen=True):
     picture: str | None
     change: str
     change_text: str
-    fields: tuple[Field, ...]
+    fields: tuple[MetricField, ...]
 
 
 def to_page(document: Mapping[str, Any], directory: Path) -> str:
@@ -72,8 +72,8 @@ def to_page(document: Mapping[str, Any], directory: Path) -> str:
         changes=Counter(line.change for line in lines if line.change) if document["baseline"] else {},
         missing=(document["baseline"] or {}).get("missing", []),
         columns=COLUMNS,
-        style=inlined(templates, "report.css", "batch.css"),
-        script=inlined(templates, "batch.js"),
+        style=inline(templates, "report.css", "batch.css"),
+        script=inline(templates, "batch.js"),
         version=document["mavnav_version"],
         profile=document["profile"],
     )
@@ -92,7 +92,7 @@ def _line(row: dict[str, Any], directory: Path) -> PageLine:
         link=_link(path, row["directory"]) if path else None,
         picture=thumbnail(path) if path else None,
         change=str((row["baseline"] or {}).get("change") or ""),
-        change_text=changed(row),
+        change_text=change_text(row),
         fields=tuple(_field(column, row["run"]) for column in COLUMNS),
     )
 
@@ -111,6 +111,6 @@ def _facts(path: Path) -> str:
         return ""
 
 
-def _field(column: Quantity, run: Mapping[str, Any] | None) -> Field:
+def _field(column: Quantity, run: Mapping[str, Any] | None) -> MetricField:
     value = column.of(run)
-    return Field("", "") if value is None else Field(column.shown(run), f"{value:.9g}")
+    return MetricField("", "") if value is None else MetricField(column.text_of(run), f"{value:.9g}")

@@ -10,7 +10,7 @@ from mavnav.batch.baseline import EXAMPLE
 from mavnav.batch.cases import Case, make_cases, read_paths
 from mavnav.batch.document import BATCH_FILE
 from mavnav.batch.files import check_files
-from mavnav.batch.manifest import GATE_EXAMPLE, located
+from mavnav.batch.manifest import GATE_EXAMPLE, errors_at
 from mavnav.errors import UsageError
 from mavnav.jobs.run_cache import RUNS_FOLDER, check_cache_directory, is_finished
 from mavnav.metrics.gates import check_names
@@ -86,11 +86,11 @@ def check_gates(request: BatchRequest, cases: Sequence[Case], more: Sequence[str
     rules, origins = request.rules, request.origins
     known = {has_references: number_names(reference=has_references) for has_references in (True, False)}
     for tolerance in rules.watched:
-        with located(origins.get(("tolerances", tolerance.name))):
+        with errors_at(origins.get(("tolerances", tolerance.name))):
             check_names([tolerance.name], known[True], EXAMPLE)
     for gate, has_references in dict.fromkeys(
         (gate, case.has_references) for case in cases for gate in (*rules.gates, *case.gates)
     ):
         where = origins.get(("gates", gate.text))
-        with located(where):
+        with errors_at(where):
             check_names([gate.name], [*known[has_references], *more], *([GATE_EXAMPLE] if where else []))

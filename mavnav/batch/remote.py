@@ -34,7 +34,7 @@ MIN_RATE: Final = 1000.0
 """Minimum average rate of a download, in bytes/s."""
 
 
-class Limits(Struct, frozen=True):
+class DownloadLimits(Struct, frozen=True):
     """Limits of a download: total time, time without data, size, and whether private networks are allowed."""
 
     total_s: float
@@ -44,11 +44,11 @@ class Limits(Struct, frozen=True):
     """Whether the address may name a host of a private network."""
 
 
-def limits() -> Limits:
+def limits() -> DownloadLimits:
     """Return the limits of the ``MAVNAV_FETCH_*`` variables; raises UsageError for a value that is no number."""
     total_s = _number(_TIMEOUT, 3600.0)
     max_bytes = 1e6 * _number("MAVNAV_FETCH_MAX_MB", 65_536.0)
-    return Limits(total_s, min(IDLE_S, total_s), max_bytes, private=any(_allowed_hosts()) or not in_cluster())
+    return DownloadLimits(total_s, min(IDLE_S, total_s), max_bytes, private=any(_allowed_hosts()) or not in_cluster())
 
 
 def _number(variable: str, default: float) -> float:
@@ -63,7 +63,7 @@ def _number(variable: str, default: float) -> float:
 
 
 @contextmanager
-def fetched(address: str) -> Iterator[Path]:
+def download(address: str) -> Iterator[Path]:
     """Yield a temporary folder with the log; its relative path in the folder is its address.
 
     User name, password and query of the address are left out of the path and of errors. Raises UsageError if the
@@ -114,7 +114,7 @@ class _Copy(Struct):
 
     address: str
     file: Path
-    limits: Limits
+    limits: DownloadLimits
     began_s: float = field(default_factory=monotonic)
     latest_s: float = field(default_factory=monotonic)
     done_bytes: int = 0
@@ -132,7 +132,7 @@ class _Copy(Struct):
         finally:
             self.stop.set()
         if self.error is not None:
-            raise self._explained(self.error) from None
+            raise self._public_error(self.error) from None
 
     def _work(self) -> None:
         try:
@@ -143,15 +143,15 @@ class _Copy(Struct):
             self.ended.set()
 
     def _copy(self) -> None:
-        with _opened(self.address, self.limits) as source, self._created() as copy:
+        with _open(self.address, self.limits) as source, self._create() as copy:
             while not self.stop.is_set() and (piece := source.read(PIECE_BYTES)):
                 self.done_bytes += len(piece)
                 self.latest_s = monotonic()
                 if self.done_bytes > self.limits.max_bytes:
-                    raise self._refused(f"larger than {self.limits.max_bytes / 1e6:g} MB", "MAVNAV_FETCH_MAX_MB")
+                    raise self._refusal(f"larger than {self.limits.max_bytes / 1e6:g} MB", "MAVNAV_FETCH_MAX_MB")
                 self._put(copy, piece)
 
-    def _created(self) -> Any:  # noqa: ANN401  a file
+    def _create(self) -> Any:  # noqa: ANN401  a file
         try:
             return self.file.open("wb", buffering=0)
         except OSError as error:
@@ -167,8 +167,8 @@ class _Copy(Struct):
 
     def _timeout_error(self) -> UsageError:
         if monotonic() - self.began_s > self.limits.total_s:
-            return self._refused(f"not complete after {self.limits.total_s:g} s", _TIMEOUT)
-        return self._refused(f"no data for {self.limits.idle_s:g} s", _TIMEOUT)
+            return self._refusal(f"not complete after {self.limits.total_s:g} s", _TIMEOUT)
+        return self._refusal(f"no data for {self.limits.idle_s:g} s", _TIMEOUT)
 
     def _check(self) -> None:
         """Raise UsageError if a limit of time or rate is exceeded."""
@@ -177,13 +177,13 @@ class _Copy(Struct):
         if elapsed_s > self.limits.total_s or now_s - self.latest_s > self.limits.idle_s:
             raise self._timeout_error()
         if elapsed_s > self.limits.idle_s and self.done_bytes < MIN_RATE * elapsed_s:
-            raise self._refused(f"less than {MIN_RATE:g} bytes/s for {self.limits.idle_s:g} s", _TIMEOUT)
+            raise self._refusal(f"less than {MIN_RATE:g} bytes/s for {self.limits.idle_s:g} s", _TIMEOUT)
 
-    def _refused(self, reason: str, variable: str) -> UsageError:
+    def _refusal(self, reason: str, variable: str) -> UsageError:
         advice = f"download it by other means, or set {variable}"
         return UsageError(f"{public_address(self.address)}: cannot be read ({reason}); {advice}")
 
-    def _explained(self, error: Exception) -> MavnavError:
+    def _public_error(self, error: Exception) -> MavnavError:
         shown = public_address(self.address)
         while isinstance(error, FileNotFoundError) and isinstance(error.__cause__, Exception):
             error = error.__cause__  # fsspec wraps every error before the first byte in a FileNotFoundError
@@ -199,7 +199,7 @@ class _Copy(Struct):
         return UsageError(f"{shown}: cannot be read ({reason}); check the address and the permissions")
 
 
-def _opened(address: str, bounds: Limits) -> Any:  # noqa: ANN401  an open file of fsspec
+def _open(address: str, bounds: DownloadLimits) -> Any:  # noqa: ANN401  an open file of fsspec
     """Open an address; one of a web server is read as a stream, with its redirections checked."""
     options: dict[str, Any] = {}
     if any(part.lower().startswith(("http://", "https://")) for part in address.split("::")):

@@ -36,12 +36,12 @@ def run_batch(
     """
     began_s, request = monotonic(), plan.request
 
-    def described(result: CaseResult) -> Row:
+    def judge(result: CaseResult) -> Row:
         row = judged_row(result, request)
         on_row(row)
         return row
 
-    rows, rules = run_cases(plan, on_event, described, cluster), request.rules
+    rows, rules = run_cases(plan, on_event, judge, cluster), request.rules
     missing_runs = [] if rules.baseline is None or request.part else missing(rows, rules.baseline)
     document = batch_document(
         rows, monotonic() - began_s, rules.baseline, missing_runs, baseline_gate=rules.baseline_gate

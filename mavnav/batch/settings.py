@@ -63,7 +63,7 @@ def yaw_samples(grids: Sequence[object], azimuths: Sequence[int]) -> list[int | 
 
 def named_settings(configs: Iterable[Config]) -> list[Setting]:
     """Return configurations with their names, without duplicates."""
-    return _distinct(Setting(setting_name(config), config) for config in configs)
+    return _unique(Setting(setting_name(config), config) for config in configs)
 
 
 def listed_settings(
@@ -74,10 +74,10 @@ def listed_settings(
     A run has the keys of a configuration, and optionally ``name`` and ``config``, a preset or a file relative to
     ``base``. Raises ConfigError with the manifest's line.
     """
-    return _distinct(_listed(number, run, layer, base, sets, options) for number, run in enumerate(runs))
+    return _unique(_setting(number, run, layer, base, sets, options) for number, run in enumerate(runs))
 
 
-def _listed(
+def _setting(
     number: int, run: Mapping[str, Any], layer: Layer, base: Path, sets: Sequence[str], options: Mapping[str, object]
 ) -> Setting:
     key = ("runs", str(number))
@@ -101,18 +101,18 @@ def _leaves(tree: Mapping[str, Any], above: Key = ()) -> Iterator[tuple[Key, obj
             yield (*above, name), value
 
 
-def formatted(value: object) -> str:
+def format_value(value: object) -> str:
     """Format a value as on the command line."""
     return f"{value:g}" if isinstance(value, float) else str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def _distinct(settings: Iterable[Setting]) -> list[Setting]:
+def _unique(settings: Iterable[Setting]) -> list[Setting]:
     """Return the settings without duplicates; raises ConfigError if two configurations have the same name."""
-    found: dict[str, Setting] = {}
+    by_name: dict[str, Setting] = {}
     for setting in settings:
-        if found.setdefault(setting.name, setting).config != setting.config:
+        if by_name.setdefault(setting.name, setting).config != setting.config:
             raise ConfigError(f"two runs are named {setting.name!r}; give each a name of its own")
-    return list(found.values())
+    return list(by_name.values())
 
 
 def setting_name(config: Config) -> str:
@@ -120,7 +120,7 @@ def setting_name(config: Config) -> str:
     default = load_config(None, (), {name: getattr(config, name) for name in ("method", "azimuth")})
     mine, theirs = (dict(_leaves(c.document())) for c in (config, default))
     others = [
-        f"{'.'.join(key)}={formatted(value)}"
+        f"{'.'.join(key)}={format_value(value)}"
         for key, value in mine.items()
         if value != theirs[key] and key[-1] != "grid" and key[0] not in {"paper", "robust"} - {config.method}
     ]

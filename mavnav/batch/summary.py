@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from mavnav.batch.baseline import Change, lacking_text
+from mavnav.batch.baseline import ChangeKind, lacking_text
 from mavnav.batch.document import why, worst_first
 from mavnav.outputs.documents.quantities import NAMED, TIME
-from mavnav.outputs.report.markdown import escaped, table_row
+from mavnav.outputs.report.markdown import escape, table_row
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -43,8 +43,8 @@ def to_summary(document: Mapping[str, Any]) -> str:
     mark = "✅" if document["exit_code"] == 0 else "❌"
     lines = [f"## {mark} mavnav batch", "", batch_headline(document) + ".", ""]
     bad = [row for row in rows if row["verdict"]]
-    lines += [f"- **{escaped(row['name'])}**: {escaped('; '.join(why(row)))}" for row in bad[:MAX_ROWS]]
-    lines += [f"- **{escaped(name)}**: in the baseline, not in this batch" for name in _missing(document)[:MAX_ROWS]]
+    lines += [f"- **{escape(row['name'])}**: {escape('; '.join(why(row)))}" for row in bad[:MAX_ROWS]]
+    lines += [f"- **{escape(name)}**: in the baseline, not in this batch" for name in _missing(document)[:MAX_ROWS]]
     lines += [""] if bad or _missing(document) else []
     titles = [
         "",
@@ -76,25 +76,25 @@ def _missing(document: Mapping[str, Any]) -> list[str]:
 
 
 def _cells(row: Mapping[str, Any], *, since: bool) -> list[str]:
-    texts = ["❌" if row["verdict"] else "✅", escaped(row["name"]), *(f.shown(row["run"]) for f in FIGURES)]
-    return [*texts, changed(row)] if since else texts
+    texts = ["❌" if row["verdict"] else "✅", escape(row["name"]), *(f.text_of(row["run"]) for f in FIGURES)]
+    return [*texts, change_text(row)] if since else texts
 
 
-def changed(row: Mapping[str, Any]) -> str:
+def change_text(row: Mapping[str, Any]) -> str:
     """Return the change of a run since the baseline as text; empty without a baseline or a change."""
-    found = row["baseline"]
-    if not found or found["change"] == Change.SAME:
+    change = row["baseline"]
+    if not change or change["change"] == ChangeKind.SAME:
         return ""
-    return f"{found['change']} {', '.join(item['name'] for item in found['figures'])}".strip()
+    return f"{change['change']} {', '.join(item['name'] for item in change['figures'])}".strip()
 
 
 def github_commands(document: Mapping[str, Any]) -> list[str]:
     """Return the workflow commands that show the failures of a batch on GitHub, one line each."""
     bad = [row for row in worst_first(document["cells"]) if row["verdict"]]
-    found = [
+    errors = [
         f"::error file={_property(r['log'])},title={_property(r['name'])}::{_data('; '.join(why(r)))}" for r in bad
     ]
-    return found + [f"::{kind} title=mavnav::{_data(text)}" for kind, text in missing_lines(document)]
+    return errors + [f"::{kind} title=mavnav::{_data(text)}" for kind, text in missing_lines(document)]
 
 
 def _data(text: str) -> str:

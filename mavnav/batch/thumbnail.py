@@ -30,14 +30,14 @@ def thumbnail(directory: Path) -> str | None:
             cells = np.asarray(image)
     except (OSError, ValueError):  # the latter before pillow 13, for a file that is cut
         return None
-    seen = _downsampled(_cropped(cells))
+    seen = _downsample(_crop(cells))
     shades = np.where(seen < _UNKNOWN, _SHADES["wall"], np.where(seen == _UNKNOWN, _SHADES["unknown"], _SHADES["free"]))
     buffer = io.BytesIO()
     Image.fromarray(shades.astype(np.uint8)).quantize(4).save(buffer, format="PNG", optimize=True)
     return "data:image/png;base64," + b64encode(buffer.getvalue()).decode("ascii")
 
 
-def _cropped(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _crop(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Crop the unknown borders."""
     known = cells != _UNKNOWN
     rows, columns = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
@@ -46,7 +46,7 @@ def _cropped(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return cells[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
 
 
-def _downsampled(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _downsample(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Reduce squares of cells to one pixel with their minimum, so that a wall of one cell remains visible."""
     side = -(-max(cells.shape) // MAX_PIXELS)
     rows, columns = (-(-size // side) * side for size in cells.shape)

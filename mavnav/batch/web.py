@@ -65,7 +65,7 @@ def _socket_factory(addresses: list[str], *, private: bool) -> Callable[[Any], s
 def _hosts(address: str) -> set[str]:
     """Return the numeric addresses of the host of a URL; empty if it has none."""
     with suppress(OSError, ValueError):
-        return {str(found[4][0]) for found in socket.getaddrinfo(urlsplit(address).hostname, None)}
+        return {str(entry[4][0]) for entry in socket.getaddrinfo(urlsplit(address).hostname, None)}
     return set()
 
 

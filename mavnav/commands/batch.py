@@ -32,12 +32,12 @@ from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.run_progress import watching
 from mavnav.commands.terminal import emit_json, note
 from mavnav.config.options import READING, read_options
-from mavnav.units import counted
+from mavnav.units import pluralize
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from mavnav.batch.options import Options
+    from mavnav.batch.options import BatchOptions
     from mavnav.batch.plan import BatchPlan
     from mavnav.batch.request import BatchRequest
     from mavnav.jobs.dask import Cluster
@@ -146,12 +146,12 @@ def batch(
         return
     with reporting(quiet=quiet) as report:
         with loading_modules():
-            from mavnav.batch.options import Options
+            from mavnav.batch.options import BatchOptions
             from mavnav.outputs.directory import check_target
         files = {name: file for name, file in (("--junit", junit), ("--summary", summary)) if file}
         for file in files.values():
             check_target(file)
-        options = Options(
+        options = BatchOptions(
             words=context.obj,
             sources=sources or (),
             methods=methods or (),
@@ -187,7 +187,7 @@ def batch(
     raise typer.Exit(document["exit_code"])
 
 
-def _plan(options: Options, report: Progress) -> BatchPlan:
+def _plan(options: BatchOptions, report: Progress) -> BatchPlan:
     """Read manifest and logs, and load the kernels here."""
     from mavnav.batch.options import request_of
     from mavnav.batch.plan import load_kernels, plan_batch
@@ -232,11 +232,11 @@ def _cluster(request: BatchRequest, *, quiet: bool) -> Iterator[Cluster | None]:
     if limits.scheduler is None:
         yield None
         return
-    from mavnav.jobs.dask import connected
+    from mavnav.jobs.dask import connect
 
-    with connected(limits.scheduler, request.directory, limits.workers, limits.memory_mb, limits.tries) as cluster:
+    with connect(limits.scheduler, request.directory, limits.workers, limits.memory_mb, limits.tries) as cluster:
         if not quiet:
-            note(f"mavnav: {counted(cluster.workers, 'worker')}; dashboard at {cluster.dashboard}")
+            note(f"mavnav: {pluralize(cluster.workers, 'worker')}; dashboard at {cluster.dashboard}")
         yield cluster
 
 

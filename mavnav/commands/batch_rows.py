@@ -67,7 +67,7 @@ def _table(document: dict[str, Any]) -> Table:
     from rich.text import Text
 
     from mavnav.batch.document import why, worst_first
-    from mavnav.batch.summary import FIGURES, changed
+    from mavnav.batch.summary import FIGURES, change_text
 
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("run", overflow="fold")
@@ -75,8 +75,8 @@ def _table(document: dict[str, Any]) -> Table:
         table.add_column(figure.head, justify="right", no_wrap=True)
     table.add_column("", overflow="fold")
     for row in worst_first(document["cells"])[:MAX_ROWS]:
-        texts = [figure.shown(row["run"]) for figure in FIGURES]
-        remarks = [*why(row), changed(row), "reused" if row["status"] == "cached" else ""]
+        texts = [figure.text_of(row["run"]) for figure in FIGURES]
+        remarks = [*why(row), change_text(row), "reused" if row["status"] == "cached" else ""]
         remark = printable("; ".join(filter(None, remarks))).replace("::", ":\\x3a")
         end = Text(remark, style="bold red" if row["verdict"] else "")
         table.add_row(Text(printable(row["name"]).replace("::", ":\\x3a")), *texts, end)  # it may be folded anywhere

@@ -44,15 +44,15 @@ def check(
     from mavnav.metrics.gates import check_known
 
     bounds = gates_of(gates)
-    found = [run for path in runs for run in _found(path)]
-    check_known(bounds, [run.document for run in found if run.document is not None])
-    rows = [_checked(run, bounds) for run in found]
+    finished = [run for path in runs for run in _runs_at(path)]
+    check_known(bounds, [run.document for run in finished if run.document is not None])
+    rows = [_judge(run, bounds) for run in finished]
     code = worst(row["exit_code"] for row in rows)
     _print_result(rows, code, json=json)
     raise typer.Exit(code)
 
 
-class _Found(NamedTuple):
+class _CheckedRun(NamedTuple):
     """A finished run; or one that a batch could not make: it has no ``document``, and ``error`` says why."""
 
     name: str
@@ -61,7 +61,7 @@ class _Found(NamedTuple):
     error: str | None
 
 
-def _found(path: Path) -> list[_Found]:
+def _runs_at(path: Path) -> list[_CheckedRun]:
     """Return the run of a directory, or all of a comparison or a batch.
 
     Those are the runs of its own document: ``cells`` may hold others, of earlier versions of logs. A comparison or
@@ -73,16 +73,16 @@ def _found(path: Path) -> list[_Found]:
         path = path.parent
     for file in (path / name for name in WHOLE_FILES):
         if file.is_file():
-            return _listed(file)
+            return _runs_of(file)
     return [_run(file.parent) for file in sorted(path.glob(f"cells/*/{RUN_FILE}"))] or [_run(path)]
 
 
-def _listed(file: Path) -> list[_Found]:
+def _runs_of(file: Path) -> list[_CheckedRun]:
     """Return the runs of batch.json or comparison.json; what a batch accepts counts as done.
 
     Runs of a comparison have their relative costs, which are in its own document only.
     """
-    found = []
+    runs = []
     with _reading(file):
         whole = read_json(file)
         costs = {name: each for name, each in whole.get("price", {}).items() if name != "coarsest"}
@@ -90,16 +90,16 @@ def _listed(file: Path) -> list[_Found]:
             accepted = bool(cell.get("accepted"))
             if cell["directory"] is None:
                 code = ExitCode.DONE if accepted else ExitCode(cell["exit_code"])
-                found.append(_Found(cell["name"], code, None, cell["error"] if code else None))
+                runs.append(_CheckedRun(cell["name"], code, None, cell["error"] if code else None))
             else:
                 run = _run(file.parent / cell["directory"], accepted=accepted)
                 if costs and run.document is not None:
                     run.document["price"] = {name: each[k] for name, each in costs.items()}
-                found.append(run)
-    return found
+                runs.append(run)
+    return runs
 
 
-def _run(directory: Path, *, accepted: bool = False) -> _Found:
+def _run(directory: Path, *, accepted: bool = False) -> _CheckedRun:
     from mavnav.outputs.directory import RUN_FILE
 
     file = directory / RUN_FILE
@@ -107,7 +107,7 @@ def _run(directory: Path, *, accepted: bool = False) -> _Found:
         document: dict[str, Any] = read_json(file)
         code = ExitCode(document["exit_code"])
     code = ExitCode.DONE if accepted else code
-    return _Found(str(directory), code, document, f"it ended with exit code {code}" if code else None)
+    return _CheckedRun(str(directory), code, document, f"it ended with exit code {code}" if code else None)
 
 
 @contextmanager
@@ -121,15 +121,15 @@ def _reading(file: Path) -> Iterator[None]:
         raise UsageError(f"{file} is not one of mavnav's; {advice}") from error
 
 
-def _checked(found: _Found, bounds: list[Gate]) -> dict[str, Any]:
+def _judge(run: _CheckedRun, bounds: list[Gate]) -> dict[str, Any]:
     from mavnav.metrics.gates import judge_some
 
-    verdicts = [] if found.document is None else judge_some(bounds, found.document)
-    code = worst([found.exit_code, *(ExitCode.GATE_FAILED for v in verdicts if not v.passed)])
+    verdicts = [] if run.document is None else judge_some(bounds, run.document)
+    code = worst([run.exit_code, *(ExitCode.GATE_FAILED for v in verdicts if not v.passed)])
     return {
-        "run": found.name,
+        "run": run.name,
         "gates": [verdict.row() for verdict in verdicts],
-        "error": found.error,
+        "error": run.error,
         "exit_code": int(code),
     }
 

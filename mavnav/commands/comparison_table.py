@@ -51,7 +51,7 @@ FOLDED = {LOGS: 14, REMARKS: 12}
 
 def print_comparison(document: dict[str, Any]) -> None:
     """Print the table of comparison.json on stdout."""
-    from mavnav.comparison.files import uncompared
+    from mavnav.comparison.files import cell_size_notes
 
     out = table_console()
     unbounded = out.options.update_width(1000)
@@ -62,7 +62,7 @@ def print_comparison(document: dict[str, Any]) -> None:
             less.add(name)
             table = _table(document, less)
     out.print(table)
-    for line in uncompared(document):
+    for line in cell_size_notes(document):
         out.print(_text(line))
 
 
@@ -73,7 +73,7 @@ def _table(document: dict[str, Any], less: set[str]) -> Table:
     from mavnav.comparison.files import ratio
 
     table = Table(box=None, pad_edge=False, header_style="bold")
-    known = [figure for figure in _known(document) if figure.name not in less]
+    known = [figure for figure in _known_quantities(document) if figure.name not in less]
     costs = {EVALUATIONS: "evaluations", CPU: "cpu"}
     shown = {title: name for title, name in costs.items() if title not in less}
     several = len(document["logs"]) > 1
@@ -93,7 +93,7 @@ def _table(document: dict[str, Any], less: set[str]) -> Table:
     return table
 
 
-def _known(document: dict[str, Any]) -> list[Quantity]:
+def _known_quantities(document: dict[str, Any]) -> list[Quantity]:
     """Return the metrics for which any run has a value."""
     from mavnav.outputs.documents.quantities import QUANTITIES
 
@@ -113,7 +113,7 @@ def _figure(document: dict[str, Any], k: int, figure: Quantity, *, bars: bool) -
     run = document["cells"][k]["run"]
     number = figure.of(run)
     won = k in winning(document, figure.name)
-    text = figure.shown(run) + ("*" if won else " ")
+    text = figure.text_of(run) + ("*" if won else " ")
     if bars and figure.name in METRICS_WITH_BAR and number is not None:
         largest = max(figure.of(cell["run"]) or 0.0 for cell in document["cells"])
         text = f"{bar(number, largest)} {text}"

@@ -9,7 +9,7 @@ import typer
 from mavnav.commands import completion
 from mavnav.commands.options import Sets
 from mavnav.commands.terminal import emit, emit_json
-from mavnav.commands.values import Command, Group
+from mavnav.commands.values import CommandGroup, PlainCommand
 
 EPILOG = """
 [bold]Examples[/bold]
@@ -21,10 +21,10 @@ mavnav config show --set robust.cell_mm=25 > my.yaml
 mavnav config schema run
 """
 
-app = typer.Typer(cls=Group, help="Show the configuration, its presets and its schema.")
+app = typer.Typer(cls=CommandGroup, help="Show the configuration, its presets and its schema.")
 
 
-@app.command(cls=Command)
+@app.command(cls=PlainCommand)
 def show(
     config: Annotated[
         str | None,
@@ -52,7 +52,7 @@ def show(
     emit(to_yaml(load_config(config, sets or [], {"method": method})).rstrip())
 
 
-@app.command(cls=Command)
+@app.command(cls=PlainCommand)
 def schema(
     document: Annotated[
         Literal["config", "run"], typer.Argument(metavar="config|run", help="Of configuration files, or of run.json.")

@@ -12,7 +12,7 @@ from mavnav.commands.options import Force, Json, Quiet, ReportFile, check_option
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.terminal import LISTED, emit, emit_json, note, print_table
 from mavnav.errors import UsageError
-from mavnav.units import counted
+from mavnav.units import pluralize
 
 if TYPE_CHECKING:
     from mavnav.errors import ExitCode
@@ -54,7 +54,7 @@ def diff(
             from mavnav.pipelines.diff import NUMBERS, DiffRequest, diff_maps
         _check_names(bounds, NUMBERS)
         document = diff_maps(DiffRequest(a, b, output, report_page, force=force), report)
-    code = _judged(document, bounds)
+    code = _exit_code(document, bounds)
     if json:
         emit_json(document | {"exit_code": int(code)})
     elif document["alignment"]:
@@ -68,7 +68,7 @@ def _check_names(bounds: list[Gate], known: tuple[str, ...]) -> None:
             raise UsageError(f"--gate: diff has no number {gate.name}; it has {', '.join(known)}")
 
 
-def _judged(document: dict[str, Any], bounds: list[Gate]) -> ExitCode:
+def _exit_code(document: dict[str, Any], bounds: list[Gate]) -> ExitCode:
     """Return the exit code of a comparison and its gates, and report on stderr what failed."""
     if document["alignment"] is None:
         note(
@@ -80,9 +80,9 @@ def _judged(document: dict[str, Any], bounds: list[Gate]) -> ExitCode:
 def _print_changes(document: dict[str, Any]) -> None:
     pose, same = document["alignment"], f"{100 * document['same_share']:.1f} %"
     rows = [
-        ("gone", f"{document['gone_m2']:.3f} m² of wall cells in {counted(document['gone'], 'place')}"),
-        ("new", f"{document['new_m2']:.3f} m² of wall cells in {counted(document['new'], 'place')}"),
-        ("moved", counted(document["moved"], "object")),
+        ("gone", f"{document['gone_m2']:.3f} m² of wall cells in {pluralize(document['gone'], 'place')}"),
+        ("new", f"{document['new_m2']:.3f} m² of wall cells in {pluralize(document['new'], 'place')}"),
+        ("moved", pluralize(document["moved"], "object")),
         ("compared", f"{document['compared_m2']:.1f} m²; {same} of the walls are the same"),
         (
             "B in A",

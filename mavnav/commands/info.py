@@ -12,7 +12,7 @@ from mavnav.commands.progress import reporting
 from mavnav.commands.terminal import LISTED, emit_json, note_problems, print_table
 from mavnav.config.options import read_options
 from mavnav.errors import ExitCode, MavnavError
-from mavnav.units import DEG, NS, counted
+from mavnav.units import DEG, NS, pluralize
 
 if TYPE_CHECKING:
     from mavnav.logs import Log, Survey
@@ -245,9 +245,9 @@ def _verdict(document: dict[str, Any]) -> str:
     match document["exit_code"]:
         case ExitCode.DONE:
             odd = sum(len(topic["health"]["findings"]) for topic in document["scan_topics"])
-            return f"sound; {counted(odd, 'finding')} of the sensor to check" if odd else "sound"
+            return f"sound; {pluralize(odd, 'finding')} of the sensor to check" if odd else "sound"
         case ExitCode.DAMAGED_INPUT:
-            return f"damaged in {counted(len(document['damage']), 'place')}; what is intact can be used"
+            return f"damaged in {pluralize(len(document['damage']), 'place')}; what is intact can be used"
         case _:
             return "no scan can be used"
 

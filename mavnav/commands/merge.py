@@ -10,7 +10,7 @@ import typer
 from mavnav.commands.options import ConfigFile, Force, Json, Quiet, Sets, WriteReport, directory_option
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.terminal import emit_json, note, print_table
-from mavnav.units import counted
+from mavnav.units import pluralize
 
 EPILOG = """
 [bold]Examples[/bold]
@@ -49,7 +49,7 @@ def merge(
         document = merged(request, report)
     for session in document["sessions"]:
         if not session["joined"]:
-            note(f"mavnav: error: {_named(session)} did not join: {session['why']}")
+            note(f"mavnav: error: {_label(session)} did not join: {session['why']}")
         _note_input(session)
     if json:
         emit_json(document)
@@ -58,7 +58,7 @@ def merge(
     raise typer.Exit(document["exit_code"])
 
 
-def _named(session: dict[str, Any]) -> str:
+def _label(session: dict[str, Any]) -> str:
     """Return the name of a session with its log or run: names are numbered if several logs have one name."""
     return f"{session['name']} ({session['input']})"
 
@@ -68,10 +68,10 @@ def _note_input(session: dict[str, Any]) -> None:
     tracking, damage = session["tracking"], session["damage"]
     if tracking and tracking["lost"]:
         share = f"{100 * tracking['tracked_share']:.0f} % of the scans have a pose"
-        note(f"mavnav: error: {_named(session)}: tracking was lost for good, {share}; replay it alone to see where")
+        note(f"mavnav: error: {_label(session)}: tracking was lost for good, {share}; replay it alone to see where")
     if damage:
         first = f"{damage[0]['what']}, {damage[0]['where']}"
-        note(f"mavnav: warning: {_named(session)}: damaged in {counted(len(damage), 'place')}, the first: {first}")
+        note(f"mavnav: warning: {_label(session)}: damaged in {pluralize(len(damage), 'place')}, the first: {first}")
 
 
 def _row(session: dict[str, Any]) -> tuple[str, str]:

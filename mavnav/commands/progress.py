@@ -33,7 +33,7 @@ MISSION: Final = {"fly": 75, "close loops": 5, "final pass": 8, "draw map": 7, "
 """The stages of a job in their order, each with its typical share of the time, in %; a share of 0 is not estimated."""
 
 
-class _State:
+class _ProgressState:
     """State of the progress: phase, amount done, and time of the last report."""
 
     def __init__(self, period_s: float, stages: dict[str, int]) -> None:
@@ -95,11 +95,11 @@ def reporting(*, quiet: bool, stages: dict[str, int] | None = None) -> Iterator[
     """
     with _reporting(stages or {}, quiet=quiet) as report:
 
-        def checked(phase: str, done: int, total: int | None) -> None:
+        def report_or_raise(phase: str, done: int, total: int | None) -> None:
             signals.raise_pending()
             report(phase, done, total)
 
-        yield checked
+        yield report_or_raise
 
 
 @contextmanager
@@ -125,7 +125,7 @@ def _reporting(stages: dict[str, int], *, quiet: bool) -> Iterator[Progress]:
         with bars() as shown:
             yield _bar_report(shown, stages)
     else:
-        state, ended = _State(LINE_PERIOD_S, stages), threading.Event()
+        state, ended = _ProgressState(LINE_PERIOD_S, stages), threading.Event()
         threading.Thread(target=_print_when_idle, args=(state, ended), daemon=True).start()
         try:
             yield _line_report(state)
@@ -148,7 +148,7 @@ def bars() -> Bars:
 
 
 def _bar_report(shown: Bars, stages: dict[str, int]) -> Progress:
-    state = _State(BAR_PERIOD_S, stages)
+    state = _ProgressState(BAR_PERIOD_S, stages)
 
     def report(phase: str, done: int, total: int | None) -> None:
         fresh = phase != state.phase
@@ -163,7 +163,7 @@ def _bar_report(shown: Bars, stages: dict[str, int]) -> Progress:
     return report
 
 
-def _line_report(state: _State) -> Progress:
+def _line_report(state: _ProgressState) -> Progress:
     def report(phase: str, done: int, total: int | None) -> None:
         fresh = phase != state.phase
         if state.due(phase, done, total) and not fresh and total:
@@ -172,7 +172,7 @@ def _line_report(state: _State) -> Progress:
     return report
 
 
-def _print_when_idle(state: _State, ended: threading.Event) -> None:
+def _print_when_idle(state: _ProgressState, ended: threading.Event) -> None:
     """Print a line for a phase of unknown length that takes over 1 s, and for a phase without reports for a period."""
     announced = ""
     while not ended.wait(TICK_S):

@@ -112,21 +112,21 @@ def more_rows(quality: dict[str, Any]) -> Rows:
 
 def reference_rows(reference: dict[str, Any] | None) -> Rows:
     """Return the rows on the comparison with references."""
-    found = reference or {}
+    errors = reference or {}
     rows = []
-    if found.get("ate"):
-        ate, rpe = found["ate"], found["rpe"]
+    if errors.get("ate"):
+        ate, rpe = errors["ate"], errors["rpe"]
         rows.append(("ATE, aligned", f"{ate['rmse_m'] / MM:.1f} mm rmse, {ate['max_m'] / MM:.1f} mm max"))
         if rpe["distance_rmse_m"] is not None:
             rows.append((f"RPE per {rpe['delta_m']:g} m", _relative(rpe)))
-    if "map_distance" in found and found["map_distance"]["cells"]:
-        d = found["map_distance"]
+    if "map_distance" in errors and errors["map_distance"]["cells"]:
+        d = errors["map_distance"]
         share = d["covered_share"]
         covered = f"{100 * share:.0f} % of the true walls mapped" if share is not None else "no wall at flight height"
         off = f"{d['mean_mm']:.0f} mm off, 95 % within {d['p95_mm']:.0f} mm"
         rows.append(("true map", f"{off}; {covered}, {d['alignment']}"))
-    if "relations" in found and found["relations"]["all"]["scored"]:
-        r = found["relations"]["all"]
+    if "relations" in errors and errors["relations"]["all"]["scored"]:
+        r = errors["relations"]["all"]
         mean = f"{r['translation_mean_m'] / MM:.1f} mm, {r['rotation_mean_deg']:.2f} deg"
         rows.append(("relations", f"{mean}; {r['scored']} of {r['relations']}"))
     return rows

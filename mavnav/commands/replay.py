@@ -42,7 +42,7 @@ from mavnav.commands.quality_rows import (
 from mavnav.commands.terminal import emit, emit_json, note, print_table
 from mavnav.config.options import OPTIONS, REFERENCES, read_options, settings_of
 from mavnav.errors import ExitCode, UsageError
-from mavnav.units import counted
+from mavnav.units import pluralize
 
 if TYPE_CHECKING:
     from mavnav.config.models import Config
@@ -169,7 +169,7 @@ def _print_result(document: dict[str, Any], directory: Path, *, json: bool) -> N
     for warning in document["warnings"]:
         note(f"mavnav: warning: {warning}")
     if document["damage"]:
-        first, places = document["damage"][0], counted(len(document["damage"]), "place")
+        first, places = document["damage"][0], pluralize(len(document["damage"]), "place")
         note(
             f"mavnav: warning: the input is damaged in {places}, the first: {first['what']}, {first['where']}; "
             "what is intact was used"
@@ -203,7 +203,7 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
     """Return the rows of the table that ends a run."""
     scans, tracking, timing = document["scans"], document["tracking"], document["timing"]
     lost = sum(interval["scans"] for interval in tracking["intervals"])
-    stretches = counted(len(tracking["intervals"]), "stretch")
+    stretches = pluralize(len(tracking["intervals"]), "stretch")
     rows = [
         ("scans", f"{scans['processed']} of {scans['total']}"),
         ("accepted", f"{100 * scans['accepted'] / max(scans['processed'], 1):.1f} %"),
@@ -232,7 +232,7 @@ def _continuation_text(continued: dict[str, Any]) -> str:
     evidence = continued["evidence"]
     place = f", at the end of {evidence['after']}" if evidence["after"] else ""
     agree = f"{evidence['closures']} of {evidence['tested']} key frames agree, {evidence['residual_mm']:.0f} mm"
-    return f"{continued['run']}, {counted(len(continued['sessions']), 'session')}{place}: {agree}"
+    return f"{continued['run']}, {pluralize(len(continued['sessions']), 'session')}{place}: {agree}"
 
 
 def _pose_text(localisation: dict[str, Any]) -> str:

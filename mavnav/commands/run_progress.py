@@ -26,11 +26,11 @@ def watching(names: Sequence[str], *, quiet: bool, lines: bool = True) -> Iterat
     """
     with _listener(names, quiet=quiet, lines=lines) as listen:
 
-        def checked(event: Event) -> None:
+        def listen_or_raise(event: Event) -> None:
             signals.raise_pending()
             listen(event)
 
-        yield checked
+        yield listen_or_raise
 
 
 @contextmanager

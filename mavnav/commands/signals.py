@@ -63,14 +63,14 @@ def deferring() -> Iterator[Callable[[], ExitCode | None]]:
     """
     received: list[ExitCode] = []
 
-    def arrived() -> ExitCode | None:
+    def pending_code() -> ExitCode | None:
         if _ARRIVED:
             received.append(_ARRIVED[-1].exit_code)
         return received[-1] if received else None
 
     _DEFERRED[0] = 1
     try:
-        yield arrived
+        yield pending_code
         if _ARRIVED and not received:
             _write_stderr("mavnav: the signal came after the work was done: the result is complete\n")
     finally:

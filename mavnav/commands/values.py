@@ -36,11 +36,11 @@ class _Parameters:
         return super().parse_args(ctx, args)  # type: ignore[misc]
 
 
-class Command(_Parameters, TyperCommand):
+class PlainCommand(_Parameters, TyperCommand):
     """A command whose options that are not given, words, plain numbers and paths need no pydantic."""
 
 
-class Group(_Parameters, TyperGroup):
+class CommandGroup(_Parameters, TyperGroup):
     """The same for a command with commands."""
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from mavnav.outputs.documents.quantities import QUANTITIES, comparable, competing, number, winners
+from mavnav.outputs.documents.quantities import QUANTITIES, comparable, number, ranked_values, winners
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,7 +26,7 @@ def best(runs: Sequence[Run | None]) -> dict[str, list[int]]:
 
 def one_best(runs: Sequence[Run | None]) -> dict[str, int | None]:
     """Return the index of the first of the best runs by each metric; None where not all runs can be compared."""
-    compared = {f.name: comparable(f, [runs[k] for k in competing(f, runs)]) for f in QUANTITIES}
+    compared = {f.name: comparable(f, [runs[k] for k in ranked_values(f, runs)]) for f in QUANTITIES}
     return {name: next(iter(places), None) if compared[name] else None for name, places in best(runs).items()}
 
 

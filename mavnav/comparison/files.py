@@ -10,9 +10,9 @@ from mavnav.atomic_files import beside
 from mavnav.batch.document import ENDS
 from mavnav.comparison.figures import RELATIVE_COSTS
 from mavnav.errors import OutputError
-from mavnav.outputs.documents.quantities import QUANTITIES, not_compared, number
+from mavnav.outputs.documents.quantities import QUANTITIES, number, size_note
 from mavnav.outputs.files.document import to_json
-from mavnav.outputs.report.markdown import escaped, inert, table_row
+from mavnav.outputs.report.markdown import escape, inert, table_row
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -54,16 +54,16 @@ def comparison_markdown(document: dict[str, Any]) -> str:
     titles = ["log", "method", "yaw samples/grid", *(f.head for f in QUANTITIES), "evaluations ratio", "cpu ratio"]
     lines = [f"# mavnav {document['mavnav_version']} compare", "", table_row(titles), table_row(["---"] * len(titles))]
     lines += [table_row(_cells(document, k)) for k in range(len(document["cells"]))]
-    failed = [f"- {escaped(line)}" for line in (*problems(document), *remarks(document))]
-    notes = [escaped(line) for line in uncompared(document)]
+    failed = [f"- {escape(line)}" for line in (*problems(document), *remarks(document))]
+    notes = [escape(line) for line in cell_size_notes(document)]
     return "\n".join([*lines, *(["", *notes] if notes else []), *(["", *failed] if failed else [])]) + "\n"
 
 
 def _cells(document: dict[str, Any], k: int) -> list[str]:
     cell = document["cells"][k]
-    texts = [escaped(cell["log"]), cell["method"], f"{cell['azimuth']}/{cell['grid']}"]
+    texts = [escape(cell["log"]), cell["method"], f"{cell['azimuth']}/{cell['grid']}"]
     for figure in QUANTITIES:
-        text = figure.shown(cell["run"])
+        text = figure.text_of(cell["run"])
         texts.append(f"**{text}**" if k in winning(document, figure.name) else text)
     return texts + [ratio(document, name, k) for name in ("evaluations", "cpu")]
 
@@ -73,11 +73,11 @@ def winning(document: dict[str, Any], metric: str) -> set[int]:
     return {k for log in document["logs"] for k in log["best"][metric]}
 
 
-def uncompared(document: dict[str, Any]) -> list[str]:
+def cell_size_notes(document: dict[str, Any]) -> list[str]:
     """Return a line for every log whose maps have several cell sizes: what is not compared, and why."""
     several = len(document["logs"]) > 1
-    found = [(log["log"], not_compared(document["cells"][k]["run"] for k in log["cells"])) for log in document["logs"]]
-    return [f"{log}: {why}" if several else why for log, why in found if why]
+    notes = [(log["log"], size_note(document["cells"][k]["run"] for k in log["cells"])) for log in document["logs"]]
+    return [f"{log}: {why}" if several else why for log, why in notes if why]
 
 
 def ratio(document: dict[str, Any], cost: str, k: int) -> str:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 from mavnav.atomic_files import beside
 from mavnav.errors import OutputError
 from mavnav.logs.writing.recorder import record
-from mavnav.pipelines.simulate import recorded
+from mavnav.pipelines.simulate import recording_of
 from mavnav.simulation.mission import fly
 from mavnav.simulation.world import load_scenario
 from mavnav.version import __version__
@@ -51,5 +51,5 @@ def sample_log(directory: Path, progress: Progress) -> Path:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise OutputError(f"{path.parent} cannot be made: {error.strerror}; choose another with -o") from error
-        record(recorded(flight), path)
+        record(recording_of(flight), path)
     return path

@@ -24,7 +24,7 @@ class Layer(Struct, frozen=True):
         An empty section replaces nothing that lies within it.
         """
         values = {k: v for k, v in self.values.items() if v != {} or not any(_inside(b, k) for b in below.values)}
-        kept = {k: v for k, v in below.values.items() if not any(_related(k, mine) for mine in values)}
+        kept = {k: v for k, v in below.values.items() if not any(_overlap(k, mine) for mine in values)}
         origins = {k: o for k, o in below.origins.items() if not any(_inside(k, mine) for mine in values)}
         return Layer(kept | values, origins | self.origins)
 
@@ -38,9 +38,9 @@ class Layer(Struct, frozen=True):
 
     def within(self, section: str) -> Layer:
         """Return the layer with all keys prefixed by a section."""
-        return self.renamed(lambda key: (section, *key))
+        return self.rename_keys(lambda key: (section, *key))
 
-    def renamed(self, name: Callable[[Key], Key]) -> Layer:
+    def rename_keys(self, name: Callable[[Key], Key]) -> Layer:
         """Return the layer with other keys."""
         return Layer(
             {name(key): value for key, value in self.values.items()},
@@ -66,7 +66,7 @@ def by_dotted_key(section: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     return leaves
 
 
-def _related(a: Key, b: Key) -> bool:
+def _overlap(a: Key, b: Key) -> bool:
     shorter = min(len(a), len(b))
     return a[:shorter] == b[:shorter]
 

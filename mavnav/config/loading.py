@@ -203,7 +203,7 @@ def _error_message(model: type[Struct], error: str, layer: Layer, name: str) -> 
     if problem == "missing required":
         return f"{where}: {dotted} is missing; give the {hint}"
     value = reduce(lambda node, part: node[part if isinstance(node, dict) else int(part)], key, layer.tree())
-    return f"{where}: {dotted} is {_truncated(value)}, it {_problem(problem, kinds.get(names))}; {hint}"
+    return f"{where}: {dotted} is {_truncate(value)}, it {_problem(problem, kinds.get(names))}; {hint}"
 
 
 def _problem(text: str, annotation: object) -> str:
@@ -223,7 +223,7 @@ def _problem(text: str, annotation: object) -> str:
     return f"should be {' or '.join(_KINDS.get(kind, kind) for kind in kinds.split(' | '))}"
 
 
-def _truncated(value: object) -> str:
+def _truncate(value: object) -> str:
     text = repr(value)
     return text if len(text) <= 80 else text[:77] + "..."
 
@@ -238,10 +238,10 @@ def _nearest(key: Key, keys: list[Key], given: Key) -> str:
     proposal = [by_last_name[key[-1]]] if key[-1] in by_last_name else []
     proposal = proposal or difflib.get_close_matches(".".join(key), known, n=1)
     proposal = proposal or [by_last_name[name] for name in difflib.get_close_matches(key[-1], by_last_name, n=1)]
-    return f"did you mean {_indexed(proposal[0].split('.'), given)}?" if proposal else ""
+    return f"did you mean {_add_indices(proposal[0].split('.'), given)}?" if proposal else ""
 
 
-def _indexed(parts: list[str], given: Key) -> str:
+def _add_indices(parts: list[str], given: Key) -> str:
     """Write a key with the indices that ``given`` has in the part that both share."""
     indexed, rest = [], list(given)
     for part in parts:

@@ -41,7 +41,7 @@ class GridSize(Strict, frozen=True):
         """Write as ``NxM``."""
         return f"{self.nx}x{self.ny}"
 
-    def refined(self, factor: int) -> GridSize:
+    def refine(self, factor: int) -> GridSize:
         """Return the grid with ``factor`` times the points on each axis."""
         return GridSize(self.nx * factor, self.ny * factor)
 

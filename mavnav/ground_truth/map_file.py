@@ -227,7 +227,7 @@ def _read_by_pillow(path: Path, data: bytes) -> tuple[_Shades, NDArray[np.bool_]
                     return _Shades(grey, np.arange(256.0)), np.ones(grey.shape, np.bool_)
                 if image.mode in _DEEP_MODES:
                     return _deep(image)
-                return _coloured(image)
+                return _read_coloured(image)
     except UnidentifiedImageError as error:
         raise UsageError(f"{path} is no picture of a map (PGM or PNG); mend 'image:'") from error
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
@@ -240,7 +240,7 @@ def _deep(image: Image.Image) -> tuple[_Shades, NDArray[np.bool_]]:
     return _Shades(levels, np.arange(65536) * 255.0 / 65535), levels != image.info.get("transparency", -1)
 
 
-def _coloured(image: Image.Image) -> tuple[_Shades, NDArray[np.bool_]]:
+def _read_coloured(image: Image.Image) -> tuple[_Shades, NDArray[np.bool_]]:
     """Return the same as `_read_picture` for a picture with colours or transparency, read in bands of rows."""
     total, solid = np.empty((image.height, image.width), np.uint16), np.empty((image.height, image.width), np.bool_)
     for row in range(0, image.height, BAND_ROWS):

@@ -12,7 +12,7 @@ from mavnav.metrics.fields import ABSENT
 from mavnav.metrics.map_distance import START_POSE, TrueMap, map_distance
 from mavnav.metrics.reference import AlignedError, Reference
 from mavnav.metrics.relations import TOLERANCE_NS, Relations, relation_errors
-from mavnav.metrics.trajectory_error import absolute_error, matched, relative_error
+from mavnav.metrics.trajectory_error import absolute_error, associate, relative_error
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def check_times(references: References, first_ns: int, last_ns: int) -> None:
             raise UsageError(f"{what}, {spans}, share no time; give a reference of the same log and clock")
 
 
-def compared(
+def compare_to(
     references: References, trajectory: Trajectory | None, occupied_xy_map_m: NDArray[np.float64]
 ) -> Reference | None:
     """Return the comparison of a run with its references; None without references.
@@ -95,14 +95,14 @@ def compared(
         distance = map_distance(occupied_xy_map_m, references.true_map)
     if references.relations is not None and trajectory is not None:
         relations = relation_errors(references.relations, trajectory)
-    found = Reference(ate, rpe, distance, relations)
-    return None if found == Reference() else found
+    comparison = Reference(ate, rpe, distance, relations)
+    return None if comparison == Reference() else comparison
 
 
 def _trajectory_errors(
     trajectory: Trajectory, truth: Trajectory
 ) -> tuple[AlignedError, RelativeError] | tuple[None, None]:
-    estimate, true = matched(trajectory, truth)
+    estimate, true = associate(trajectory, truth)
     if len(estimate) < LEAST_POSES:
         return None, None
     xy_m, true_xy_m = estimate.xyyaw[:, :2], true.xyyaw[:, :2]

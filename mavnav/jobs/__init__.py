@@ -8,7 +8,7 @@ and end when their parent dies. Their output to stdout and stderr is discarded.
 from mavnav.jobs.pool import run_jobs, usable_cores
 from mavnav.jobs.records import Ended, Event, Job, Outcome, Progressed, Retried, Started, Status
 from mavnav.jobs.retry import run_with_retries
-from mavnav.jobs.worker import attempt, failed
+from mavnav.jobs.worker import attempt, failure
 
 __all__ = [
     "Ended",
@@ -20,7 +20,7 @@ __all__ = [
     "Started",
     "Status",
     "attempt",
-    "failed",
+    "failure",
     "run_jobs",
     "run_with_retries",
     "usable_cores",

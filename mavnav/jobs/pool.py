@@ -141,7 +141,7 @@ class _Worker:
         try:
             event: Event = self.channel.recv()
         except (EOFError, OSError):
-            return self._ended(Status.DIED, self._cause())
+            return self._end_job(Status.DIED, self._cause())
         if isinstance(event, Ended):
             self.index = None
         return event
@@ -150,7 +150,7 @@ class _Worker:
         """Terminate the process of a job that exceeds its time limit."""
         self.process.terminate()
         self.process.join(GRACE_S)
-        return self._ended(Status.TIMEOUT, f"took longer than {timeout_s:g} s")
+        return self._end_job(Status.TIMEOUT, f"took longer than {timeout_s:g} s")
 
     def end(self) -> None:
         """Kill the process and close its channel."""
@@ -158,7 +158,7 @@ class _Worker:
         self.process.join()
         self.channel.close()
 
-    def _ended(self, status: Status, error: str) -> Ended:
+    def _end_job(self, status: Status, error: str) -> Ended:
         index, self.index = self.index, None
         self.end()
         return Ended(index or 0, Outcome(status, self.pid, self.seconds, error=error, exit_code=ExitCode.BUG))

@@ -23,25 +23,25 @@ def run_with_retries(jobs: Sequence[Job], run: Run, on_event: Listener, tries: i
     """
     left = list(range(len(jobs)))
     for number in range(1, tries + 1):
-        outcomes = run([jobs[k] for k in left], _renumbered(left, on_event, number, tries))
+        outcomes = run([jobs[k] for k in left], _renumber(left, on_event, number, tries))
         left = [k for k, outcome in zip(left, outcomes, strict=True) if outcome.status is Status.DIED]
         if not left:
             return
 
 
-def _renumbered(numbers: Sequence[int], on_event: Listener, number: int, tries: int) -> Listener:
+def _renumber(numbers: Sequence[int], on_event: Listener, number: int, tries: int) -> Listener:
     """Return a listener that replaces the index of a job in this round by its index among all jobs."""
 
     def listen(event: Event) -> None:
         event = replace(event, index=numbers[event.index])
         if isinstance(event, Ended) and event.outcome.status is Status.DIED:
-            event = _retried(event, number, tries)
+            event = _retry_event(event, number, tries)
         on_event(event)
 
     return listen
 
 
-def _retried(event: Ended, number: int, tries: int) -> Event:
+def _retry_event(event: Ended, number: int, tries: int) -> Event:
     error = event.outcome.error
     if number < tries:
         return Retried(event.index, error)

@@ -65,7 +65,7 @@ def _attempt(index: int, packed: bytes, channel: connection.Connection[Any, Any]
     try:
         job: Job = pickle.loads(packed)  # noqa: S301  the parent process pickled it
     except Exception as error:
-        return failed(error, began_s)
+        return failure(error, began_s)
     return attempt(job, _reporter(index, channel))
 
 
@@ -75,18 +75,18 @@ def attempt(job: Job, report: Progress) -> Outcome:
     try:
         value = job.work(*job.args, report)
     except Exception as error:
-        return failed(error, began_s)
+        return failure(error, began_s)
     return Outcome(Status.DONE, os.getpid(), monotonic() - began_s, value)
 
 
-def failed(error: Exception, began_s: float) -> Outcome:
+def failure(error: Exception, began_s: float) -> Outcome:
     """Return the outcome of a job that raised ``error`` and began at ``began_s`` of the monotonic clock."""
     known = error.exit_code if isinstance(error, MavnavError) else ExitCode.BUG
     code = ExitCode.USAGE if lacks_memory(error) else known
-    return Outcome(Status.FAILED, os.getpid(), monotonic() - began_s, None, _described(error), code)
+    return Outcome(Status.FAILED, os.getpid(), monotonic() - began_s, None, _describe(error), code)
 
 
-def _described(error: Exception) -> str:
+def _describe(error: Exception) -> str:
     """Describe an exception in one line."""
     if isinstance(error, MavnavError):
         return str(error)

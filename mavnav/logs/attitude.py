@@ -46,7 +46,7 @@ class AttitudeTrack(Struct):
         self.numbers.extend((*message.xyzw, message.xyz[2]))
 
 
-class Source(NamedTuple):
+class TopicAttitude(NamedTuple):
     """What one topic says: ``ups`` (n, 3) in the frame of the body, ``height_m`` (n,) of it, NaN if unknown."""
 
     topic: str
@@ -65,7 +65,7 @@ class AttitudeTracks:
         self.topics: dict[str, AttitudeTrack] = {}
 
     @property
-    def named(self) -> bool:
+    def is_named(self) -> bool:
         """Whether the user names the topic."""
         return self.wanted not in ("auto", "off")
 
@@ -73,8 +73,8 @@ class AttitudeTracks:
         """Return whether the poses of a channel are of use."""
         if self.wanted == "off" or channel.type not in (POSE, ODOMETRY):
             return False
-        named = frame_name(channel.topic) == frame_name(self.wanted if self.named else NAME)
-        return named or (channel.type == ODOMETRY and not self.named)
+        named = frame_name(channel.topic) == frame_name(self.wanted if self.is_named else NAME)
+        return named or (channel.type == ODOMETRY and not self.is_named)
 
     def add(self, topic: str, message: TransformMessage, log_ns: int) -> None:
         """Take in a pose."""
@@ -82,18 +82,18 @@ class AttitudeTracks:
             self.topics[topic] = AttitudeTrack(topic, frame_name(message.child))
         self.topics[topic].add(message, log_ns)
 
-    def sources(self, imus: ImuTracks, topics: Iterable[Topic]) -> list[Source]:
+    def sources(self, imus: ImuTracks, topics: Iterable[Topic]) -> list[TopicAttitude]:
         """Return what can be used, the best first; raises TopicError where the named topic holds no attitude."""
         if self.wanted == "off":
             return []
-        wanted = frame_name(self.wanted if self.named else NAME)
+        wanted = frame_name(self.wanted if self.is_named else NAME)
         poses = sorted(self.topics.values(), key=lambda track: frame_name(track.topic) != wanted)
-        found = [_of_poses(track) for track in poses]
-        imu = usual_topic([name for name in imus.topics if not self.named or frame_name(name) == wanted])
-        found += [] if imu is None else [_of_imu(imus, imu)]
-        if self.named and not found:
+        sources = [_of_poses(track) for track in poses]
+        imu = usual_topic([name for name in imus.topics if not self.is_named or frame_name(name) == wanted])
+        sources += [] if imu is None else [_of_imu(imus, imu)]
+        if self.is_named and not sources:
             raise TopicError(_no_attitude(self.wanted, topics))
-        return found
+        return sources
 
 
 def _no_attitude(wanted: str, topics: Iterable[Topic]) -> str:
@@ -106,15 +106,15 @@ def _no_attitude(wanted: str, topics: Iterable[Topic]) -> str:
     return f"--attitude: {what}; topics with poses or orientations: {able}; name one of them, or write --attitude off"
 
 
-def _of_poses(track: AttitudeTrack) -> Source:
+def _of_poses(track: AttitudeTrack) -> TopicAttitude:
     numbers = np.array(track.numbers, np.float64).reshape(-1, 5)
     kind: Literal["pose", "odom"] = "odom" if track.body_frame else "pose"
     ups = ups_of_quaternions(numbers[:, :4])
-    return Source(track.topic, kind, track.body_frame, track.stamps, ups, numbers[:, 4])
+    return TopicAttitude(track.topic, kind, track.body_frame, track.stamps, ups, numbers[:, 4])
 
 
-def _of_imu(imus: ImuTracks, topic: str) -> Source:
+def _of_imu(imus: ImuTracks, topic: str) -> TopicAttitude:
     track = imus.topics[topic]
     ups = ups_of_quaternions(np.array(track.numbers, np.float64).reshape(-1, 10)[:, 6:])
     unknown = np.full(len(ups), np.nan)
-    return Source(topic, "imu", frame_name(track.frame_id), track.stamps, ups, unknown)
+    return TopicAttitude(topic, "imu", frame_name(track.frame_id), track.stamps, ups, unknown)

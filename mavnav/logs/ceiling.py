@@ -44,8 +44,8 @@ def ceiling_height_m(scans: Iterable[Scan], attitude: RecordedAttitude) -> float
     """Return the height of the ceiling above the floor, m, from scans that are not levelled; inf if none is seen."""
     if attitude.tilt_rad.max() < LEAST_TILT_RAD or attitude.height_m.max() > HIGHEST_M:
         return inf
-    found = [_above(scan, attitude) for scan in islice(scans, MOST_SCANS)]
-    heights_m, tilts_rad = np.concatenate([np.zeros((0, 2)), *found]).T
+    above = [_above(scan, attitude) for scan in islice(scans, MOST_SCANS)]
+    heights_m, tilts_rad = np.concatenate([np.zeros((0, 2)), *above]).T
     counts = np.bincount((heights_m / BIN_M).astype(np.int64))
     for width in WIDTHS:
         peak = _peak(counts, width)

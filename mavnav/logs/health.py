@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.logs.stamps import REPEATED_SHARE
-from mavnav.units import DEG, NS, counted
+from mavnav.units import DEG, NS, pluralize
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -77,7 +77,7 @@ class SensorHealth(Struct, frozen=True):
 
 def sensor_health(log: Log, far_m: float = inf) -> SensorHealth:
     """Examine the first ``MOST_SCANS`` scans of a log, and all stamps; returns from ``far_m`` on are not used."""
-    seen = _examined(islice(log.scans(), MOST_SCANS), far_m)
+    seen = _scan_statistics(islice(log.scans(), MOST_SCANS), far_m)
     share = log.cleaning["valid"] / max(sum(log.cleaning.values()), 1)
     partial, jitter = _partial(seen.valid), _jitter(seen.stamps_ns, log.period_s)
     sectors = _sectors(seen.covered & ~seen.returned) if len(seen.valid) >= SECTOR_SCANS else []
@@ -85,9 +85,9 @@ def sensor_health(log: Log, far_m: float = inf) -> SensorHealth:
     findings = [
         *_sparse(share, usual),
         *_partial_scans(partial, seen.stamps_ns),
-        *_hidden(sectors),
-        *_frozen(log),
-        *_saturated(seen.largest_m, len(seen.valid)),
+        *_dead_sectors(sectors),
+        *_repeated_scans(log),
+        *_saturation(seen.largest_m, len(seen.valid)),
         *_far(seen, far_m),
         *_rate(log),
         *_stamps(log, jitter),
@@ -121,7 +121,7 @@ class _Seen(Struct, frozen=True):
     farthest_m: float
 
 
-def _examined(scans: Iterable[Scan], far_m: float) -> _Seen:
+def _scan_statistics(scans: Iterable[Scan], far_m: float) -> _Seen:
     valid, stamps_ns, largest_m, tops_m, far = [], [], Counter[float](), [0.0], 0
     covered, returned = np.zeros(360, np.bool_), np.zeros(360, np.bool_)
     spec: LaserSpec | None = None
@@ -190,7 +190,7 @@ def _partial_scans(partial: NDArray[np.intp], stamps_ns: NDArray[np.int64]) -> I
         until_s = (stamps_ns[partial[-1]] - stamps_ns[0]) * NS
         yield Finding(
             "partial",
-            f"less than half of the valid beams of their neighbors in {counted(len(partial), 'scan')}{where}, "
+            f"less than half of the valid beams of their neighbors in {pluralize(len(partial), 'scan')}{where}, "
             f"the last after {until_s:.1f} s",
             "record once the laser turns at full speed, and keep its view free; a replay begins its map after them"
             if len(early)
@@ -198,7 +198,7 @@ def _partial_scans(partial: NDArray[np.intp], stamps_ns: NDArray[np.int64]) -> I
         )
 
 
-def _hidden(sectors: list[tuple[float, float]]) -> Iterator[Finding]:
+def _dead_sectors(sectors: list[tuple[float, float]]) -> Iterator[Finding]:
     if sectors:
         where = ", ".join(f"{a:.0f} to {b:.0f} deg" for a, b in sectors[:4]) + ", ..." * (len(sectors) > 4)
         yield Finding(
@@ -208,7 +208,7 @@ def _hidden(sectors: list[tuple[float, float]]) -> Iterator[Finding]:
         )
 
 
-def _frozen(log: Log) -> Iterator[Finding]:
+def _repeated_scans(log: Log) -> Iterator[Finding]:
     repeated, usable = log.counts.repeated, log.counts.usable
     if repeated > REPEATED_SHARE * usable:
         yield Finding(
@@ -218,7 +218,7 @@ def _frozen(log: Log) -> Iterator[Finding]:
         )
 
 
-def _saturated(largest_m: Counter[float], scans: int) -> Iterator[Finding]:
+def _saturation(largest_m: Counter[float], scans: int) -> Iterator[Finding]:
     if scans < SECTOR_SCANS or not largest_m:
         return
     ((range_m, count),) = largest_m.most_common(1)
@@ -246,7 +246,7 @@ def _rate(log: Log) -> Iterator[Finding]:
         longest = max(gap.duration_s for gap in log.gaps)
         yield Finding(
             "gaps",
-            f"{counted(len(log.gaps), 'gap')} between scans, the longest {longest:.2f} s",
+            f"{pluralize(len(log.gaps), 'gap')} between scans, the longest {longest:.2f} s",
             "see whether the recorder or the network drops scans: record on the robot, with a larger buffer",
         )
     if log.period_s * SLOW_HZ > 1.0:
@@ -257,7 +257,7 @@ def _stamps(log: Log, jitter: float) -> Iterator[Finding]:
     kinds = ("backward_stamp", "duplicate_stamp", "impossible_stamp")
     odd = {kind: log.counts.skipped[kind] for kind in kinds if log.counts.skipped.get(kind)}
     if odd or log.stamp_source == "log":
-        kinds_of_stamps = ", ".join(counted(count, kind.replace("_", " ")) for kind, count in odd.items())
+        kinds_of_stamps = ", ".join(pluralize(count, kind.replace("_", " ")) for kind, count in odd.items())
         yield Finding(
             "stamps",
             kinds_of_stamps or "the stamps of the scans are unusable, the times of recording are used",

@@ -79,10 +79,10 @@ def _ups(stamps_ns: NDArray[np.int64], accelerations: Floats, xyzw: Floats) -> F
     in_m_s2, in_g = abs(gravity / STANDARD_GRAVITY_M_S2 - 1.0), abs(gravity - 1.0)
     if min(in_m_s2, in_g) > GRAVITY_SHARE:
         return np.tile((0.0, 0.0, 1.0), (len(accelerations), 1))
-    return _unit(_smoothed(stamps_ns, accelerations))
+    return _unit(_smooth(stamps_ns, accelerations))
 
 
-def _smoothed(stamps_ns: NDArray[np.int64], values: Floats) -> Floats:
+def _smooth(stamps_ns: NDArray[np.int64], values: Floats) -> Floats:
     """Return the means of values (n, 3) over windows of `SMOOTHED_S` about each."""
     half_ns = round(0.5 * SMOOTHED_S / NS)
     start, end = (np.searchsorted(stamps_ns, stamps_ns + off) for off in (-half_ns, half_ns + 1))

@@ -13,7 +13,7 @@ from mavnav.errors import TopicError
 from mavnav.logs.attitude import NAME
 from mavnav.logs.stamps import in_order
 from mavnav.logs.transforms import frame_name
-from mavnav.scan import levelled
+from mavnav.scan import level_scan
 from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.logs.attitude import Source
+    from mavnav.logs.attitude import TopicAttitude
     from mavnav.logs.stamps import StampSource
     from mavnav.logs.transforms import FrameTree
     from mavnav.scan import Scan
@@ -100,7 +100,7 @@ class RecordedAttitude(Struct, frozen=True):
             return replace(scan, ranges_m=np.full(scan.spec.beams, np.nan))
         times_s = scan.spec.time_increment_s * np.arange(scan.spec.beams) if scan.times_s is None else scan.times_s
         late_ns = np.asarray(times_s / NS + float(scan.stamp_ns - int(self.stamps_ns[0])))
-        return levelled(scan, *self.at(late_ns), self.ceiling_m)
+        return level_scan(scan, *self.at(late_ns), self.ceiling_m)
 
 
 def _tilts_rad(roll_rad: Floats, pitch_rad: Floats) -> Floats:
@@ -108,7 +108,7 @@ def _tilts_rad(roll_rad: Floats, pitch_rad: Floats) -> Floats:
 
 
 def laser_attitude(
-    sources: Iterable[Source],
+    sources: Iterable[TopicAttitude],
     frames: FrameTree,
     laser_frame: str,
     stamps_ns: NDArray[np.int64],
@@ -130,12 +130,12 @@ def laser_attitude(
         The named topic holds nothing that can be used.
     """
     for source in sources:
-        body_T_laser = _mounted(source, frames, laser_frame)
+        body_T_laser = _mounting(source, frames, laser_frame)
         left_out: list[str] = []
         mounted = np.eye(4) if body_T_laser is None else body_T_laser
-        found = _resolved(source, mounted, stamp_source, upside_down, left_out.append)
+        attitude = _recorded_attitude(source, mounted, stamp_source, upside_down, left_out.append)
         wanted = named or frame_name(source.topic) == NAME
-        if not wanted and not _tilts(found):
+        if not wanted and not _tilts(attitude):
             continue
         if body_T_laser is None:
             text = f"{source.topic}: no transform from {source.body_frame!r} to {frame_name(laser_frame)!r}"
@@ -143,25 +143,25 @@ def laser_attitude(
                 warn(f"{text}; its tilt is not used (record /tf_static, or give --attitude {source.topic})")
                 continue
             warn(f"{text}; their axes are taken as parallel")
-        problem = _problem(found, stamps_ns)
+        problem = _problem(attitude, stamps_ns)
         if problem and named:
             raise TopicError(f"{source.topic}: {problem}, or write --attitude off")
-        for text in [f"{problem}; it is not used"] if problem else _oddities(source, found, stamps_ns):
+        for text in [f"{problem}; it is not used"] if problem else _oddities(source, attitude, stamps_ns):
             warn(f"{source.topic}: {text}")
         for text in left_out:
             warn(text)
-        return None if problem else found
+        return None if problem else attitude
     return None
 
 
-def _mounted(source: Source, frames: FrameTree, laser_frame: str) -> NDArray[np.floating] | None:
+def _mounting(source: TopicAttitude, frames: FrameTree, laser_frame: str) -> NDArray[np.floating] | None:
     if source.kind == "pose" or source.body_frame == frame_name(laser_frame):
         return np.eye(4)
     return frames.find(source.body_frame, frame_name(laser_frame))
 
 
-def _resolved(
-    source: Source,
+def _recorded_attitude(
+    source: TopicAttitude,
     body_T_laser: NDArray[np.floating],
     stamp_source: StampSource,
     upside_down: bool,
@@ -183,29 +183,29 @@ def _resolved(
     )
 
 
-def _tilts(found: RecordedAttitude) -> bool:
+def _tilts(attitude: RecordedAttitude) -> bool:
     """Return whether the laser tilts often and by much from how it usually is."""
-    if not len(found.stamps_ns):
+    if not len(attitude.stamps_ns):
         return False
-    off = [(v - np.median(v) + pi) % (2 * pi) - pi for v in (found.roll_rad, found.pitch_rad)]
+    off = [(v - np.median(v) + pi) % (2 * pi) - pi for v in (attitude.roll_rad, attitude.pitch_rad)]
     return float((np.hypot(*off) > LEAST_RAD).mean()) >= LEAST_SHARE
 
 
-def _problem(found: RecordedAttitude, stamps_ns: NDArray[np.int64]) -> str:
+def _problem(attitude: RecordedAttitude, stamps_ns: NDArray[np.int64]) -> str:
     """Return why an attitude cannot be used at all; empty if it can."""
-    if not len(found.stamps_ns):
+    if not len(attitude.stamps_ns):
         return "no attitude in it is finite; see what publishes it"
-    known = found.known_at(stamps_ns)
+    known = attitude.known_at(stamps_ns)
     if not known.any():
         return "attitude and scans share no time; check its clock"
-    if (found.tilts_at(stamps_ns[known]) > MOST_RAD).all():
+    if (attitude.tilts_at(stamps_ns[known]) > MOST_RAD).all():
         return "all scans are tilted by more than 60 deg; check its axes (x forward, z up) and the mounting"
     return ""
 
 
-def _oddities(source: Source, found: RecordedAttitude, stamps_ns: NDArray[np.int64]) -> Iterator[str]:
+def _oddities(source: TopicAttitude, attitude: RecordedAttitude, stamps_ns: NDArray[np.int64]) -> Iterator[str]:
     """Say what of an attitude, or of which scans, is not used."""
-    n, known = len(stamps_ns), found.known_at(stamps_ns)
+    n, known = len(stamps_ns), attitude.known_at(stamps_ns)
     bad = int((~_finite(source)).sum())
     if bad:
         yield f"{bad} of {len(source.ups)} attitudes are not finite; they are left out, see what publishes them"
@@ -213,17 +213,17 @@ def _oddities(source: Source, found: RecordedAttitude, stamps_ns: NDArray[np.int
         first_s, last_s = ((stamps_ns[~known] - stamps_ns[0]) * NS)[[0, -1]]
         text = f"{int((~known).sum())} of {n} scans, from {first_s:.1f} to {last_s:.1f} s, have no attitude in 0.5 s"
         yield f"{text}; they are not used: record it for the whole log, or cut the log with --start and --end"
-    tilts_rad = found.tilts_at(stamps_ns[known])
+    tilts_rad = attitude.tilts_at(stamps_ns[known])
     if (steep := tilts_rad > MOST_RAD).any():
         text = (
             f"{int(steep.sum())} of {n} scans are tilted by more than 60 deg, by up to {tilts_rad.max() / DEG:.0f} deg"
         )
         yield f"{text}; they are not used, check its axes (x forward, z up) and the mounting"
-    if source.kind != "imu" and not found.has_heights:
+    if source.kind != "imu" and not attitude.has_heights:
         yield "the heights (position.z) are not all above the floor; they are not used, and there are no slices"
 
 
-def _finite(source: Source) -> NDArray[np.bool_]:
+def _finite(source: TopicAttitude) -> NDArray[np.bool_]:
     """Return which attitudes are finite, (n,); an inertial sensor knows no height."""
     known = np.isfinite(source.ups).all(axis=1)
     return np.asarray(known if source.kind == "imu" else known & np.isfinite(source.height_m))

@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import Struct, field
 
 from mavnav.logs.formats import detect
-from mavnav.logs.merging import Mounted, merged_scans
+from mavnav.logs.merging import Mounted, virtual_scans
 from mavnav.logs.messages.decode import decoder, scan_topic
 from mavnav.logs.messages.records import DecodeError
 from mavnav.logs.preprocessing import ScanFilter
@@ -133,7 +133,7 @@ class Log(Struct, frozen=True, eq=False):
         return (self.last_ns - self.first_ns) * NS
 
     @property
-    def mounted(self) -> Mounted:
+    def mounting(self) -> Mounted:
         """The laser as it is merged with others."""
         spec = self.sensor.turned_over() if self.upside_down else self.sensor
         return Mounted(spec, self.base_T_laser or Pose(), self._stamps_ns)
@@ -157,13 +157,13 @@ class Log(Struct, frozen=True, eq=False):
         They are levelled by the attitude, if there is one.
         """
         if not self.is_short:
-            return each("reading", self._levelled())
+            return each("reading", self._level_scans())
         if not self._kept:
             with Stage("reading"):
-                self._kept.extend(self._levelled())
+                self._kept.extend(self._level_scans())
         return iter(self._kept)
 
-    def _levelled(self) -> Iterator[Scan]:
+    def _level_scans(self) -> Iterator[Scan]:
         return self._scans() if self.attitude is None else map(self.attitude.level, self._scans())
 
     def _scans(self) -> Iterator[Scan]:
@@ -173,7 +173,7 @@ class Log(Struct, frozen=True, eq=False):
         is read again.
         """
         if self._merged:
-            yield from merged_scans([log.mounted for log in self._merged], [*map(iter, self._merged)], self.sensor)
+            yield from virtual_scans([log.mounting for log in self._merged], [*map(iter, self._merged)], self.sensor)
             return
         ranks = np.full(int(self._order.max()) + 1, -1)
         ranks[self._order] = np.arange(len(self._order))
@@ -182,7 +182,7 @@ class Log(Struct, frozen=True, eq=False):
         while before < due < len(self._order):
             before = due
             waiting: dict[int, Scan] = {}
-            for number, (spec, ranges_m) in enumerate(self._admitted()):
+            for number, (spec, ranges_m) in enumerate(self._admitted_scans()):
                 rank = int(ranks[number]) if number < len(ranks) else -1
                 if due <= rank < due + most:
                     waiting[rank] = Scan(int(self._stamps_ns[rank]), ranges_m, spec)
@@ -190,7 +190,7 @@ class Log(Struct, frozen=True, eq=False):
                     yield waiting.pop(due)
                     due += 1
 
-    def _admitted(self) -> Iterator[tuple[LaserSpec, NDArray[np.float64]]]:
+    def _admitted_scans(self) -> Iterator[tuple[LaserSpec, NDArray[np.float64]]]:
         """Return the scans that the filter admits, in the order of the file, as seen from above."""
         admitted = self._reread() if self._ranges is None else iter(self._ranges)
         return ((spec.turned_over(), ranges_m) for spec, ranges_m in admitted) if self.upside_down else admitted

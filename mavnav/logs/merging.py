@@ -85,15 +85,15 @@ def _span(lasers: Sequence[Mounted], step: float) -> tuple[float, float]:
     return sign * start, sign * end
 
 
-def merged(parts: Sequence[tuple[Scan, Pose]], laser: LaserSpec) -> Scan:
+def virtual_scan(parts: Sequence[tuple[Scan, Pose]], laser: LaserSpec) -> Scan:
     """Return scans of several lasers, each with ``base_T_laser``, as one of the virtual laser, on the base.
 
     Every return falls on the nearest bearing; of several the nearest counts. Its range is that of its surface at this
     bearing. The stamp is that of the first scan.
     """
     stamp_ns = parts[0][0].stamp_ns
-    found = [_returns(scan, base_T_laser, laser, stamp_ns) for scan, base_T_laser in parts]
-    beam, range_m, time_s = (np.concatenate(column) for column in zip(*found, strict=True))
+    returns = [_returns(scan, base_T_laser, laser, stamp_ns) for scan, base_T_laser in parts]
+    beam, range_m, time_s = (np.concatenate(column) for column in zip(*returns, strict=True))
     nearest = nearest_returns(beam, range_m, np.ones(len(beam), np.bool_))
     beam = beam[nearest]
     ranges_m, times_s = np.full(laser.beams, np.nan), np.zeros(laser.beams)
@@ -121,7 +121,7 @@ def _on_base(scan: Scan, base_T_laser: Pose) -> tuple[Floats, Floats]:
     return base_T_laser.x_m + c * x - s * y, base_T_laser.y_m + s * x + c * y
 
 
-def merged_scans(lasers: Sequence[Mounted], streams: Sequence[Iterator[Scan]], laser: LaserSpec) -> Iterator[Scan]:
+def virtual_scans(lasers: Sequence[Mounted], streams: Sequence[Iterator[Scan]], laser: LaserSpec) -> Iterator[Scan]:
     """Yield a virtual scan for every scan of the first laser, with those of the others that go with it."""
     numbers = [partners(lasers[0].stamps_ns, m.stamps_ns).tolist() for m in lasers[1:]]
     others = [enumerate(stream) for stream in streams[1:]]
@@ -129,6 +129,6 @@ def merged_scans(lasers: Sequence[Mounted], streams: Sequence[Iterator[Scan]], l
         parts = [(scan, lasers[0].base_T_laser)]
         for mounted, chosen, stream in zip(lasers[1:], numbers, others, strict=True):
             if chosen[k] >= 0:
-                found = next(other for number, other in stream if number == chosen[k])
-                parts.append((found, mounted.base_T_laser))
-        yield merged(parts, laser)
+                partner = next(other for number, other in stream if number == chosen[k])
+                parts.append((partner, mounted.base_T_laser))
+        yield virtual_scan(parts, laser)

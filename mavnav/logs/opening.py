@@ -92,7 +92,7 @@ def open_log(
 
 
 def choose(
-    found: Survey,
+    survey: Survey,
     *,
     topic: str | None = None,
     odom: str = "auto",
@@ -103,33 +103,33 @@ def choose(
 
     Several topics, joined by commas, are merged by their mountings.
     """
-    if topic is not None and topic not in found.scans and len(names := scan_topics(topic)) > 1:
+    if topic is not None and topic not in survey.scans and len(names := scan_topics(topic)) > 1:
         if upside_down:
             raise TopicError(
                 "upside_down is of one laser; several --topic are merged by /tf_static, which turns them over"
             )
-        return _merged_log(found, names, odom, extrinsic)
-    name = chosen_topic(found, topic)
-    scans = found.scans[name]
+        return _multi_laser_log(survey, names, odom, extrinsic)
+    name = chosen_topic(survey, topic)
+    scans = survey.scans[name]
     if scans.doubt:
-        raise NoScansError(f"{found.path}: {name}: {scans.doubt}")
-    timeline = scans.timeline(found.window_s)
+        raise NoScansError(f"{survey.path}: {name}: {scans.doubt}")
+    timeline = scans.timeline(survey.window_s)
     if timeline.first is None:
-        raise NoScansError(no_usable(found, name, scans, timeline))
+        raise NoScansError(no_usable(survey, name, scans, timeline))
     if timeline.skipped["duplicate_stamp"] >= scans.total - 1 >= LEAST_CONSTANT:
         raise NoScansError(
-            f"{found.path}: all {scans.total} scans on {name} have one stamp and one time of recording; nothing tells "
-            "when they were taken: record the log again, and check the clock of the driver"
+            f"{survey.path}: all {scans.total} scans on {name} have one stamp and one time of recording; nothing "
+            "tells when they were taken: record the log again, and check the clock of the driver"
         )
     sensor, frame_id = timeline.first
     period_s, gaps = period_and_gaps(timeline.stamps_ns)
     skipped = dict(sorted((scans.refused + timeline.skipped).items()))
     log = Log(
-        path=found.path,
-        format=found.format,
-        size_bytes=found.size_bytes,
-        sha256=found.sha256,
-        topics=found.topics,
+        path=survey.path,
+        format=survey.format,
+        size_bytes=survey.size_bytes,
+        sha256=survey.sha256,
+        topics=survey.topics,
         topic=name,
         frame_id=frame_id,
         sensor=sensor,
@@ -140,7 +140,7 @@ def choose(
         period_s=period_s,
         gaps=gaps,
         stamp_source=timeline.source,
-        window_s=found.window_s,
+        window_s=survey.window_s,
         base_T_laser=None,
         mounting_source=None,
         base_frame=None,
@@ -149,35 +149,35 @@ def choose(
         imu=None,
         attitude=None,
         truth=None,
-        damage=found.damage,
-        warnings=found.warnings,
-        strict=found.strict,
+        damage=survey.damage,
+        warnings=survey.warnings,
+        strict=survey.strict,
         _order=timeline.order,
         _stamps_ns=timeline.stamps_ns,
         _ranges=scans.ranges,
     )
-    return _with_motion(log, found, odom, extrinsic, upside_down=upside_down)
+    return _with_motion(log, survey, odom, extrinsic, upside_down=upside_down)
 
 
-def _merged_log(found: Survey, topics: list[str], odom: str, extrinsic: Pose | None) -> Log:
+def _multi_laser_log(survey: Survey, topics: list[str], odom: str, extrinsic: Pose | None) -> Log:
     """Merge the scans of several lasers; raises TopicError where a mounting is not known."""
     if extrinsic is not None:
         raise TopicError("--extrinsic is the pose of one laser; several --topic are merged by /tf_static")
-    if found.attitudes.named:
+    if survey.attitudes.is_named:
         raise TopicError("--attitude is that of one laser; several --topic are merged as they are: name one of them")
-    found = replace(found, attitudes=AttitudeTracks("off"))
-    logs = tuple(choose(_same_window(found, topics[0], topic), topic=topic, odom=odom) for topic in topics)
+    survey = replace(survey, attitudes=AttitudeTracks("off"))
+    logs = tuple(choose(_same_window(survey, topics[0], topic), topic=topic, odom=odom) for topic in topics)
     first, bases = logs[0], {log.base_frame for log in logs}
     unmounted = [log.topic for log in logs if log.base_T_laser is None]
     if unmounted or len(bases) > 1:
         of = unmounted[0] if unmounted else first.topic
-        text = f"{found.path}: topics are merged by their mountings on one base, and that of {of} is not known"
+        text = f"{survey.path}: topics are merged by their mountings on one base, and that of {of} is not known"
         raise TopicError(f"{text}; record /tf_static, or choose one --topic")
     log = replace(
         first,
         topic=",".join(topics),
         frame_id=FRAME,
-        sensor=virtual_laser([log.mounted for log in logs]),
+        sensor=virtual_laser([log.mounting for log in logs]),
         cleaning={kind: sum(log.cleaning[kind] for log in logs) for kind in first.cleaning},
         upside_down=False,
         warnings=(),
@@ -185,27 +185,27 @@ def _merged_log(found: Survey, topics: list[str], odom: str, extrinsic: Pose | N
         _merged=logs,
         _kept=[],
     )
-    warnings = [*(text for log in logs for text in log.warnings), *_unpaired(logs)]
-    log = _with_motion(log, found, odom, Pose())
+    warnings = [*(text for log in logs for text in log.warnings), *_unpaired_warnings(logs)]
+    log = _with_motion(log, survey, odom, Pose())
     return replace(
         log, base_frame=first.base_frame, mounting_source="tf_static", warnings=tuple(dict.fromkeys(warnings))
     )
 
 
-def _same_window(found: Survey, first: str, topic: str) -> Survey:
+def _same_window(survey: Survey, first: str, topic: str) -> Survey:
     """Return the survey with the window of topic ``first`` in seconds from the first scan of another ``topic``.
 
     It is wider by half a period of the first, as far as its scans have partners.
     """
-    if topic == first or not (first in found.scans and topic in found.scans):
-        return found
-    stamps_ns, others_ns = (found.scans[name].timeline().stamps_ns for name in (first, topic))
+    if topic == first or not (first in survey.scans and topic in survey.scans):
+        return survey
+    stamps_ns, others_ns = (survey.scans[name].timeline().stamps_ns for name in (first, topic))
     if not (len(stamps_ns) and len(others_ns)):
-        return found
+        return survey
     later_s, half_s = int(stamps_ns[0] - others_ns[0]) * NS, 0.5 * period_and_gaps(stamps_ns)[0]
-    start_s, end_s = found.window_s
+    start_s, end_s = survey.window_s
     return replace(
-        found,
+        survey,
         window_s=(
             None if start_s is None else start_s + later_s - half_s,
             None if end_s is None else end_s + later_s + half_s,
@@ -213,9 +213,9 @@ def _same_window(found: Survey, first: str, topic: str) -> Survey:
     )
 
 
-def _unpaired(lasers: Sequence[Log]) -> list[str]:
+def _unpaired_warnings(lasers: Sequence[Log]) -> list[str]:
     """Return a line for every merged laser of which scans are left out, for none of the first is as near."""
-    mounted = [log.mounted for log in lasers]
+    mounted = [log.mounting for log in lasers]
     used = [int((partners(mounted[0].stamps_ns, m.stamps_ns) >= 0).sum()) for m in mounted[1:]]
     return [
         f"{log.topic}: {len(log) - n} of {len(log)} scans are not merged: no scan of {lasers[0].topic} is near in time"
@@ -244,18 +244,18 @@ def _scan_warnings(log: Log) -> Iterator[str]:
         )
 
 
-def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None, *, upside_down: bool = False) -> Log:
+def _with_motion(log: Log, survey: Survey, odom: str, extrinsic: Pose | None, *, upside_down: bool = False) -> Log:
     """Add mounting and odometry, and what there is to warn about time."""
     warnings = [*log.warnings, *_scan_warnings(log)]
     laser = frame_name((log._merged or (log,))[0].frame_id)  # noqa: SLF001  the log is made here
-    track = found.odometry.choose(
-        odom, warnings.append, lambda base: bool(base) and found.frames.find(base, laser) is not None
+    track = survey.odometry.choose(
+        odom, warnings.append, lambda base: bool(base) and survey.frames.find(base, laser) is not None
     )
-    bases = [track.base_frame] if track and track.base_frame else found.frames.bases(laser)
+    bases = [track.base_frame] if track and track.base_frame else survey.frames.bases(laser)
     place, of_mounting = len(warnings), list[str]()
-    mounted = mounting(found.frames, log.frame_id, bases, of_mounting.append)
+    mounted = mounting(survey.frames, log.frame_id, bases, of_mounting.append)
     base_frame, base_T_laser, overhead = mounted or (bases[0] if track else None, None, False)
-    if mounted and not extrinsic and found.frames.contradicts(mounted.base_frame, laser):
+    if mounted and not extrinsic and survey.frames.contradicts(mounted.base_frame, laser):
         warnings.append(
             f"/tf_static gives several transforms from {base_frame!r} to {log.frame_id!r}; the last is used: see what "
             "publishes them, or give the mounting with --extrinsic x,y,yaw"
@@ -274,20 +274,20 @@ def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None, *, 
     odometry = _odometry(track, log, base_frame, base_T_laser, warnings.append) if track else None
     upside_down = upside_down or (overhead and extrinsic is None)
     attitude = laser_attitude(
-        found.attitudes.sources(found.imus, found.topics),
-        found.frames,
+        survey.attitudes.sources(survey.imus, survey.topics),
+        survey.frames,
         log.frame_id,
-        log.mounted.stamps_ns,
+        log.mounting.stamps_ns,
         log.stamp_source,
-        named=found.attitudes.named,
+        named=survey.attitudes.is_named,
         upside_down=upside_down,
         warn=warnings.append,
     )
     if attitude is None:  # else a tilted mounting is levelled as well
         warnings[place:place] = of_mounting
-    imu = _imu(log, found, odom, warnings.append)
-    known = found.truth.choose(found.topics)
-    sources = (log.stamp_source, log.frame_id, found.frames, base_T_laser, extrinsic, warnings.append)
+    imu = _imu(log, survey, odom, warnings.append)
+    known = survey.truth.choose(survey.topics)
+    sources = (log.stamp_source, log.frame_id, survey.frames, base_T_laser, extrinsic, warnings.append)
     log = replace(
         log,
         truth=laser_truth(known, *sources) if known else None,
@@ -296,7 +296,7 @@ def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None, *, 
         base_frame=base_frame,
         upside_down=upside_down,
         odometry=odometry,
-        imu=imu.levelled() if imu and attitude else imu,
+        imu=imu.without_tilt() if imu and attitude else imu,
         warnings=tuple(dict.fromkeys(warnings)),
     )
     return log if attitude is None else replace(log, attitude=with_ceiling(attitude, log), _kept=[])
@@ -322,10 +322,10 @@ def _odometry(
     return Odometry(track.topic, track.source, odom_T_base, odom_T_base.compose(base_T_laser or Pose()))
 
 
-def _imu(log: Log, found: Survey, odom: str, warn: Callable[[str], None]) -> Imu | None:
+def _imu(log: Log, survey: Survey, odom: str, warn: Callable[[str], None]) -> Imu | None:
     """Return the inertial sensor of a log, seen at mid-sweep; None without one."""
     half_sweep_ns = round(0.5 * log.sensor.sweep_s / NS)
-    imu = found.imus.choose(odom, log.stamp_source, half_sweep_ns, warn)
+    imu = survey.imus.choose(odom, log.stamp_source, half_sweep_ns, warn)
     if imu and not _share_time(imu.rotation.stamps_ns, log):
         warn(f"{imu.topic}: inertial sensor and scans share no time; it is not used, check its clock")
         return None

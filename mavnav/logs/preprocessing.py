@@ -136,7 +136,7 @@ class ScanFilter:
                     " the angles look like degrees, and LaserScan is in radians"
                 )
             return reason
-        message = self._thinned(message)
+        message = self._thin(message)
         spec = self._spec_of(message)
         cleaned, counts = clean(message.ranges_m, spec.range_min_m, self._farthest_m(message.ranges_m, spec))
         if not counts[0]:
@@ -150,11 +150,11 @@ class ScanFilter:
             most = max(_AT_MAX_SHARE * len(ranges_m), _AT_MAX_LEAST)
             self._max_is_none = bool(np.count_nonzero(ranges_m == spec.range_max_m) > most)
             if self._max_is_none:
-                found = f"many ranges are range_max itself ({spec.range_max_m:g} m)"
-                self._warn(f"{self._topic}: {found}; from there on they are taken for no return")
+                reason = f"many ranges are range_max itself ({spec.range_max_m:g} m)"
+                self._warn(f"{self._topic}: {reason}; from there on they are taken for no return")
         return nextafter(spec.range_max_m, 0.0) if self._max_is_none else spec.range_max_m
 
-    def _thinned(self, message: LaserMessage) -> LaserMessage:
+    def _thin(self, message: LaserMessage) -> LaserMessage:
         """Take one of every so many beams where a scan has far too many."""
         every = -(-len(message.ranges_m) // _MOST_BEAMS)
         if every == 1:
@@ -200,16 +200,16 @@ class ScanFilter:
     def _check(self, message: LaserMessage) -> None:
         """Warn about fields that contradict the rest and are not used."""
         if message.has_limits and _limits(message) == (0.0, np.inf):
-            found = f"{message.range_min_m:g} to {message.range_max_m:g} m"
-            self._warn(f"{self._topic}: the range limits ({found}) are unusable; every positive range is used")
+            text = f"{message.range_min_m:g} to {message.range_max_m:g} m"
+            self._warn(f"{self._topic}: the range limits ({text}) are unusable; every positive range is used")
         if message.has_pose:
             self._warn(f"{self._topic}: the scans carry a pose of their own, which is not used")
         last = message.angle_min_rad + message.angle_step_rad * (len(message.ranges_m) - 1)
         told_last = message.last_angle_rad
         # Many drivers are one beam out here; that is no news.
         if told_last is not None and not abs(told_last - last) <= 1.5 * abs(message.angle_step_rad):
-            found = f"angle_max is {told_last:.4f} rad, but {len(message.ranges_m)} beams end at {last:.4f}"
-            self._warn(f"{self._topic}: {found}; number of beams and increment are used")
+            text = f"angle_max is {told_last:.4f} rad, but {len(message.ranges_m)} beams end at {last:.4f}"
+            self._warn(f"{self._topic}: {text}; number of beams and increment are used")
 
 
 def _refusal(message: LaserMessage) -> str | None:

@@ -61,7 +61,7 @@ class ReadReport:
         """
         key = _key(channel)
         if key not in self._declared:
-            mended = _mended(channel)
+            mended = _mend(channel)
             if mended != channel:
                 was, now = (f"{c.type} ({c.encoding})" for c in (channel, mended))
                 self.damage(f"the type {was} is damaged, and taken for {now}", channel.topic)
@@ -70,12 +70,12 @@ class ReadReport:
 
     def only(self, message_type: str) -> Channel | None:
         """Return the channel of this type, if there is just one topic of it."""
-        found = [channel for channel in self.channels.values() if channel.type == message_type]
-        return found[0] if len({(channel.topic, channel.encoding) for channel in found}) == 1 else None
+        channels = [channel for channel in self.channels.values() if channel.type == message_type]
+        return channels[0] if len({(channel.topic, channel.encoding) for channel in channels}) == 1 else None
 
     def damage(self, what: str, where: str) -> None:
         """Note something that could not be read, or is suspect."""
-        what, where = _shortened(what), _shortened(where)
+        what, where = _shorten(what), _shorten(where)
         if len(self._damage) < MAX_DAMAGE:
             self._damage.append(Damage(what, where))
         elif what in self._unlisted or len(self._unlisted) < _MAX_KINDS:
@@ -85,7 +85,7 @@ class ReadReport:
 
     def warn(self, text: str) -> None:
         """Note something odd by which no data are lost; once, however often it is reported."""
-        text = _shortened(text)
+        text = _shorten(text)
         if text not in self._warnings and len(self._warnings) < MAX_WARNINGS:
             self._warnings[text] = None
         elif text not in self._warnings:
@@ -121,11 +121,11 @@ def _key(channel: Channel) -> tuple[str, str, str, Schema]:
     return channel.topic, channel.type, channel.encoding, channel.schema
 
 
-def _shortened(text: str) -> str:
+def _shorten(text: str) -> str:
     return text if len(text) <= MAX_TEXT else f"{text[: MAX_TEXT - 3]}..."
 
 
-def _mended(channel: Channel) -> Channel:
+def _mend(channel: Channel) -> Channel:
     """Return the channel with its type and encoding as they were, if only a letter or two are wrong."""
     kind = _nearest(channel.type, KNOWN_TYPES, 2)
     encoding = _nearest(channel.encoding, KNOWN_ENCODINGS, 1)

@@ -126,7 +126,7 @@ class Imu(Struct, frozen=True):
     topic: str
     rotation: Rotation
 
-    def levelled(self) -> Imu:
+    def without_tilt(self) -> Imu:
         """Return the same without its tilt, of scans that were levelled."""
         return replace(self, rotation=replace(self.rotation, tilt_rad=np.zeros(len(self.rotation.tilt_rad))))
 

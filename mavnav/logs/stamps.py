@@ -224,16 +224,16 @@ class TopicScans(Struct):
         ``_MOST_BACKWARD`` of the scans; scans recorded twice are not such. The window's ends are in seconds from the
         first usable scan, both inclusive.
         """
-        header, log = self._chosen("header"), self._chosen("log")
+        header, log = self._choose("header"), self._choose("log")
         zero = len(header) > 0 and self._stamps.header_ns[header[-1]] == 0
         constant = len(header) == 1 and len(log) > 1
-        backward = self._skipped("header", header)["backward_stamp"] if len(header) < len(log) else 0
+        backward = self._count_skipped("header", header)["backward_stamp"] if len(header) < len(log) else 0
         set_back = min(backward, len(log) - len(header)) > max(_MOST_BACKWARD * len(log), _FEW_BACKWARD)
         if len(log) and (zero or constant or set_back or 2 * len(header) < len(log)):
             return self._timeline("log", log, window_s)
         return self._timeline("header", header, window_s)
 
-    def _chosen(self, source: StampSource) -> NDArray[np.int64]:
+    def _choose(self, source: StampSource) -> NDArray[np.int64]:
         """Return the numbers of the scans to use, in the order of the file, or of recording where that keeps more."""
         stamps_ns, log_ns = self._stamps.by(source)
         possible = np.flatnonzero(~_impossible(stamps_ns) & self._plausible())
@@ -272,7 +272,7 @@ class TopicScans(Struct):
         stamps_ns = self._stamps.by(source)[0][chosen]
         inside = _inside(stamps_ns, window_s)
         order = chosen[inside]
-        skipped = self._skipped(source, chosen)
+        skipped = self._count_skipped(source, chosen)
         skipped["outside_window"] = len(chosen) - len(order)
         return Timeline(
             source=source,
@@ -285,7 +285,7 @@ class TopicScans(Struct):
             first=self._kinds[self._kind[order[0]]] if len(order) else None,
         )
 
-    def _skipped(self, source: StampSource, chosen: NDArray[np.int64]) -> Counter[str]:
+    def _count_skipped(self, source: StampSource, chosen: NDArray[np.int64]) -> Counter[str]:
         """Count the scans that are not chosen by reason."""
         stamps_ns, _ = self._stamps.by(source)
         left = np.ones(len(stamps_ns), np.bool_)

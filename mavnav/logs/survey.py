@@ -61,7 +61,7 @@ class Survey(Struct, frozen=True):
     strict: bool
 
 
-class _Kind(Struct):
+class _MessageKind(Struct):
     """What there is to know of a channel's messages; ``decode`` is None where there is no use for them.
 
     ``scan_topic`` is the topic whose scans they are, None where they are none.
@@ -78,7 +78,7 @@ class _Pass(Struct):
     topic: str | None
     strict: bool
     report: ReadReport
-    kinds: dict[Channel, _Kind] = field(default_factory=dict)
+    kinds: dict[Channel, _MessageKind] = field(default_factory=dict)
     filters: dict[str, ScanFilter] = field(default_factory=dict)
     scans: dict[str, TopicScans] = field(default_factory=dict)
     odometry: OdometryTracks = field(default_factory=OdometryTracks)
@@ -108,9 +108,9 @@ class _Pass(Struct):
         else:
             self._take_motion(message, decoded)
 
-    def _new_kind(self, channel: Channel) -> _Kind:
+    def _new_kind(self, channel: Channel) -> _MessageKind:
         topic = scan_topic(channel, self.topic)
-        self.kinds[channel] = _Kind(self._decoder(channel, topic), topic)
+        self.kinds[channel] = _MessageKind(self._decoder(channel, topic), topic)
         return self.kinds[channel]
 
     def _decoder(self, channel: Channel, topic: str | None) -> Callable[[bytes], Any] | None:
@@ -214,13 +214,13 @@ def survey(
     check_file(path)
     check_window(start_s, end_s)
     again = partial(_survey, window_s=(start_s, end_s), strict=strict, truth=truth, odom=odom, attitude=attitude)
-    found = again(path, topic, progress=progress)
-    others = [t.name for t in found.topics if t.type in OTHER_TYPES and t.count]
-    if topic is not None or found.scans or len(others) != 1:
-        return found
-    found = again(path, others[0], progress=progress)
+    contents = again(path, topic, progress=progress)
+    others = [t.name for t in contents.topics if t.type in OTHER_TYPES and t.count]
+    if topic is not None or contents.scans or len(others) != 1:
+        return contents
+    contents = again(path, others[0], progress=progress)
     text = f"the log has no LaserScan messages; the scans are taken from {others[0]}"
-    return replace(found, warnings=(text, *found.warnings)) if found.scans else found
+    return replace(contents, warnings=(text, *contents.warnings)) if contents.scans else contents
 
 
 def _survey(
@@ -295,7 +295,7 @@ def _run(path: Path, state: _Pass, progress: Callable[[int, int], None] | None) 
             progress(done, total)
 
 
-def _topics(report: ReadReport, kinds: dict[Channel, _Kind]) -> tuple[Topic, ...]:
+def _topics(report: ReadReport, kinds: dict[Channel, _MessageKind]) -> tuple[Topic, ...]:
     counts = Counter[tuple[str, str, str]]()
     for channel in report.channels.values():
         counts[channel.topic, channel.type, channel.encoding] += kinds[channel].count if channel in kinds else 0

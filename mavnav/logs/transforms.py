@@ -110,15 +110,15 @@ def _chain(edges: dict[tuple[str, str], NDArray[np.float64]], base: str, laser: 
     for (parent, child), matrix in edges.items():
         steps.setdefault(parent, []).append((child, matrix))
         steps.setdefault(child, []).append((parent, np.linalg.inv(matrix)))
-    found: dict[str, NDArray[np.floating]] = {base: np.eye(4)}
+    base_T_frame: dict[str, NDArray[np.floating]] = {base: np.eye(4)}
     queue = deque([base])
-    while queue and laser not in found:
+    while queue and laser not in base_T_frame:
         frame = queue.popleft()
         for other, step in steps.get(frame, []):
-            if other not in found:
-                found[other] = found[frame] @ step
+            if other not in base_T_frame:
+                base_T_frame[other] = base_T_frame[frame] @ step
                 queue.append(other)
-    return found.get(laser)
+    return base_T_frame.get(laser)
 
 
 class Mounting(NamedTuple):

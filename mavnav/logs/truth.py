@@ -61,11 +61,11 @@ class TruthTracks(Struct):
         """
         if self.wanted is None:
             return None
-        found = {name: track for name, track in sorted(self.topics.items()) if len(track.stamps)}
-        if len(found) == 1:
-            return next(iter(found.values()))
-        if found:
-            names = ", ".join(f"{name} ({len(track.stamps)})" for name, track in found.items())
+        tracks = {name: track for name, track in sorted(self.topics.items()) if len(track.stamps)}
+        if len(tracks) == 1:
+            return next(iter(tracks.values()))
+        if tracks:
+            names = ", ".join(f"{name} ({len(track.stamps)})" for name, track in tracks.items())
             raise TopicError(f"several ground truth topics: {names}; choose one with --truth topic:NAME")
         poses = ", ".join(f"{t.name} ({t.type}, {t.count})" for t in topics if t.type in TYPES) or "none"
         if self.wanted == AUTO:

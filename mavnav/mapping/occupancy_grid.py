@@ -238,7 +238,7 @@ def occupied_cells(grid: Grid) -> NDArray[np.int64]:
     return np.concatenate(by_band)
 
 
-def known_part(grid: Grid, *, hits_only: bool = False) -> Grid:
+def known_area(grid: Grid, *, hits_only: bool = False) -> Grid:
     """Return the part of the grid with cells that a beam reached (or ended in) and a small margin; else one cell.
 
     The arrays are views of the grid's.
@@ -247,20 +247,20 @@ def known_part(grid: Grid, *, hits_only: bool = False) -> Grid:
     if not any(part.any() for part in counts):
         return Grid(grid.cell_m, grid.origin_xy_m, np.zeros((1, 1), np.uint16), np.zeros((1, 1), np.uint16))
     rows, cols = (_extent(np.flatnonzero(sum(np.any(p, axis=axis) for p in counts))) for axis in (1, 0))
-    return _part(grid, rows, cols)
+    return _crop(grid, rows, cols)
 
 
-def measured_part(grid: Grid) -> Grid:
+def measured_area(grid: Grid) -> Grid:
     """Return the known part of the grid, enlarged to whole blocks of cells counted from the map's origin.
 
     Metrics of this part do not depend on how far the grid extends beyond. The arrays are views of the grid's.
     """
-    known = known_part(grid)
+    known = known_area(grid)
     spans = [
         _in_blocks(round((known.origin_xy_m[k] - grid.origin_xy_m[k]) / grid.cell_m), known.hits.shape[1 - k], size, at)
         for k, (size, at) in enumerate(zip(grid.hits.shape[::-1], _corner(grid), strict=True))
     ]
-    return _part(grid, spans[1], spans[0])
+    return _crop(grid, spans[1], spans[0])
 
 
 def _in_blocks(first: int, count: int, size: int, at: int) -> slice:
@@ -276,7 +276,7 @@ def _corner(grid: Grid) -> tuple[int, int]:
     return round(x_m / grid.cell_m), round(y_m / grid.cell_m)
 
 
-def _part(grid: Grid, rows: slice, cols: slice) -> Grid:
+def _crop(grid: Grid, rows: slice, cols: slice) -> Grid:
     col, row = _corner(grid)
     origin = ((col + cols.start) * grid.cell_m, (row + rows.start) * grid.cell_m)
     return Grid(grid.cell_m, origin, grid.hits[rows, cols], grid.passes[rows, cols])

@@ -55,7 +55,7 @@ def slice_name(layer: Slice) -> str:
     return f"map_{layer.middle_m:.2f}".rstrip("0").rstrip(".") + "m"
 
 
-def placed_with_heights(
+def scans_with_heights(
     scans: Iterable[Scan], trajectory: Trajectory, laser_height_m: Callable[[int], float]
 ) -> Iterator[PlacedScan]:
     """Yield the scans with a pose and heights, in the map; ``laser_height_m`` gives the laser's height at a stamp."""
@@ -70,7 +70,7 @@ def placed_with_heights(
         yield PlacedScan(np.column_stack((xy_m, height_m)), laser)
 
 
-def sliced(placed: Callable[[], Iterable[PlacedScan]], area: Grid, slice_m: float) -> Slices | None:
+def slice_map(placed: Callable[[], Iterable[PlacedScan]], area: Grid, slice_m: float) -> Slices | None:
     """Cut the map of scans into slices of a thickness; None where all that was hit lies in one.
 
     The slices have the cells of ``area``. The middles are multiples of the thickness, from once it on: what is lower is

@@ -141,12 +141,12 @@ def _span(low: int, high: int, present: tuple[int, int], block: int) -> Cell:
     return low, (high // block + 1) * block - low
 
 
-def unchanged(cells: NDArray[Any]) -> NDArray[Any]:
+def identity(cells: NDArray[Any]) -> NDArray[Any]:
     """Return the cells themselves."""
     return cells
 
 
-def pooled(cells: NDArray[Any], factor: int, fill: int = 0, value_of: CellFunction = unchanged) -> NDArray[Any]:
+def max_pool(cells: NDArray[Any], factor: int, fill: int = 0, value_of: CellFunction = identity) -> NDArray[Any]:
     """Return the maximum of ``value_of(cells)`` over each ``factor`` x ``factor`` block, which keeps walls of one cell.
 
     Blocks that reach beyond the cells are padded with ``fill``.

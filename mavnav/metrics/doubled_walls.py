@@ -16,7 +16,7 @@ from msgspec import Struct
 from mavnav.kernels.walls.scan_pairs import best_alignments, wall_gaps, wall_normals
 from mavnav.metrics.ghost_walls import GhostWall, GhostWalls, as_ghost_walls
 from mavnav.metrics.journey import spread, used_beams
-from mavnav.metrics.lines import fit_line, linked, members
+from mavnav.metrics.lines import fit_line, link, members
 from mavnav.units import DEG, MM, NS
 
 if TYPE_CHECKING:
@@ -110,14 +110,14 @@ def doubled_walls(trajectory: Trajectory, scans: PlacedScans, cell_m: float) -> 
     keys = _keys(trajectory, scans)
     pairs = _pairs(keys)
     b_T_a = _between(keys.poses, pairs)
-    points, _, _, doubled = _seen(keys, pairs, b_T_a).T
+    points, _, _, doubled = _count(keys, pairs, b_T_a).T
     conflict = (points >= LEAST_POINTS) & (doubled >= np.maximum(LEAST_DOUBLED, LEAST_DOUBLED_SHARE * points))
     tested = np.flatnonzero(conflict)
     tested = tested[spread(len(tested), max(LEAST_ALIGNED, int(ALIGNED_SHARE * len(keys.poses))))]
     if not len(tested):
         return as_ghost_walls((), cell_m)
-    found = _doubled(keys, np.ascontiguousarray(pairs[tested]), b_T_a[tested])
-    return as_ghost_walls(_places(found, keys), cell_m)
+    doubled_points = _doubled_points(keys, np.ascontiguousarray(pairs[tested]), b_T_a[tested])
+    return as_ghost_walls(_places(doubled_points, keys), cell_m)
 
 
 def _keys(trajectory: Trajectory, scans: PlacedScans) -> _Keys:
@@ -166,11 +166,11 @@ def _gaps(keys: _Keys, pairs: NDArray[np.int64], b_T_a: Array) -> Array:
 
 def _is_doubled(gaps_m: Array) -> NDArray[np.bool_]:
     """Return where beams pass through a wall that has a parallel one behind it."""
-    found: NDArray[np.bool_] = (gaps_m >= LEAST_OFFSET_M) & (gaps_m <= MAX_OFFSET_M)
-    return found
+    doubled: NDArray[np.bool_] = (gaps_m >= LEAST_OFFSET_M) & (gaps_m <= MAX_OFFSET_M)
+    return doubled
 
 
-def _seen(keys: _Keys, pairs: NDArray[np.int64], b_T_a: Array) -> NDArray[np.int64]:
+def _count(keys: _Keys, pairs: NDArray[np.int64], b_T_a: Array) -> NDArray[np.int64]:
     """Return the wall points of pairs (n, 4): number seen by both, agreeing, passed through, and doubled."""
     counts = np.zeros((len(pairs), 4), np.int64)
     for ab, motion in ((pairs, b_T_a), (pairs[:, ::-1], _inverse(b_T_a))):
@@ -180,13 +180,13 @@ def _seen(keys: _Keys, pairs: NDArray[np.int64], b_T_a: Array) -> NDArray[np.int
     return counts
 
 
-def _doubled(keys: _Keys, pairs: NDArray[np.int64], b_T_a: Array) -> _Doubled:
+def _doubled_points(keys: _Keys, pairs: NDArray[np.int64], b_T_a: Array) -> _Doubled:
     """Return the doubled points of conflicting pairs.
 
     Of a pair that an alignment explains these are all points that it moves, of another pair the points passed through.
     """
     better = best_alignments(keys.ranges_m, pairs, b_T_a, keys.directions, keys.beams[2:].copy(), REACH_STEPS)
-    explained = _explained(_seen(keys, pairs, b_T_a), _seen(keys, pairs, better))
+    explained = _is_explained(_count(keys, pairs, b_T_a), _count(keys, pairs, better))
     shift_m = np.where(_gaps(keys, pairs, better) == 0.0, _shifts(keys, pairs, b_T_a, better), 0.0)
     unexplained = np.where(explained[:, None], np.nan, 1.0)
     parts = (
@@ -201,8 +201,8 @@ def _doubled(keys: _Keys, pairs: NDArray[np.int64], b_T_a: Array) -> _Doubled:
 def _shifts(keys: _Keys, pairs: NDArray[np.int64], b_T_a: Array, better: Array) -> Array:
     """Return by how much scan b saw the wall points of scan a nearer to the laser than a did, (n, points), m."""
     a, beams = pairs[:, :1], np.arange(0, keys.ranges_m.shape[1], keys.every)
-    xy_m, normal = _ends(keys, a, beams), _turned(b_T_a[:, None], keys.normals[a, beams])
-    moved_m = _moved(better[:, None], xy_m) - _moved(b_T_a[:, None], xy_m)
+    xy_m, normal = _ends(keys, a, beams), _rotate(b_T_a[:, None], keys.normals[a, beams])
+    moved_m = _transform(better[:, None], xy_m) - _transform(b_T_a[:, None], xy_m)
     shift_m: Array = (normal * moved_m).sum(axis=-1)
     return shift_m
 
@@ -211,9 +211,9 @@ def _points(keys: _Keys, pairs: NDArray[np.int64], shift_m: Array, explained: ND
     """Return the wall points of the first scans that the second ones saw elsewhere: ``shift_m`` towards the laser."""
     pair, number = np.nonzero(_is_doubled(np.abs(shift_m)))
     (a, b), beam, shift = pairs[pair].T, number * keys.every, shift_m[pair, number]
-    normal = _turned(keys.poses[a], keys.normals[a, beam])
+    normal = _rotate(keys.poses[a], keys.normals[a, beam])
     return _Doubled(
-        xy_m=_moved(keys.poses[a], _ends(keys, a, beam)) + normal * np.maximum(shift, 0.0)[:, None],
+        xy_m=_transform(keys.poses[a], _ends(keys, a, beam)) + normal * np.maximum(shift, 0.0)[:, None],
         direction_rad=np.arctan2(normal[:, 0], -normal[:, 1]),
         offset_m=np.abs(shift),
         pair=pair,
@@ -229,46 +229,46 @@ def _ends(keys: _Keys, scan: NDArray[np.int64], beam: NDArray[np.int64]) -> Arra
     return ends
 
 
-def _moved(poses: Array, xy_m: Array) -> Array:
+def _transform(poses: Array, xy_m: Array) -> Array:
     """Transform points (..., 2) from the frames of poses (..., 3) to the frames in which these are given."""
-    moved: Array = _turned(poses, xy_m) + poses[..., :2]
+    moved: Array = _rotate(poses, xy_m) + poses[..., :2]
     return moved
 
 
-def _turned(poses: Array, xy: Array) -> Array:
+def _rotate(poses: Array, xy: Array) -> Array:
     """Turn vectors (..., 2) from the frames of poses (..., 3) to the axes of the frames in which these are given."""
     c, s, (x, y) = np.cos(poses[..., 2]), np.sin(poses[..., 2]), np.moveaxis(xy, -1, 0)
     return np.stack((c * x - s * y, s * x + c * y), axis=-1)
 
 
-def _explained(before: NDArray[np.int64], after: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return which alignments (n,) explain the conflicts of their pairs, by the counts of `_seen` before and after."""
+def _is_explained(before: NDArray[np.int64], after: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return which alignments (n,) explain the conflicts of their pairs, by the counts of `_count` before and after."""
     (_, agreed, through, _), (_, agrees, left, _) = (seen.T / np.maximum(seen[:, 0], 1) for seen in (before, after))
     fits = (after[:, 0] >= LEAST_POINTS) & (agrees >= np.maximum(LEAST_AGREEING, agreed + LEAST_GAIN))
     explained: NDArray[np.bool_] = fits & (left <= np.minimum(MOST_THROUGH, MOST_THROUGH_LEFT * through))
     return explained
 
 
-def _places(found: _Doubled, keys: _Keys) -> list[GhostWall]:
+def _places(points: _Doubled, keys: _Keys) -> list[GhostWall]:
     """Link doubled points along their direction, and return the groups with enough evidence."""
-    groups = linked(found.xy_m, found.direction_rad, reach_m=REACH_M, across_m=ACROSS_M, turn_rad=TURN_RAD)
-    places = (_place(found, group, keys) for group in members(groups))
+    groups = link(points.xy_m, points.direction_rad, reach_m=REACH_M, across_m=ACROSS_M, turn_rad=TURN_RAD)
+    places = (_place(points, group, keys) for group in members(groups))
     return [place for place in places if place is not None]
 
 
-def _place(found: _Doubled, group: NDArray[np.intp], keys: _Keys) -> GhostWall | None:
+def _place(points: _Doubled, group: NDArray[np.intp], keys: _Keys) -> GhostWall | None:
     """Return the ghost wall of a group of doubled points; None without enough evidence."""
-    pairs = len(np.unique(found.pair[group]))
-    group = group[found.explained[group]]
-    explained = len(np.unique(found.pair[group]))
-    front, rear = np.unique(found.front[group]), np.unique(found.rear[group])
+    pairs = len(np.unique(points.pair[group]))
+    group = group[points.explained[group]]
+    explained = len(np.unique(points.pair[group]))
+    front, rear = np.unique(points.front[group]), np.unique(points.rear[group])
     scans, shared = min(len(front), len(rear)), len(np.intersect1d(front, rear))
     if explained < max(LEAST_PAIRS, LEAST_EXPLAINED * pairs) or scans < LEAST_SCANS or shared > MOST_SHARED * scans:
         return None
-    line = fit_line(found.xy_m[group], np.ones(len(group)), ALONG_M)
+    line = fit_line(points.xy_m[group], np.ones(len(group)), ALONG_M)
     if line.length_m < LEAST_LENGTH_M:
         return None
-    offset_mm = float(np.median(found.offset_m[group])) / MM
+    offset_mm = float(np.median(points.offset_m[group])) / MM
     first_ns = keys.stamps_ns.min()
     front_s, rear_s = (float(np.median(keys.stamps_ns[which] - first_ns)) * NS for which in (front, rear))
     return GhostWall(line.x_m, line.y_m, line.direction_rad / DEG, line.length_m, offset_mm, explained, front_s, rear_s)

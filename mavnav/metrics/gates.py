@@ -61,7 +61,7 @@ class Gate(Struct, frozen=True):
     bound: Number
 
 
-class Verdict(Struct, frozen=True):
+class GateResult(Struct, frozen=True):
     """Result of a gate: the value (None: null) and why it failed, empty if it passed."""
 
     gate: Gate
@@ -97,15 +97,15 @@ def _bound(text: str) -> Number | None:
     return None if value != value else value  # noqa: PLR0124  NaN compares with nothing
 
 
-def judge(gates: Iterable[Gate], document: Mapping[str, Any]) -> list[Verdict]:
+def judge(gates: Iterable[Gate], document: Mapping[str, Any]) -> list[GateResult]:
     """Return the verdicts of gates on a document; raises UsageError for a name that it does not have."""
     return [_judge(gate, document) for gate in gates]
 
 
-def judge_some(gates: Iterable[Gate], document: Mapping[str, Any]) -> list[Verdict]:
+def judge_some(gates: Iterable[Gate], document: Mapping[str, Any]) -> list[GateResult]:
     """Return the verdicts of gates on one of several documents; a missing number fails its gate."""
     return [
-        _judge(gate, document) if _has(document, gate.name) else Verdict(gate, None, "this run has no such number")
+        _judge(gate, document) if _has(document, gate.name) else GateResult(gate, None, "this run has no such number")
         for gate in gates
     ]
 
@@ -125,16 +125,16 @@ def _has(document: Mapping[str, Any], name: str) -> bool:
     return True
 
 
-def _judge(gate: Gate, document: Mapping[str, Any]) -> Verdict:
+def _judge(gate: Gate, document: Mapping[str, Any]) -> GateResult:
     value = find(document, gate.name)
     if value is None:
-        return Verdict(gate, None, "it is not known for this run")
+        return GateResult(gate, None, "it is not known for this run")
     if _about_a_meaningless_map(gate.name, document):
         reasons = "; ".join(map(str, document["map_quality"].get("why") or ["too little of it"]))
-        return Verdict(gate, value, f"it is {_shown(value)}, but the map is not meaningful: {reasons}")
+        return GateResult(gate, value, f"it is {_format(value)}, but the map is not meaningful: {reasons}")
     if OPERATORS[gate.comparison](value, gate.bound):
-        return Verdict(gate, value)
-    return Verdict(gate, value, f"it is {_shown(value)}")
+        return GateResult(gate, value)
+    return GateResult(gate, value, f"it is {_format(value)}")
 
 
 def _about_a_meaningless_map(name: str, document: Mapping[str, Any]) -> bool:
@@ -143,7 +143,7 @@ def _about_a_meaningless_map(name: str, document: Mapping[str, Any]) -> bool:
     return (document.get("map_quality") or {}).get("meaningful", True) is False
 
 
-def _shown(value: Number) -> str:
+def _format(value: Number) -> str:
     return str(value).lower() if isinstance(value, bool) else f"{value:.6g}"
 
 

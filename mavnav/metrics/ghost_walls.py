@@ -14,7 +14,7 @@ from msgspec import Struct
 
 from mavnav.kernels.walls.profiles import wall_profiles
 from mavnav.metrics.fields import Measured, number
-from mavnav.metrics.lines import fit_line, linked, members
+from mavnav.metrics.lines import fit_line, link, members
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
@@ -101,13 +101,13 @@ def ghost_walls(grid: Grid, all_sections: Iterable[Sections]) -> GhostWalls:
         some = stations[first : first + AT_A_TIME]
         hits, passes = (wall_profiles(counts, some, half_length, reach) for counts in (grid.hits, grid.passes))
         left.append(_twins(some, hits, passes))
-        right.append(_twins(_turned(some), hits[:, ::-1, ::-1], passes[:, ::-1, ::-1]))
-    return as_ghost_walls(_places(_joined(left + right), grid), grid.cell_m)
+        right.append(_twins(_reverse(some), hits[:, ::-1, ::-1], passes[:, ::-1, ::-1]))
+    return as_ghost_walls(_places(_concatenate(left + right), grid), grid.cell_m)
 
 
-def as_ghost_walls(found: Iterable[GhostWall], cell_m: float) -> GhostWalls:
+def as_ghost_walls(walls: Iterable[GhostWall], cell_m: float) -> GhostWalls:
     """Return the summary of ghost walls of a map with cells of ``cell_m``."""
-    places = tuple(sorted(found, key=lambda p: (-p.length_m, p.x_m, p.y_m)))
+    places = tuple(sorted(walls, key=lambda p: (-p.length_m, p.x_m, p.y_m)))
     worst_mm = max((p.offset_mm for p in places), default=np.nan)
     return GhostWalls(
         count=len(places),
@@ -123,14 +123,14 @@ def _stations(all_sections: Iterable[Sections]) -> NDArray[np.float64]:
 
     Cells are counted from the outermost sections, so that the result does not depend on the extent of the map.
     """
-    found = [np.column_stack((s.col, s.row, s.direction_rad)) for s in all_sections]
-    every = np.concatenate(found) if found else np.zeros((0, 3))
+    stations = [np.column_stack((s.col, s.row, s.direction_rad)) for s in all_sections]
+    every = np.concatenate(stations) if stations else np.zeros((0, 3))
     first_cell = np.floor(every[:, :2].min(axis=0, initial=np.inf))
     _, first = np.unique(np.floor((every[:, :2] - first_cell) / SPACING_CELLS), axis=0, return_index=True)
     return np.ascontiguousarray(every[np.sort(first)])
 
 
-def _turned(stations: NDArray[np.float64]) -> NDArray[np.float64]:
+def _reverse(stations: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return stations with the opposite direction, which exchanges left and right."""
     turned: NDArray[np.float64] = stations + np.array([0.0, 0.0, np.pi])
     return turned
@@ -174,8 +174,8 @@ def _ridges(hits: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.int
     offset = np.arange(bins) - ridge[:, None]
     reach = bins - 1 - centre - 2 * int(OUTSIDE_CELLS[1])
     fits = (offset >= 2 * LEAST_OFFSET_CELLS) & (offset <= reach) & (height >= LEAST_HITS)
-    found = beyond & peak & strong & apart & fits
-    twin = np.where(found.any(axis=1), found.argmax(axis=1), 0)
+    is_twin = beyond & peak & strong & apart & fits
+    twin = np.where(is_twin.any(axis=1), is_twin.argmax(axis=1), 0)
     between = beyond & (np.arange(bins) < twin[:, None])
     valley = np.where(between, both, np.inf).argmin(axis=1)
     return ridge, twin, valley
@@ -190,7 +190,7 @@ def _outside(passes: NDArray[np.float64], ridge: NDArray[np.intp], side: int) ->
     return mean
 
 
-def _joined(twins: list[_Twins]) -> _Twins:
+def _concatenate(twins: list[_Twins]) -> _Twins:
     parts = ([getattr(t, name) for t in twins] for name in ("xy_cells", "direction_rad", "offset_cells"))
     return _Twins(*(np.concatenate(part) for part in parts))
 
@@ -198,7 +198,7 @@ def _joined(twins: list[_Twins]) -> _Twins:
 def _places(twins: _Twins, grid: Grid) -> list[GhostWall]:
     """Link stations along their direction; groups shorter than `LEAST_LENGTH_M` are chance."""
     xy_m = (twins.xy_cells + 0.5) * grid.cell_m + np.array(grid.origin_xy_m)
-    groups = linked(xy_m, twins.direction_rad, reach_m=REACH_M, across_m=ACROSS_CELLS * grid.cell_m, turn_rad=TURN_RAD)
+    groups = link(xy_m, twins.direction_rad, reach_m=REACH_M, across_m=ACROSS_CELLS * grid.cell_m, turn_rad=TURN_RAD)
     places = []
     for here in members(groups):
         line = fit_line(xy_m[here], np.ones(len(here)), SPACING_CELLS * grid.cell_m)

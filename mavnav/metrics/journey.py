@@ -53,7 +53,7 @@ class PlacedScans(Struct, frozen=True):
     ranges_m: Floats
     others: dict[int, Scan] = field(default_factory=dict)
 
-    def recorded(self, k: int) -> tuple[Floats, Floats]:
+    def recorded_beams(self, k: int) -> tuple[Floats, Floats]:
         """Return the ranges (beams,), m, and directions (beams, 2) of scan ``k`` as they were recorded."""
         if other := self.others.get(k):
             return other.ranges_m, other.spec.directions

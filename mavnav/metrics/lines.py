@@ -23,7 +23,7 @@ class Line(Struct, frozen=True):
     spread_m: float
 
 
-def linked(
+def link(
     xy_m: NDArray[np.float64],
     direction_rad: NDArray[np.float64],
     *,
@@ -57,7 +57,7 @@ def linked(
 
 
 def members(groups: NDArray[np.int32]) -> list[NDArray[np.intp]]:
-    """Return the points of each group, as their numbers; ``groups`` (n,) are those of `linked`."""
+    """Return the points of each group, as their numbers; ``groups`` (n,) are those of `link`."""
     order = np.argsort(groups, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(groups[order])) + 1) if len(order) else []
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from msgspec import Struct
 
-from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, cell_centres, known_part, occupancy
+from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, cell_centres, known_area, occupancy
 from mavnav.pose import Pose, transform_points
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ class View:
         """Compute the masks from the counts of a grid."""
         from scipy.ndimage import distance_transform_edt  # noqa: PLC0415  takes 0.1 s to load
 
-        self.grid = known_part(grid)
+        self.grid = known_area(grid)
         cells = occupancy(self.grid)
         self.walls = cells == OCCUPIED
         self.known = cells >= FREE
@@ -100,8 +100,8 @@ class View:
         col, row = np.floor((xy_m - self.grid.origin_xy_m) / self.grid.cell_m).astype(np.int64).T
         rows, cols = cells.shape
         inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
-        found: NDArray[np.bool_] = cells[np.where(inside, row, 0), np.where(inside, col, 0)] & inside
-        return found
+        values: NDArray[np.bool_] = cells[np.where(inside, row, 0), np.where(inside, col, 0)] & inside
+        return values
 
 
 def difference(a: View, b: View, a_T_b: Pose) -> Difference:
@@ -113,7 +113,7 @@ def difference(a: View, b: View, a_T_b: Pose) -> Difference:
     same, unlike = (int(np.count_nonzero(a.at(mask, walls_xy_m))) for mask in (a.near & a.known, a.clear & ~a.near))
     common = int(np.count_nonzero(b.at(b.known, transform_points(a_T_b.inverse(), a.middles(a.known)))))
     return Difference(
-        changes=tuple(paired(changes)),
+        changes=tuple(pair_changes(changes)),
         gone_xy_m=gone_xy_m,
         new_xy_m=new_xy_m,
         compared_m2=common * a.grid.cell_m**2,
@@ -149,7 +149,7 @@ def _change(kind: Kind, xy_m: NDArray[np.float64], cell_m: float) -> Change:
     return Change(kind, x_m, y_m, len(xy_m) * cell_m**2, float(np.hypot(*spans_m)))
 
 
-def paired(changes: Sequence[Change]) -> list[Change]:
+def pair_changes(changes: Sequence[Change]) -> list[Change]:
     """Pair walls that are gone with new ones, as objects that moved: the nearest first, each change once."""
     pairs = [
         (float(np.hypot(a.x_m - b.x_m, a.y_m - b.y_m)), i, j)
@@ -157,8 +157,8 @@ def paired(changes: Sequence[Change]) -> list[Change]:
         for j, b in enumerate(changes)
         if a.kind == "gone" and b.kind == "new" and 1 / ALIKE <= a.length_m / b.length_m <= ALIKE
     ]
-    found: dict[int, int] = {}
+    partners: dict[int, int] = {}
     for off_m, i, j in sorted(pairs):
-        if off_m <= MOVED_M and not found.keys() & {i, j}:
-            found |= {i: j, j: i}
-    return [Change(c.kind, c.x_m, c.y_m, c.m2, c.length_m, found.get(number)) for number, c in enumerate(changes)]
+        if off_m <= MOVED_M and not partners.keys() & {i, j}:
+            partners |= {i: j, j: i}
+    return [Change(c.kind, c.x_m, c.y_m, c.m2, c.length_m, partners.get(number)) for number, c in enumerate(changes)]

@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.mapping.occupancy_grid import UNKNOWN, occupancy, occupied_cells
-from mavnav.mapping.tiled_arrays import pooled
+from mavnav.mapping.tiled_arrays import max_pool
 from mavnav.metrics.crispness import Crispness, crispness
 from mavnav.metrics.doubled_walls import doubled_walls, key_rows
 from mavnav.metrics.fields import Measured, number
@@ -23,7 +23,7 @@ from mavnav.metrics.shape import EnclosedAreas, corners, enclosed_areas, occupie
 from mavnav.metrics.support import SAMPLE_SCANS, Support, map_support, reasons
 from mavnav.metrics.wall_spread import WALL_SCANS, cut_walls, wall_spread
 from mavnav.metrics.wall_thickness import THRESHOLDS, sections_by_hits, wall_sections
-from mavnav.metrics.walls import Wall, straight_walls
+from mavnav.metrics.walls import StraightWall, straight_walls
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -56,7 +56,7 @@ class MapQuality(Struct, frozen=True):
     occupied_share: Annotated[Measured, number("part of the known cells that is occupied")]
     corners: Annotated[int, number("places where walls change their direction; coarse maps merge near ones")]
     enclosed_areas: EnclosedAreas
-    walls: tuple[Wall, ...]
+    walls: tuple[StraightWall, ...]
 
 
 class MeasuredMap(Struct, frozen=True):
@@ -87,7 +87,7 @@ def measure_map(grid: Grid, journey: Journey | None = None, *, counted: bool = T
     """
     occupied = only_occupied(grid)
     published = wall_sections(occupied, grid.cell_m, 1)
-    found, scans = (None, None) if journey is None else _compare_scans(journey)
+    revisits, scans = (None, None) if journey is None else _compare_scans(journey)
     support = map_support(grid, occupied, published, journey, scans)
     ghosts = None if journey is None or scans is None else doubled_walls(journey.map_T_laser, scans, grid.cell_m)
     cuts = None if journey is None else cut_walls(grid, scans, len(journey.map_T_laser))
@@ -110,7 +110,7 @@ def measure_map(grid: Grid, journey: Journey | None = None, *, counted: bool = T
         why=why,
         ghost_walls=ghosts,
         crispness=crisp,
-        revisits=found,
+        revisits=revisits,
         support=support,
         occupied_share=share,
         corners=corners(*shape),
@@ -137,7 +137,7 @@ def _compare_scans(journey: Journey) -> tuple[Revisits, PlacedScans | None]:
 def _at_most(cells: NDArray[np.int8], cell_m: float) -> tuple[NDArray[np.int8], float]:
     """Return occupancy and cell size, reduced if there are more than `LARGEST_CELLS` cells."""
     factor = ceil(sqrt(cells.size / LARGEST_CELLS))
-    return (cells, cell_m) if factor <= 1 else (pooled(cells, factor, fill=UNKNOWN), cell_m * factor)
+    return (cells, cell_m) if factor <= 1 else (max_pool(cells, factor, fill=UNKNOWN), cell_m * factor)
 
 
 def only_occupied(grid: Grid) -> NDArray[np.uint16]:

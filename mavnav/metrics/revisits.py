@@ -111,8 +111,8 @@ def long_pairs(trajectory: Trajectory) -> NDArray[np.intp]:
     for first in range(0, len(rows), band):
         here = slice(first, first + band)
         pairs.append(_partners(trajectory, rows[here], _fractions(len(rows))[here]))
-    found = np.concatenate(pairs)
-    return found[spread(len(found), PAIRS)]
+    candidates = np.concatenate(pairs)
+    return candidates[spread(len(candidates), PAIRS)]
 
 
 def _partners(trajectory: Trajectory, rows: NDArray[np.intp], fractions: NDArray[np.float64]) -> NDArray[np.intp]:
@@ -145,12 +145,12 @@ def _distances(scans: PlacedScans, trajectory: Trajectory, pairs: NDArray[np.int
     order = np.argsort(scans.stamps_ns)
     there = np.searchsorted(scans.stamps_ns, trajectory.stamps_ns[pairs], sorter=order)
     numbers = order[np.minimum(there, len(order) - 1)]
-    found = (scans.stamps_ns[numbers] == trajectory.stamps_ns[pairs]).all(axis=1)
+    has_scans = (scans.stamps_ns[numbers] == trajectory.stamps_ns[pairs]).all(axis=1)
     enough = (points[numbers[:, 0]] > EVERY * (LEAST_POINTS - 1)) & (points[numbers[:, 1]] >= LEAST_TARGETS)
     return scan_distances(
         scans.ranges_m,
         scans.poses,
-        np.ascontiguousarray(numbers[found & enough], np.int64),
+        np.ascontiguousarray(numbers[has_scans & enough], np.int64),
         spec.directions,
         np.array(beams),
         CAP_M,

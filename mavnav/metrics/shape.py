@@ -12,11 +12,11 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.kernels.maps.regions import region_sizes
-from mavnav.kernels.walls.smoothing import smoothed
+from mavnav.kernels.walls.smoothing import smooth_image
 from mavnav.mapping.occupancy_grid import OCCUPIED, UNKNOWN
 from mavnav.mapping.tiled_arrays import bands, count
 from mavnav.metrics.fields import number
-from mavnav.metrics.support import widened
+from mavnav.metrics.support import dilate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -75,7 +75,7 @@ def corners(cells: NDArray[np.int8], cell_m: float) -> int:
     heights, peaks, walls = np.zeros(occupied.shape, np.float32), np.zeros_like(occupied), []
     reach = int(4.0 * SLOPE_CELLS + 0.5) + int(2.0 * radius + 0.5) + int(radius) + coarse
     for around, inside, band in bands(occupied.shape, margin=reach):
-        image = widened(occupied[around]) if coarse else occupied[around]
+        image = dilate(occupied[around]) if coarse else occupied[around]
         weak, strong = edges(image.astype(np.float32), radius)
         walls.append(strong[inside][image[inside]])
         del image, strong  # bands of large maps have wide margins
@@ -92,8 +92,8 @@ def edges(image: NDArray[np.float32], radius: float) -> tuple[NDArray[np.float32
     """Return the eigenvalues of an image's structure tensor (rows, cols): across the strongest direction, and along."""
     steep, wide = gaussian(SLOPE_CELLS), gaussian(radius / 2.0)
     slope = np.arange(len(steep)) / SLOPE_CELLS**2 * steep
-    gx, gy = smoothed(image, steep, slope, 1.0, -1.0), smoothed(image, slope, steep, -1.0, 1.0)
-    xx, xy, yy = (smoothed(g, wide, wide, 1.0, 1.0) for g in (gx * gx, gx * gy, gy * gy))
+    gx, gy = smooth_image(image, steep, slope, 1.0, -1.0), smooth_image(image, slope, steep, -1.0, 1.0)
+    xx, xy, yy = (smooth_image(g, wide, wide, 1.0, 1.0) for g in (gx * gx, gx * gy, gy * gy))
     mean, half = (xx + yy) / 2.0, np.hypot((xx - yy) / 2.0, xy)
     return mean - half, mean + half
 

@@ -62,25 +62,25 @@ def reasons(support: Support, measured_share: float, journey: Journey | None = N
 
     ``measured_share`` is the measured share of the walls that the scans saw; NaN if unknown.
     """
-    found = []
+    texts = []
     if journey and journey.lost_for_good:
-        found.append("the track was lost for good")
+        texts.append("the track was lost for good")
     if journey and not journey.planar:
-        found.append("the laser did not move in a plane")
+        texts.append("the laser did not move in a plane")
     if support.wall_m < LEAST_WALL_M:
-        found.append(f"{support.wall_m:.1f} m of straight wall, {LEAST_WALL_M:g} m are needed")
+        texts.append(f"{support.wall_m:.1f} m of straight wall, {LEAST_WALL_M:g} m are needed")
     if support.mapped_share < LEAST_MAPPED_SHARE:
         share, least = support.mapped_share, LEAST_MAPPED_SHARE
-        found.append(f"{100 * share:.0f} % of the scans were accepted, {100 * least:.0f} % are needed")
+        texts.append(f"{100 * share:.0f} % of the scans were accepted, {100 * least:.0f} % are needed")
     if support.explained_share < LEAST_EXPLAINED_SHARE:
         share, least = support.explained_share, LEAST_EXPLAINED_SHARE
-        found.append(f"{100 * share:.0f} % of what the laser saw lies on the map, {100 * least:.0f} % are needed")
+        texts.append(f"{100 * share:.0f} % of what the laser saw lies on the map, {100 * least:.0f} % are needed")
     if measured_share < LEAST_MEASURED_SHARE:
         share, least = measured_share, LEAST_MEASURED_SHARE
-        found.append(
+        texts.append(
             f"{100 * share:.0f} % of the walls that the laser saw can be measured, {100 * least:.0f} % are needed"
         )
-    return tuple(found)
+    return tuple(texts)
 
 
 def explained_share(grid: Grid, occupied: NDArray[np.uint16], scans: PlacedScans) -> float:
@@ -88,12 +88,12 @@ def explained_share(grid: Grid, occupied: NDArray[np.uint16], scans: PlacedScans
 
     It is low if a part of the map was cut off, or if scans were tracked but are not in the map.
     """
-    near, lattice, found, points = near_walls(occupied), grid.lattice, 0, 0
+    near, lattice, explained, points = near_walls(occupied), grid.lattice, 0, 0
     for k in spread(len(scans.poses), SAMPLE_SCANS):
-        ranges_m, directions = scans.recorded(k)
-        found += show_ends(ranges_m, directions, scans.poses[k], lattice, near, near)
+        ranges_m, directions = scans.recorded_beams(k)
+        explained += show_ends(ranges_m, directions, scans.poses[k], lattice, near, near)
         points += int(np.count_nonzero(np.isfinite(ranges_m)))
-    return found / points if points else np.nan
+    return explained / points if points else np.nan
 
 
 def near_walls(occupied: NDArray[np.uint16]) -> NDArray[np.int8]:
@@ -103,11 +103,11 @@ def near_walls(occupied: NDArray[np.uint16]) -> NDArray[np.int8]:
     """
     near = np.zeros(occupied.shape, np.int8)
     for around, inside, band in bands(occupied.shape, margin=1):
-        near[band][widened(occupied[around] > 0)[inside]] = OCCUPIED
+        near[band][dilate(occupied[around] > 0)[inside]] = OCCUPIED
     return near
 
 
-def widened(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def dilate(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return a mask (rows, cols) dilated by the eight neighbours of its cells."""
     around = np.pad(mask, 1)
     rows = around[:-2] | around[1:-1] | around[2:]

@@ -84,22 +84,22 @@ def relative_error(estimate: Trajectory, truth: Trajectory) -> RelativeError:
     )
 
 
-def matched(estimate: Trajectory, truth: Trajectory) -> tuple[Trajectory, Trajectory]:
+def associate(estimate: Trajectory, truth: Trajectory) -> tuple[Trajectory, Trajectory]:
     """Return the estimated poses that have a truth, and the true ones at the same times.
 
     The truth is interpolated; estimates before it, after it and in its longer gaps are left out.
     """
-    found = [(k, truth.at(int(stamp_ns), MAX_GAP_NS)) for k, stamp_ns in enumerate(estimate.stamps_ns)]
-    rows = [k for k, pose in found if pose is not None]
+    true_poses = [(k, truth.at(int(stamp_ns), MAX_GAP_NS)) for k, stamp_ns in enumerate(estimate.stamps_ns)]
+    rows = [k for k, pose in true_poses if pose is not None]
     stamps_ns = estimate.stamps_ns[rows]
-    true = Trajectory.of(stamps_ns.tolist(), [pose for _, pose in found if pose is not None])
+    true = Trajectory.of(stamps_ns.tolist(), [pose for _, pose in true_poses if pose is not None])
     return Trajectory(stamps_ns, estimate.xyyaw[rows]), true
 
 
 def position_errors(estimate: Trajectory, truth: Trajectory, *, aligned: bool) -> NDArray[np.float64]:
     """Return the position error of every pose, (n,), m, after alignment if ``aligned``; NaN without a truth."""
-    found = [truth.at(int(stamp_ns), MAX_GAP_NS) for stamp_ns in estimate.stamps_ns]
-    true_xy_m = np.array([(np.nan, np.nan) if pose is None else pose[:2] for pose in found]).reshape(-1, 2)
+    true_poses = [truth.at(int(stamp_ns), MAX_GAP_NS) for stamp_ns in estimate.stamps_ns]
+    true_xy_m = np.array([(np.nan, np.nan) if pose is None else pose[:2] for pose in true_poses]).reshape(-1, 2)
     known, xy_m = np.isfinite(true_xy_m[:, 0]), estimate.xyyaw[:, :2]
     if aligned and known.any():
         xy_m = transform_points(rigid_fit(xy_m[known], true_xy_m[known]), xy_m)

@@ -48,13 +48,13 @@ def wall_report(
     sections: Mapping[int, Sections], published: Sections | None, cuts: WallCuts | None, cell_m: float
 ) -> WallThicknessReport:
     """Return the summary of the sections at each hit threshold, of the published map, and of the cuts, unless None."""
-    found = {hits: summary(cut, cell_m) for hits, cut in sections.items()}
-    paper = found.get(PAPER_MIN_HITS)
+    by_hits = {hits: summary(cut, cell_m) for hits, cut in sections.items()}
+    paper = by_hits.get(PAPER_MIN_HITS)
     return WallThicknessReport(
         spread=absent() if cuts is None else wall_spread(cuts, cell_m),
         paper_cells=absent()
         if paper is None
         else PaperCells(PAPER_MIN_HITS, paper.median_cells, paper.p95_cells, paper.max_cells),
-        **{f"hits_{hits}": thickness for hits, thickness in found.items()},
+        **{f"hits_{hits}": thickness for hits, thickness in by_hits.items()},
         published_map=absent() if published is None else summary(published, cell_m),
     )

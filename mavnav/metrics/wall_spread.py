@@ -15,7 +15,7 @@ from mavnav.kernels.walls.profiles import wall_profiles
 from mavnav.kernels.walls.straight_beams import straight_beams
 from mavnav.metrics.fields import Measured, number
 from mavnav.metrics.journey import spread
-from mavnav.metrics.lines import linked
+from mavnav.metrics.lines import link
 from mavnav.metrics.wall_thickness import quantiles
 from mavnav.units import DEG, MM
 
@@ -130,12 +130,12 @@ def wall_points(scans: PlacedScans) -> tuple[Array, Array]:
     c, s = np.cos(scans.poses[:, 2]), np.sin(scans.poses[:, 2])
     turns = np.stack((c, s, -s, c), axis=1).reshape(-1, 2, 2)
     for k in spread(len(scans.poses), WALL_SCANS):
-        ranges_m, directions = scans.recorded(k)
+        ranges_m, directions = scans.recorded_beams(k)
         ends = ranges_m[:, None] * directions
-        found = straight_beams(ends, SPACING_M, RADII_M, LEAST_REACH, MAX_RATIO, MIN_POINTS)
-        on_wall = np.isfinite(found)
+        angles_rad = straight_beams(ends, SPACING_M, RADII_M, LEAST_REACH, MAX_RATIO, MIN_POINTS)
+        on_wall = np.isfinite(angles_rad)
         xy_m.append(ends[on_wall] @ turns[k] + scans.poses[k, :2])
-        direction.append(found[on_wall] + scans.poses[k, 2])
+        direction.append(angles_rad[on_wall] + scans.poses[k, 2])
     return np.concatenate(xy_m), np.concatenate(direction)
 
 
@@ -159,7 +159,7 @@ def _lengths(xy_m: Array, direction: Array) -> Array:
 
     Cuts next to each other across a blurred wall share the length.
     """
-    wall = linked(xy_m, direction, reach_m=LINK_M, across_m=ACROSS_M, turn_rad=TURN_RAD)
+    wall = link(xy_m, direction, reach_m=LINK_M, across_m=ACROSS_M, turn_rad=TURN_RAD)
     c, s = (np.bincount(wall, turn(2.0 * direction)) for turn in (np.cos, np.sin))
     mean = 0.5 * np.arctan2(s, c)[wall]
     along = xy_m[:, 0] * np.cos(mean) + xy_m[:, 1] * np.sin(mean)
@@ -202,7 +202,7 @@ def _ridges(halves: Array, bin_m: float) -> tuple[Array, Array, Array]:
     95 % of them, m, and the hits of the ridge per cell along the wall. The width is inf if a ridge has no end.
     """
     total = halves.sum(axis=1)
-    smooth = [_smoothed(part) for part in (total, halves[:, 0], halves[:, 1])]
+    smooth = [_smooth(part) for part in (total, halves[:, 0], halves[:, 1])]
     bins, rows = total.shape[1], np.arange(len(total))
     near = int(NEAR_M / bin_m)
     peak = bins // 2 - near + np.argmax(smooth[0][:, bins // 2 - near : bins // 2 + near + 1], axis=1)
@@ -224,7 +224,7 @@ def _ridges(halves: Array, bin_m: float) -> tuple[Array, Array, Array]:
     )
 
 
-def _smoothed(profile: Array) -> Array:
+def _smooth(profile: Array) -> Array:
     """Return the mean of each bin and its two neighbours."""
     padded = np.pad(profile, ((0, 0), (1, 1)))
     mean: Array = (padded[:, :-2] + padded[:, 1:-1] + padded[:, 2:]) / 3.0

@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.metrics.fields import number
-from mavnav.metrics.lines import Line, fit_line, linked, members
+from mavnav.metrics.lines import Line, fit_line, link, members
 from mavnav.metrics.wall_thickness import Sections, quantiles
 from mavnav.units import DEG, MM
 
@@ -28,7 +28,7 @@ STRAIGHT_CELLS: Final = 2.0
 """Largest spread of the sections of a straight wall about its line; a group with more is halved."""
 
 
-class Wall(Struct, frozen=True):
+class StraightWall(Struct, frozen=True):
     """A straight wall, in the map frame."""
 
     x_m: Annotated[float, number("middle of the wall")]
@@ -39,11 +39,11 @@ class Wall(Struct, frozen=True):
     p95_mm: Annotated[float, number("95 % of the wall, by length, is not thicker")]
 
 
-def straight_walls(sections: Sections, cell_m: float, origin_xy_m: tuple[float, float]) -> tuple[Wall, ...]:
+def straight_walls(sections: Sections, cell_m: float, origin_xy_m: tuple[float, float]) -> tuple[StraightWall, ...]:
     """Group sections into straight walls of at least ``LEAST_LENGTH_M``, the longest first."""
     xy_m = section_places(sections, cell_m, origin_xy_m)
     reach_m, across_m = max(REACH_M, REACH_CELLS * cell_m), ACROSS_CELLS * cell_m
-    groups = linked(xy_m, sections.direction_rad, reach_m=reach_m, across_m=across_m, turn_rad=TURN_RAD)
+    groups = link(xy_m, sections.direction_rad, reach_m=reach_m, across_m=across_m, turn_rad=TURN_RAD)
     pieces = [piece for group in members(groups) for piece in _straight_pieces(xy_m, sections.length_m, group, cell_m)]
     walls = [_wall(line, sections, group, cell_m) for line, group in pieces]
     return tuple(sorted(walls, key=lambda w: (-w.length_m, w.x_m, w.y_m)))
@@ -73,6 +73,6 @@ def _straight_pieces(
         yield from _straight_pieces(xy_m, weight, half, cell_m)
 
 
-def _wall(line: Line, sections: Sections, group: NDArray[np.intp], cell_m: float) -> Wall:
+def _wall(line: Line, sections: Sections, group: NDArray[np.intp], cell_m: float) -> StraightWall:
     _, p95, _ = quantiles(sections.thickness_cells[group], sections.length_m[group])
-    return Wall(line.x_m, line.y_m, line.direction_rad / DEG, line.length_m, p95, p95 * cell_m / MM)
+    return StraightWall(line.x_m, line.y_m, line.direction_rad / DEG, line.length_m, p95, p95 * cell_m / MM)

@@ -112,7 +112,7 @@ def _real(path: Path) -> Path:
 
 
 @contextmanager
-def staged(directory: Path, *, force: bool, marker: str = RUN_FILE) -> Iterator[Path]:
+def atomic_directory(directory: Path, *, force: bool, marker: str = RUN_FILE) -> Iterator[Path]:
     """Give a temporary directory beside ``directory`` that takes its name when the block ends well.
 
     On any failure it is removed, and what was there before stays. Raises OutputError where the disk says no.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 from msgspec import Struct, field
 
 from mavnav.errors import ExitCode
-from mavnav.mapping.occupancy_grid import known_part, occupancy
+from mavnav.mapping.occupancy_grid import known_area, occupancy
 from mavnav.metrics.wall_report import wall_report
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ class Truth(Struct, frozen=True):
     slice_m: tuple[float, float] | None = None
 
 
-class Mission(Struct, frozen=True):
+class MissionRecord(Struct, frozen=True):
     """What a simulated run knows besides: the scenario's file, the effective scenario, and how the mission ended.
 
     ``sha256`` and ``size_bytes`` are those of the file, which need not exist any more.
@@ -99,7 +99,7 @@ class Mission(Struct, frozen=True):
     errors: TruthErrors
 
 
-class Run(Struct, frozen=True, dict=True):
+class RunResult(Struct, frozen=True, dict=True):
     """A log, how it was run, what came out, and what was measured on its map.
 
     A mission of the simulator knows the truth besides. ``reference`` is the comparison with references,
@@ -118,7 +118,7 @@ class Run(Struct, frozen=True, dict=True):
     timing: Timing
     provenance: Provenance
     truth: Truth | None = None
-    mission: Mission | None = None
+    mission: MissionRecord | None = None
     reference: Reference | None = None
     true_map: TrueMap | None = None
     stopped: ExitCode | None = None
@@ -137,13 +137,13 @@ class Run(Struct, frozen=True, dict=True):
     @cached_property
     def walls(self) -> WallThicknessReport:
         """How thick the walls are."""
-        found = self.measured
-        return wall_report(found.sections, found.published, found.cuts, self.slam.grid.cell_m)
+        measured = self.measured
+        return wall_report(measured.sections, measured.published, measured.cuts, self.slam.grid.cell_m)
 
     @cached_property
     def known(self) -> Grid:
         """The known part of the map."""
-        return known_part(self.slam.grid)
+        return known_area(self.slam.grid)
 
     @property
     def cells(self) -> NDArray[np.int8]:
@@ -178,6 +178,6 @@ class Run(Struct, frozen=True, dict=True):
         return ExitCode.DAMAGED_INPUT if self.log.damage else ExitCode.DONE
 
 
-def base_frame(run: Run) -> str:
+def base_frame(run: RunResult) -> str:
     """Name the base's frame; an ``--extrinsic`` alone does not name it."""
     return (run.log.base_frame or "base_link").lstrip("/")

@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.errors import UsageError
-from mavnav.outputs.directory import RUN_FILE, file_sha256, staged
+from mavnav.outputs.directory import RUN_FILE, atomic_directory, file_sha256
 from mavnav.outputs.files.document import plain, plain_json, run_document, with_picture, write_metrics
 from mavnav.outputs.files.gridmap import write_npz, write_pgm, write_yaml
 from mavnav.outputs.files.sessions import recording_file, trajectory_file, write_poses, write_scans
@@ -29,17 +29,17 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection
     from pathlib import Path
 
-    from mavnav.outputs.run import Run
+    from mavnav.outputs.run import RunResult
 
 REPORT_FILE: Final = "report.html"
 
 
-def _late(module: str, run: Run, path: Path) -> None:
+def _late(module: str, run: RunResult, path: Path) -> None:
     """Call the ``write`` of a module that imports a heavy library, so that nobody waits for it before."""
     import_module(f"mavnav.outputs.{module}").write(run, path)
 
 
-WRITERS: Final[dict[str, Callable[[Run, Path], None]]] = {
+WRITERS: Final[dict[str, Callable[[RunResult, Path], None]]] = {
     "trajectory.tum": write_tum,
     "trajectory_base.tum": write_base_tum,
     "trajectory.csv": write_csv,
@@ -96,7 +96,7 @@ def check_groups(names: Collection[str]) -> None:
 
 
 def write_run(
-    run: Run, directory: Path, *, force: bool = False, report: bool = False, groups: Collection[str] | None = None
+    run: RunResult, directory: Path, *, force: bool = False, report: bool = False, groups: Collection[str] | None = None
 ) -> dict[str, Any]:
     """Write the files of a run and return its document, which is run.json; with ``report`` its page as well.
 
@@ -104,7 +104,7 @@ def write_run(
     directory appears complete or not at all. Raises OutputError where it exists (and ``force`` does not say to replace
     it), holds something else than a run, or cannot be written.
     """
-    with staged(directory, force=force) as folder:
+    with atomic_directory(directory, force=force) as folder:
         names = _names(run, groups)
         digests = {name: _write(WRITERS.get(name, write_slice), run, folder / name) for name in names}
         for name, write in _of_sessions(run, names).items():
@@ -123,7 +123,7 @@ def write_page(comparison: dict[str, Any], folder: Path) -> None:
     import_module("mavnav.outputs.report").write_report(comparison, folder, folder / REPORT_FILE)
 
 
-def _names(run: Run, groups: Collection[str] | None) -> list[str]:
+def _names(run: RunResult, groups: Collection[str] | None) -> list[str]:
     """Return the wanted files that can be written: some need more than every log contains."""
     chosen = GROUPS.keys() - _IF_NAMED if groups is None else GROUPS if ALL in groups else groups
     wanted = {name for group in chosen for name in GROUPS[group]}
@@ -136,9 +136,9 @@ def _names(run: Run, groups: Collection[str] | None) -> list[str]:
     return [*(name for name in WRITERS if name in wanted and known.get(name, True)), *by_height]
 
 
-def _of_sessions(run: Run, names: Collection[str]) -> dict[str, Callable[[Run, Path], None]]:
+def _of_sessions(run: RunResult, names: Collection[str]) -> dict[str, Callable[[RunResult, Path], None]]:
     """Return the files of the sessions of a continued run, with their writers: of the groups that are written."""
-    writers: dict[str, Callable[[Run, Path], None]] = {}
+    writers: dict[str, Callable[[RunResult, Path], None]] = {}
     for number, session in enumerate(run.earlier):
         if "trajectory.tum" in names:
             writers[trajectory_file(session.name)] = partial(_poses_of, number)
@@ -147,15 +147,15 @@ def _of_sessions(run: Run, names: Collection[str]) -> dict[str, Callable[[Run, P
     return writers
 
 
-def _poses_of(number: int, run: Run, path: Path) -> None:
+def _poses_of(number: int, run: RunResult, path: Path) -> None:
     write_poses(run.earlier[number].map_T_laser, path)
 
 
-def _scans_of(number: int, run: Run, path: Path) -> None:
+def _scans_of(number: int, run: RunResult, path: Path) -> None:
     write_scans(run.earlier[number].scans(), path)
 
 
-def _write(write: Callable[[Run, Path], None], run: Run, path: Path) -> str:
+def _write(write: Callable[[RunResult, Path], None], run: RunResult, path: Path) -> str:
     """Write one file and return its SHA-256."""
     with Stage("pictures" if path.suffix == ".png" else "outputs"):
         write(run, path)

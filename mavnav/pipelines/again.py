@@ -133,7 +133,9 @@ def simulation_again(run: EarlierRun) -> dict[str, Any]:
     from mavnav.simulation.world import Scenario  # noqa: PLC0415  models take time to build
 
     return {
-        "scenario": read_model(Scenario, layer_of(json.dumps(run.document["scenario"]), name).renamed(key_now), name),
+        "scenario": read_model(
+            Scenario, layer_of(json.dumps(run.document["scenario"]), name).rename_keys(key_now), name
+        ),
         "path": run.path(source["path"]),
         "content": (source["sha256"], source["size_bytes"]),
         "report": (run.directory / REPORT_FILE).is_file(),
@@ -156,7 +158,7 @@ def run_layer(directory: str | Path) -> Layer:
 def _layer(document: dict[str, Any], path: Path) -> Layer:
     from mavnav.config.yaml_layers import layer_of  # noqa: PLC0415  yaml takes 10 ms to load
 
-    return layer_of(json.dumps(document["config"]), str(path)).renamed(key_now)
+    return layer_of(json.dumps(document["config"]), str(path)).rename_keys(key_now)
 
 
 def _same_log(run: EarlierRun, log: Path | None) -> Path:

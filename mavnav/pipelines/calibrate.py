@@ -15,11 +15,11 @@ from mavnav.errors import ExitCode, TopicError, UsageError, worst
 from mavnav.logs import check_log, open_log
 from mavnav.logs.formats.detect import log_name
 from mavnav.metrics.calibration.motion import motions_of
-from mavnav.metrics.calibration.quantities import KINDS, LEAST_TURN_RAD, Calibration, calibration_of, motion_of, refused
+from mavnav.metrics.calibration.quantities import KINDS, LEAST_TURN_RAD, Calibration, calibration_of, motion_of, refusal
 from mavnav.outputs.directory import check_apart
 from mavnav.outputs.files.document import to_json
 from mavnav.outputs.pictures import calibration_picture
-from mavnav.outputs.report.summary_page import calibration_summary, drawn, write_summary
+from mavnav.outputs.report.summary_page import calibration_summary, draw_png, write_summary
 from mavnav.outputs.single_file import check_file, write_file
 from mavnav.pipelines.calibration_lines import option_of, reading_options, replay_line, transform_line
 from mavnav.scan import LONGEST_SWEEP
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from mavnav.config.models import Config
     from mavnav.logs import Log
     from mavnav.metrics.calibration.motion import Motions
-    from mavnav.metrics.calibration.quantities import Quantity
+    from mavnav.metrics.calibration.quantities import QuantityValue
     from mavnav.profiling import Progress
     from mavnav.slam.result import SlamResult
 
@@ -75,7 +75,7 @@ def calibrate(request: CalibrationRequest, progress: Progress) -> dict[str, Any]
     progress("calibrating", 0, None)
     motions = _motions(log, outcome)
     why = _doubtful(outcome)
-    result = refused(why, motion_of(motions)) if why else calibration_of(motions)
+    result = refusal(why, motion_of(motions)) if why else calibration_of(motions)
     document = _document(request, log, outcome, result)
     _write(request, document, result, motions)
     return document
@@ -196,7 +196,7 @@ def _motion(result: Calibration) -> dict[str, Any]:
     }
 
 
-def _row(quantity: Quantity, log: Log) -> dict[str, Any]:
+def _row(quantity: QuantityValue, log: Log) -> dict[str, Any]:
     """Describe a quantity: what was found, what the log says now, and whether they agree."""
     kind, value, ci95 = quantity.kind, quantity.value, quantity.ci95
     in_log = _in_log(kind.name, log)
@@ -264,7 +264,7 @@ def _write(request: CalibrationRequest, document: dict[str, Any], result: Calibr
     if request.picture and picture:
         write_file(request.picture, picture, force=request.force)
     if request.report:
-        summary = calibration_summary(document, title, drawn(picture) if picture else None)
+        summary = calibration_summary(document, title, draw_png(picture) if picture else None)
         write_file(request.report, partial(write_summary, summary), force=request.force)
 
 

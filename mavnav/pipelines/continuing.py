@@ -79,7 +79,7 @@ def version_warning(run: FinishedRun) -> str:
     return "" if same else f"{run.directory} is of mavnav {run.version}, this is {__version__}; maps may differ"
 
 
-def continued_run(
+def continue_run(
     run: FinishedRun,
     earlier: Sequence[Session],
     outcome: SlamResult,
@@ -104,7 +104,7 @@ def continued_run(
 
     doubtful = outcome.lost_for_good or bool(outcome.doubt and outcome.doubt.high)
     session = make_session(name, scans, trajectory, config, doubtful=doubtful)
-    group, join = _joined(session, earlier, config, progress)
+    group, join = _join(session, earlier, config, progress)
     if group is None:
         return Continuation(outcome, section(run, join, ()))
     placed = trajectories(group)
@@ -120,7 +120,7 @@ def continued_run(
     return Continuation(in_map(outcome, moved[-1], grid), section(run, join, moved[:-1]), tuple(moved[:-1]))
 
 
-def _joined(
+def _join(
     session: Session, earlier: Sequence[Session], config: Config, progress: Progress
 ) -> tuple[SessionGroup | None, Join]:
     """Join a session to those of a run; None, and the reason, if the evidence does not suffice."""

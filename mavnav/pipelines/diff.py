@@ -12,12 +12,12 @@ from mavnav.errors import ExitCode, UsageError
 from mavnav.ground_truth.map_file import map_files, read_map
 from mavnav.kernels.machine.building import prepare
 from mavnav.kernels.maps import raycast  # noqa: F401  it is compiled with the others
-from mavnav.mapping.occupancy_grid import known_part, occupied_xy_m
+from mavnav.mapping.occupancy_grid import known_area, occupied_xy_m
 from mavnav.metrics.map_difference import View, difference
 from mavnav.outputs.directory import check_apart
 from mavnav.outputs.files.gridmap import read_npz
 from mavnav.outputs.pictures import difference_picture
-from mavnav.outputs.report.summary_page import diff_summary, drawn, write_summary
+from mavnav.outputs.report.summary_page import diff_summary, draw_png, write_summary
 from mavnav.outputs.single_file import check_file, write_file
 from mavnav.sessions.map_alignment import align
 from mavnav.slam.matching.prior_map import PriorMap, prior_map_of
@@ -66,12 +66,12 @@ def diff_maps(request: DiffRequest, progress: Progress) -> dict[str, Any]:
     progress("aligning", 0, None)
     alignment = align(a, b, Config())
     view_a, view_b = View(a.grid), View(b.grid)
-    found = alignment and difference(view_a, view_b, alignment.a_T_b)
-    if alignment is None or found is None or found.same_share < LEAST_SAME:
+    result = alignment and difference(view_a, view_b, alignment.a_T_b)
+    if alignment is None or result is None or result.same_share < LEAST_SAME:
         document, picture = _document(request, None, None), None
     else:
-        document, title = _document(request, alignment, found), f"{request.a} -> {request.b}"
-        picture = partial(difference_picture.write, view_a, view_b, alignment.a_T_b, found, title)
+        document, title = _document(request, alignment, result), f"{request.a} -> {request.b}"
+        picture = partial(difference_picture.write, view_a, view_b, alignment.a_T_b, result, title)
     if request.picture or request.report:
         progress("writing", 0, None)
         _write(request, document, picture)
@@ -83,7 +83,7 @@ def _write(request: DiffRequest, document: dict[str, Any], picture: Callable[[Pa
     if request.picture and picture:
         write_file(request.picture, picture, force=request.force)
     if request.report:
-        summary = diff_summary(document, drawn(picture) if picture else None)
+        summary = diff_summary(document, draw_png(picture) if picture else None)
         write_file(request.report, partial(write_summary, summary), force=request.force)
 
 
@@ -93,7 +93,7 @@ def read_walls(path: Path) -> PriorMap:
         raise UsageError(f"{path}: no such file; name a run directory, or the YAML file of a map")
     if path.is_dir():
         try:
-            grid = known_part(read_npz(path / "hits.npz"))
+            grid = known_area(read_npz(path / "hits.npz"))
         except (OSError, ValueError) as error:
             reason = f"hits.npz: {error.strerror}" if isinstance(error, OSError) else error
             raise UsageError(f"{path} holds no map of a run ({reason}); name a run directory, or a map.yaml") from error
@@ -108,16 +108,16 @@ def read_walls(path: Path) -> PriorMap:
     return known
 
 
-def _document(request: DiffRequest, alignment: Alignment | None, found: Difference | None) -> dict[str, Any]:
-    changes = [] if found is None else found.changes
-    code = ExitCode.GATE_FAILED if found is None else ExitCode.DONE
+def _document(request: DiffRequest, alignment: Alignment | None, result: Difference | None) -> dict[str, Any]:
+    changes = [] if result is None else result.changes
+    code = ExitCode.GATE_FAILED if result is None else ExitCode.DONE
     return {
         "schema_version": SCHEMA_VERSION,
         "mavnav_version": __version__,
         "a": str(request.a),
         "b": str(request.b),
         "alignment": alignment and _alignment(alignment),
-        **(dict.fromkeys(NUMBERS) if found is None else _numbers(found)),
+        **(dict.fromkeys(NUMBERS) if result is None else _numbers(result)),
         "changes": [
             {
                 "number": number,
@@ -134,13 +134,13 @@ def _document(request: DiffRequest, alignment: Alignment | None, found: Differen
     }
 
 
-def _numbers(found: Difference) -> dict[str, float]:
-    gone_m2, new_m2 = found.m2("gone"), found.m2("new")
-    kinds = [change.kind for change in found.changes]
-    moved = sum(change.moved_with is not None for change in found.changes) // 2
+def _numbers(result: Difference) -> dict[str, float]:
+    gone_m2, new_m2 = result.m2("gone"), result.m2("new")
+    kinds = [change.kind for change in result.changes]
+    moved = sum(change.moved_with is not None for change in result.changes) // 2
     values = (
-        round(found.compared_m2, 3),
-        round(found.same_share, 4),
+        round(result.compared_m2, 3),
+        round(result.same_share, 4),
         *(round(m2, 4) for m2 in (gone_m2, new_m2, gone_m2 + new_m2)),
         kinds.count("gone"),
         kinds.count("new"),
@@ -149,14 +149,14 @@ def _numbers(found: Difference) -> dict[str, float]:
     return dict(zip(NUMBERS, values, strict=True))
 
 
-def _alignment(found: Alignment) -> dict[str, float]:
+def _alignment(alignment: Alignment) -> dict[str, float]:
     """Describe the alignment; adding 0 turns -0.0 into 0.0."""
-    x_m, y_m, yaw_rad = found.a_T_b
+    x_m, y_m, yaw_rad = alignment.a_T_b
     return {
         "x_m": round(x_m, 4) + 0.0,
         "y_m": round(y_m, 4) + 0.0,
         "yaw_deg": round(yaw_rad / DEG, 3) + 0.0,
-        "places": found.taken,
-        "agreeing": found.agreeing,
-        "rms_mm": round(found.cost_m2**0.5 / MM, 1),
+        "places": alignment.taken,
+        "agreeing": alignment.agreeing,
+        "rms_mm": round(alignment.cost_m2**0.5 / MM, 1),
     }

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from mavnav.config.named_files import read_json
 from mavnav.errors import MavnavError, UsageError, reason_of
 from mavnav.ground_truth.map_file import read_map
-from mavnav.ground_truth.references import References, check_times, compared
+from mavnav.ground_truth.references import References, check_times, compare_to
 from mavnav.ground_truth.tables import read_tum
 from mavnav.kernels.machine.building import prepare
 from mavnav.logs import open_log
@@ -21,7 +21,7 @@ from mavnav.metrics.journey import Journey
 from mavnav.metrics.lines import half_turn
 from mavnav.metrics.map_quality import MapQuality, measure_map
 from mavnav.metrics.wall_report import wall_report
-from mavnav.metrics.walls import Wall
+from mavnav.metrics.walls import StraightWall
 from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.files.document import plain
 from mavnav.outputs.files.gridmap import read_npz
@@ -42,7 +42,7 @@ NEEDED_FILES: Final = ("hits.npz", "trajectory.tum", "result.mcap")
 LATE_S: Final = 1e-3
 """Times are written in s to about 1 us."""
 
-Place = TypeVar("Place", GhostWall, Wall)
+Place = TypeVar("Place", GhostWall, StraightWall)
 
 
 class Subject(Struct, frozen=True):
@@ -58,7 +58,7 @@ class Subject(Struct, frozen=True):
     begins_late: bool = False
 
     @property
-    def counted(self) -> bool:
+    def has_counts(self) -> bool:
         """Whether hits and crossings are counts; a map file only separates occupied from free."""
         return self.kind == "run"
 
@@ -152,35 +152,35 @@ def _document(path: Path, what: Subject, references: References) -> dict[str, An
     grid = what.grid
     if what.trajectory is not None and len(what.trajectory):
         check_times(references, *(int(what.trajectory.stamps_ns[k]) for k in (0, -1)))
-    found = measure_map(grid, what.journey, counted=what.counted)
+    measured = measure_map(grid, what.journey, counted=what.has_counts)
     if references.of_first_scan and what.begins_late:
         raise UsageError(
             f"{path}: its map begins after the first scan of the mission, to which the walls of a scenario are "
             "relative; give the true walls as a map file in the frame of the map"
         )
-    sections = found.sections if what.counted else {}  # a map file has no counts
-    reference = compared(references, what.trajectory, transform_points(what.map_T_grid, occupied_xy_m(grid)))
+    sections = measured.sections if what.has_counts else {}  # a map file has no counts
+    reference = compare_to(references, what.trajectory, transform_points(what.map_T_grid, occupied_xy_m(grid)))
     document: dict[str, Any] = plain(
         {
             "path": str(path),
             "kind": what.kind,
             "cell_mm": grid.cell_m / MM,
-            "wall_thickness": wall_report(sections, found.published, found.cuts, grid.cell_m),
-            "map_quality": _seen_from_map(found.quality, what.map_T_grid),
+            "wall_thickness": wall_report(sections, measured.published, measured.cuts, grid.cell_m),
+            "map_quality": _to_map_frame(measured.quality, what.map_T_grid),
             "reference": reference or ABSENT,
         }
     )
     return document
 
 
-def _seen_from_map(quality: MapQuality, map_T_grid: Pose) -> MapQuality:
+def _to_map_frame(quality: MapQuality, map_T_grid: Pose) -> MapQuality:
     """Bring the places of a map file's walls to the map frame."""
     ghosts = quality.ghost_walls
-    places = tuple(_moved(place, map_T_grid) for place in ghosts.places)
-    walls = tuple(_moved(wall, map_T_grid) for wall in quality.walls)
+    places = tuple(_transform_place(place, map_T_grid) for place in ghosts.places)
+    walls = tuple(_transform_place(wall, map_T_grid) for wall in quality.walls)
     return replace(quality, ghost_walls=replace(ghosts, places=places), walls=walls)
 
 
-def _moved(place: Place, a_T_b: Pose) -> Place:
+def _transform_place(place: Place, a_T_b: Pose) -> Place:
     turned = a_T_b @ Pose(place.x_m, place.y_m, place.direction_deg * DEG)
     return replace(place, x_m=turned.x_m, y_m=turned.y_m, direction_deg=half_turn(turned.yaw_rad) / DEG)

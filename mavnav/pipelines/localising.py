@@ -40,9 +40,9 @@ def known_map(path: Path | None, start_pose: Pose | None, method: str) -> PriorM
 def localisation(path: Path, start_pose: Pose | None, outcome: SlamResult) -> Localisation:
     """Return the section of run.json on localization in a known map: the given start pose, and the one found."""
     first = next((step for step in outcome.steps if step.tracked), None)
-    found = first and first.match.map_T_laser
+    pose = first and first.match.map_T_laser
     return Localisation(
         map=str(path),
         start_pose=start_pose and StartPose(start_pose.x_m, start_pose.y_m, start_pose.yaw_rad / DEG),
-        found=FoundPose(first.index, found.x_m, found.y_m, found.yaw_rad / DEG) if first and found else None,
+        found=FoundPose(first.index, pose.x_m, pose.y_m, pose.yaw_rad / DEG) if first and pose else None,
     )

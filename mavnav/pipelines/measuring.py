@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mavnav.mapping.occupancy_grid import known_part, measured_part
-from mavnav.mapping.slices import placed_with_heights, sliced
+from mavnav.mapping.occupancy_grid import known_area, measured_area
+from mavnav.mapping.slices import scans_with_heights, slice_map
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import measure_map
 from mavnav.profiling import Stage, timed
@@ -26,7 +26,7 @@ def measured_map(outcome: SlamResult, log: Log) -> MeasuredMap:
     journey = Journey(
         outcome.trajectory, log.scans, outcome.tracked_share, outcome.lost_for_good, planar=outcome.planar
     )
-    return measure_map(measured_part(outcome.grid), journey)
+    return measure_map(measured_area(outcome.grid), journey)
 
 
 def map_slices_of(outcome: SlamResult, log: Log, config: Config) -> Slices | None:
@@ -35,8 +35,8 @@ def map_slices_of(outcome: SlamResult, log: Log, config: Config) -> Slices | Non
     if attitude is None or not attitude.has_heights:
         return None
 
-    def placed() -> Iterator[PlacedScan]:
-        return placed_with_heights(log.scans(), outcome.trajectory, attitude.height_at)
+    def place_scans() -> Iterator[PlacedScan]:
+        return scans_with_heights(log.scans(), outcome.trajectory, attitude.height_at)
 
     with Stage("slices"):
-        return sliced(placed, known_part(outcome.grid), config.slice_m)
+        return slice_map(place_scans, known_area(outcome.grid), config.slice_m)

@@ -23,8 +23,8 @@ from mavnav.errors import (
 )
 from mavnav.logs import check_log
 from mavnav.logs.formats.detect import log_name
-from mavnav.mapping.occupancy_grid import Grid, known_part, occupancy
-from mavnav.outputs.directory import MERGE_FILE, RUN_FILE, check_directory, file_sha256, staged
+from mavnav.mapping.occupancy_grid import Grid, known_area, occupancy
+from mavnav.outputs.directory import MERGE_FILE, RUN_FILE, atomic_directory, check_directory, file_sha256
 from mavnav.outputs.files.document import plain, to_json
 from mavnav.outputs.files.gridmap import write_npz, write_pgm, write_yaml
 from mavnav.outputs.files.sessions import evidence, recording_file, trajectory_file, write_poses, write_scans
@@ -115,7 +115,7 @@ def merge(request: MergeRequest, progress: Progress) -> dict[str, Any]:
         grid, poses = merged_map(
             group.sessions, placed, request.config, framing, lambda phase, done: progress(phase, done, total)
         )
-        drawn = MergedMap(known_part(grid))
+        drawn = MergedMap(known_area(grid))
         members = [replace(session, map_T_laser=path) for session, path in zip(group.sessions, poses, strict=True)]
         progress("writing", 0, None)
         return _write(request, drawn, members, _document(request, inputs, [*group.joins, *refused], members))
@@ -145,26 +145,26 @@ def _is_run(path: Path) -> bool:
 def session_names(inputs: tuple[Path, ...]) -> list[str]:
     """Name sessions after their logs or run directories; those of one name get numbers that no other name has."""
     plain = [log_name(path) for path in inputs]
-    found: list[str] = []
+    names: list[str] = []
     for name in plain:
         numbered = (f"{name}-{number}" for number in count(1))
-        free = (other for other in numbered if other not in plain and other not in found)
-        found.append(name if plain.count(name) == 1 else next(free))
-    return found
+        free = (other for other in numbered if other not in plain and other not in names)
+        names.append(name if plain.count(name) == 1 else next(free))
+    return names
 
 
 def _input(name: str, path: Path, request: MergeRequest, folder: Path, progress: Progress) -> Input:
     """Read a run, or replay a log."""
     run = None
     try:
-        run = _run(path) if _is_run(path) else _replayed(name, path, request, folder, progress)
+        run = _run(path) if _is_run(path) else _replay(name, path, request, folder, progress)
         session = _read(name, run, request.config)
     except NoScansError as error:
         return Input(name, path, run=run.document if run else None, why=str(error))
     return Input(name, path, session if session.keys else None, run.document, "no scan was tracked")
 
 
-def _replayed(name: str, log: Path, request: MergeRequest, folder: Path, progress: Progress) -> FinishedRun:
+def _replay(name: str, log: Path, request: MergeRequest, folder: Path, progress: Progress) -> FinishedRun:
     """Replay a log; return its run."""
     wanted = ReplayRequest(log, folder / name, request.config, outputs=("trajectory", "mcap"))
     try:
@@ -177,7 +177,7 @@ def _replayed(name: str, log: Path, request: MergeRequest, folder: Path, progres
 def _run(path: Path) -> FinishedRun:
     """Return the run in a directory; raises UsageError where it is none of one session."""
     run = finished_run(path)
-    if len(run.stored) != 1 or "sessions" in run.document:
+    if len(run.stored_sessions) != 1 or "sessions" in run.document:
         raise UsageError(f"{path} has several sessions; add others to it with mavnav replay --continue {path} LOG")
     return run
 
@@ -185,7 +185,7 @@ def _run(path: Path) -> FinishedRun:
 def _read(name: str, run: FinishedRun, config: Config) -> Session:
     """Read the scans and poses of a run; raises UsageError where it is not whole."""
     try:
-        return run.session(run.stored[0], config, name)
+        return run.session(run.stored_sessions[0], config, name)
     except NoScansError:
         raise
     except (OSError, ValueError, LookupError, TypeError, MavnavError) as error:
@@ -203,7 +203,7 @@ def _first(group: SessionGroup, sessions: list[Session]) -> int:
 def _write(request: MergeRequest, drawn: MergedMap, members: list[Session], document: dict[str, Any]) -> dict[str, Any]:
     """Write all files; return the document with their digests."""
     paths = {session.name: session.map_T_laser for session in members}
-    with staged(request.directory, force=request.force, marker=MERGE_FILE) as folder:
+    with atomic_directory(request.directory, force=request.force, marker=MERGE_FILE) as folder:
         write_pgm(drawn, folder / "map.pgm")
         write_yaml(drawn, folder / "map.yaml")
         write_npz(drawn, folder / "hits.npz")
@@ -240,7 +240,7 @@ def _document(request: MergeRequest, inputs: list[Input], joins: list[Join], mem
 def _row(given: Input, join: Join, paths: dict[str, Trajectory]) -> dict[str, Any]:
     """Describe what became of an input."""
     own, run, joined = given.session and given.session.map_T_laser, given.run or {}, given.name in paths
-    found: dict[str, Any] = plain(evidence(join))
+    placement: dict[str, Any] = plain(evidence(join))
     return {
         "name": given.name,
         "input": str(given.path),
@@ -250,7 +250,7 @@ def _row(given: Input, join: Join, paths: dict[str, Trajectory]) -> dict[str, An
         "trajectory": trajectory_file(given.name) if joined else None,
         "recording": recording_file(given.name) if joined else None,
         "map_T_session": _pose(frame_of([own], [paths[given.name]])) if own and joined else None,
-        **found,
+        **placement,
         "tracking": {key: run["tracking"].get(key) for key in TRACKING} if run else None,
         "damage": run.get("damage", []),
     }

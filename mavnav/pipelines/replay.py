@@ -16,7 +16,7 @@ from mavnav.config.models import OdometryConfig
 from mavnav.config.option_kinds import recorded_topic
 from mavnav.config.options import ReplayOptions, paths_of, reference_files
 from mavnav.errors import ExitCode, StoppedError, UsageError
-from mavnav.ground_truth.references import compared, load_references
+from mavnav.ground_truth.references import compare_to, load_references
 from mavnav.logs import check_log, open_log
 from mavnav.logs.formats.detect import log_name
 from mavnav.mapping.occupancy_grid import occupied_xy_m
@@ -24,7 +24,7 @@ from mavnav.metrics.trajectory_error import position_errors
 from mavnav.outputs.directory import check_directory
 from mavnav.outputs.documents.options_section import options_section
 from mavnav.outputs.documents.provenance import Typed, provenance, utc_now
-from mavnav.outputs.run import Run, Timing
+from mavnav.outputs.run import RunResult, Timing
 from mavnav.outputs.writers import check_groups, write_run
 from mavnav.pipelines.again import replay_words
 from mavnav.pipelines.localising import known_map, localisation
@@ -142,7 +142,7 @@ def replay_log(
     compile_s: float,
     stoppable: Callable[[], AbstractContextManager[Stop]] = _unstoppable,
     startup_s: float = 0.0,
-) -> tuple[Run, dict[str, Any]]:
+) -> tuple[RunResult, dict[str, Any]]:
     """Run the whole job and return the run with its document (run.json).
 
     ``compile_s`` is what it took to import this module, ``startup_s`` what the process took before, for the profile.
@@ -198,7 +198,7 @@ def _track_and_write(
     progress: Progress,
     stop: Stop,
     began: Timing,
-) -> tuple[Run, dict[str, Any]]:
+) -> tuple[RunResult, dict[str, Any]]:
     """Track, measure and write; ``began`` holds the clocks as they stood at the start."""
     outcome = _track(log, request.config, given.known, progress, stop)
     stopped = stop()
@@ -213,13 +213,13 @@ def _track_and_write(
     timing = changed(began, wall_s=perf_counter() - began.wall_s, cpu_s=process_time() - began.cpu_s)
     slices = map_slices_of(outcome, log, request.config)
     truth, known = references.truth, request.options.get("map")
-    run = Run(
+    run = RunResult(
         log=log,
         config=request.config,
         slam=outcome,
         measured=measured,
         timing=timing,
-        reference=compared(references, outcome.trajectory, occupied_xy_m(outcome.grid)),
+        reference=compare_to(references, outcome.trajectory, occupied_xy_m(outcome.grid)),
         true_map=references.true_map,
         position_errors_m=position_errors(outcome.trajectory, truth, aligned=True) if truth else None,
         stopped=stopped,
@@ -241,10 +241,10 @@ def _continue(
     """Place the log in the map of the run that it continues; None without one."""
     if given.run is None:
         return None
-    from mavnav.pipelines.continuing import continued_run  # noqa: PLC0415  few runs need it
+    from mavnav.pipelines.continuing import continue_run  # noqa: PLC0415  few runs need it
 
     with Stage("joining"):
-        return continued_run(given.run, given.earlier, outcome, log, config, progress, stopped=stopped)
+        return continue_run(given.run, given.earlier, outcome, log, config, progress, stopped=stopped)
 
 
 def _open(request: ReplayRequest, progress: Progress) -> Log:
@@ -275,10 +275,10 @@ def with_corrected_odometry(log: Log, config: Config) -> Log:
     given, odometry = config.odometry, log.odometry
     if odometry is None or given == OdometryConfig():
         return log
-    from mavnav.metrics.calibration.motion import Wheels, corrected  # noqa: PLC0415  few runs need it
+    from mavnav.metrics.calibration.motion import Wheels, apply_calibration  # noqa: PLC0415  few runs need it
 
     wheels = Wheels(given.distance_scale, given.turn_scale, given.veer_deg_per_m * DEG)
-    odom_T_base = corrected(odometry.odom_T_base, given.offset_s, wheels)
+    odom_T_base = apply_calibration(odometry.odom_T_base, given.offset_s, wheels)
     odom_T_laser = odom_T_base.compose(log.base_T_laser or Pose())
     return changed(log, odometry=changed(odometry, odom_T_base=odom_T_base, odom_T_laser=odom_T_laser))
 

@@ -42,7 +42,7 @@ class FinishedRun(Struct, frozen=True):
     def check(self) -> None:
         """Raise LookupError, TypeError, AttributeError or ValueError where the document lacks what is needed."""
         continued = self.document.get("continued")
-        names = [name for each in self.stored for name in (each.name, each.trajectory, each.recording)]
+        names = [name for each in self.stored_sessions for name in (each.name, each.trajectory, each.recording)]
         plain = names and all(Path(name).name == name for name in names)
         whole = continued is None or {"joined", "run"} <= continued.keys()
         if not (plain and whole and all(isinstance(self.document[key], dict) for key in ("outputs", "config"))):
@@ -54,10 +54,10 @@ class FinishedRun(Struct, frozen=True):
         return str(self.document["mavnav_version"])
 
     @property
-    def stored(self) -> list[Stored]:
+    def stored_sessions(self) -> list[Stored]:
         """The sessions in the map, in the order in which they were added."""
         if "sessions" in self.document:
-            return [_merged(row) for row in self.document["sessions"] if row["joined"]]
+            return [_stored_session(row) for row in self.document["sessions"] if row["joined"]]
         earlier = self.document.get("continued", {"sessions": []})["sessions"]
         own = Stored(self.own_name, *OWN_FILES, is_doubtful(self.document["tracking"]))
         return [*(Stored(s["name"], s["trajectory"], s["recording"], s["doubtful"]) for s in earlier), own]
@@ -70,7 +70,7 @@ class FinishedRun(Struct, frozen=True):
 
     def sessions(self, config: Config) -> list[Session]:
         """Read all sessions; raises UsageError where a file is missing, or another one than was written."""
-        return [self.session(stored, config) for stored in self.stored]
+        return [self.session(stored, config) for stored in self.stored_sessions]
 
     def session(self, stored: Stored, config: Config, name: str = "") -> Session:
         """Read a session.
@@ -94,7 +94,7 @@ class FinishedRun(Struct, frozen=True):
             raise UsageError(f"{name} has been altered since it was written")
 
 
-def _merged(row: dict[str, Any]) -> Stored:
+def _stored_session(row: dict[str, Any]) -> Stored:
     doubtful = is_doubtful(row["tracking"])
     return Stored(row["name"], trajectory_file(row["name"]), recording_file(row["name"]), doubtful)
 

@@ -15,7 +15,7 @@ from msgspec.structs import asdict, replace
 
 from mavnav.atomic_files import short_name, temporary_folder
 from mavnav.errors import NoScansError, UsageError
-from mavnav.ground_truth.references import LEAST_POSES, References, compared
+from mavnav.ground_truth.references import LEAST_POSES, References, compare_to
 from mavnav.ground_truth.true_map import of_scenario
 from mavnav.logs import open_log
 from mavnav.logs.writing.recorder import Recording, check_recording, record
@@ -25,7 +25,7 @@ from mavnav.outputs.directory import check_apart, check_directory, check_parent
 from mavnav.outputs.documents.provenance import Typed, provenance, utc_now
 from mavnav.outputs.documents.run_json import MissionResult, TruthErrors
 from mavnav.outputs.pictures.animation import animate, check_animation
-from mavnav.outputs.run import Mission, Run, Timing, Truth, WallShapes
+from mavnav.outputs.run import MissionRecord, RunResult, Timing, Truth, WallShapes
 from mavnav.outputs.writers import WRITERS, check_groups, write_run
 from mavnav.pipelines.measuring import map_slices_of, measured_map
 from mavnav.pose import Pose, rigid_fit
@@ -74,7 +74,9 @@ def simulation_directory(scenario: Scenario) -> Path:
     return Path("runs") / f"{short_name(scenario.name)}-{slam.method}-{slam.azimuth}-{slam.grid}"
 
 
-def simulate_mission(request: SimulationRequest, progress: Progress, compile_s: float) -> tuple[Run, dict[str, Any]]:
+def simulate_mission(
+    request: SimulationRequest, progress: Progress, compile_s: float
+) -> tuple[RunResult, dict[str, Any]]:
     """Fly a mission and return the run with its document (run.json).
 
     Raises what the steps raise: UsageError, OutputError; whether the outputs can be written is checked before the work.
@@ -93,13 +95,13 @@ def simulate_mission(request: SimulationRequest, progress: Progress, compile_s: 
             f"{request.path}: in {flight.mission.steps} scans the laser saw too little to begin a map; "
             "change its section, or move the start"
         )
-    recording = recorded(flight)
+    recording = recording_of(flight)
     progress("writing", 0, None)
     with temporary_folder() as folder:
         kept = folder / f"{short_name(request.scenario.name)}.mcap"
         record(recording, kept)
-        log = _opened(kept, request.scenario)
-        run = Run(
+        log = _open_recording(kept, request.scenario)
+        run = RunResult(
             log=log,
             config=request.scenario.slam,
             slam=flight.slam,
@@ -120,7 +122,7 @@ def simulate_mission(request: SimulationRequest, progress: Progress, compile_s: 
     return run, document
 
 
-def _opened(path: Path, scenario: Scenario) -> Log:
+def _open_recording(path: Path, scenario: Scenario) -> Log:
     """Open the recording of a mission, with the odometry that was used; scans are levelled as they were in flight."""
     log = open_log(path, odom="auto" if scenario.uses_odometry else "off", attitude=scenario.slam.attitude)
     if log.attitude is None:
@@ -150,7 +152,7 @@ def check_outputs(request: SimulationRequest) -> None:
         check_parent(request.animation)
 
 
-def recorded(flight: Flight) -> Recording:
+def recording_of(flight: Flight) -> Recording:
     """Return the flight as a recorder on the vehicle would have kept it, the truth beside it."""
     base_T_laser = flight.scenario.base_T_laser
     laser_T_base = base_T_laser.inverse()
@@ -182,7 +184,7 @@ def _truth(flight: Flight) -> Truth:
 def _reference(flight: Flight) -> Reference | None:
     """Compare the outcome with the truth as a replay with ``--truth`` and ``--truth-map`` does."""
     truth = References(truth=flight.map_T_laser, true_map=of_scenario(flight.scenario, flight.world_T_map))
-    return compared(truth, flight.slam.trajectory, occupied_xy_m(flight.slam.grid))
+    return compare_to(truth, flight.slam.trajectory, occupied_xy_m(flight.slam.grid))
 
 
 def _content(path: Path) -> tuple[str, int]:
@@ -191,11 +193,11 @@ def _content(path: Path) -> tuple[str, int]:
     return sha256(content).hexdigest(), len(content)
 
 
-def _mission(request: SimulationRequest, flight: Flight) -> Mission:
+def _mission(request: SimulationRequest, flight: Flight) -> MissionRecord:
     mission = flight.mission
     numbers = {name: value for name, value in asdict(mission).items() if name != "end"}
     digest, size_bytes = request.content or _content(request.path)
-    return Mission(
+    return MissionRecord(
         path=request.path,
         sha256=digest,
         size_bytes=size_bytes,

@@ -12,9 +12,9 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from mavnav.pose import Pose, Trajectory
-from mavnav.scan import levelled
+from mavnav.scan import level_scan
 from mavnav.simulation.obstacles import Obstacles
-from mavnav.simulation.planner.potential_field import Command, Planner
+from mavnav.simulation.planner.potential_field import MotionCommand, Planner
 from mavnav.simulation.vehicle import disturbance, sweeping, tilts_over, vehicle_of
 from mavnav.simulation.world import LaserModel, Scenario, laser_model, take_scan
 from mavnav.slam.matching.motion_model import Motion
@@ -107,7 +107,7 @@ def fly(scenario: Scenario, on_step: OnStep | None = None) -> Flight:
     end = End.STEP_LIMIT
     executing: Iterator[None] = iter(())
     coming = _scans(scenario, vehicle, scans)
-    for step in track(_levelled(coming, scenario, vehicle, seen), method, motion):
+    for step in track(_level(coming, scenario, vehicle, seen), method, motion):
         steps.append(step)
         if on_step:
             on_step("fly", len(steps))
@@ -124,7 +124,7 @@ def fly(scenario: Scenario, on_step: OnStep | None = None) -> Flight:
             end = End.COLLISION
             break
     flown = Track(lambda: seen, config, motion, method, steps, on_step=on_step)
-    return _landed(scenario, vehicle, scans, end, finish(flown))
+    return _sum_up(scenario, vehicle, scans, end, finish(flown))
 
 
 DONE = object()
@@ -163,7 +163,7 @@ class Pilot:
         map_T_laser, then = self.accepted or (Pose(), odom_T_laser)
         return map_T_laser @ then.between(odom_T_laser)
 
-    def decide(self, step: Step, here: Pose, grid: GridBuilder) -> Command | End:
+    def decide(self, step: Step, here: Pose, grid: GridBuilder) -> MotionCommand | End:
         """Plan the next command from a pose of `locate`, or end the mission.
 
         After a rejected match the vehicle carries on by dead reckoning, then hovers, and at last gives up.
@@ -180,7 +180,7 @@ class Pilot:
             return End.STEP_LIMIT
         self.commands += 1
         if blind > 0:
-            return Command()
+            return MotionCommand()
         plan = self.planner.plan(grid, here, (self.goals[0].x_m, self.goals[0].y_m))
         return End.STUCK if plan.stuck else plan.command
 
@@ -196,7 +196,7 @@ def _scans(scenario: Scenario, vehicle: Vehicle, scans: list[Scan]) -> Iterator[
         yield scans[-1]
 
 
-def _levelled(scans: Iterator[Scan], scenario: Scenario, vehicle: Vehicle, seen: list[Scan]) -> Iterator[Scan]:
+def _level(scans: Iterator[Scan], scenario: Scenario, vehicle: Vehicle, seen: list[Scan]) -> Iterator[Scan]:
     """Level the scans by the measured attitude, and keep them in ``seen``; without attitude they pass as they are."""
     if vehicle.body is None or not scenario.levels_scans:
         yield from scans
@@ -204,7 +204,7 @@ def _levelled(scans: Iterator[Scan], scenario: Scenario, vehicle: Vehicle, seen:
     ceiling_m = scenario.ceiling_m or inf
     for scan in scans:
         roll_rad, pitch_rad, height_m = tilts_over(vehicle.body.measured, scan.spec, vehicle.period_ns * NS)
-        seen.append(levelled(scan, roll_rad, pitch_rad, height_m, ceiling_m))
+        seen.append(level_scan(scan, roll_rad, pitch_rad, height_m, ceiling_m))
         yield seen[-1]
 
 
@@ -225,7 +225,7 @@ def _closest_m(scenario: Scenario, poses: list[Pose]) -> float:
     return min([sampled_m, *(scenario.obstacles.least_clearance_m(a, b) for a, b in long)])
 
 
-def _visited(xy_m: NDArray[np.float64], places: Sequence[XY], within_m: float) -> bool:
+def _passes_all(xy_m: NDArray[np.float64], places: Sequence[XY], within_m: float) -> bool:
     """Return whether the straight path through points (n, 2) passes all places in order, each within a distance."""
     before, moves = np.vstack((xy_m[:1], xy_m[:-1])), np.diff(xy_m, axis=0, prepend=xy_m[:1])
     squared = np.maximum((moves**2).sum(axis=1), np.finfo(np.float64).tiny)
@@ -239,7 +239,7 @@ def _visited(xy_m: NDArray[np.float64], places: Sequence[XY], within_m: float) -
     return True
 
 
-def _landed(scenario: Scenario, vehicle: Vehicle, scans: list[Scan], end: End, outcome: SlamResult) -> Flight:
+def _sum_up(scenario: Scenario, vehicle: Vehicle, scans: list[Scan], end: End, outcome: SlamResult) -> Flight:
     """Sum up a flight: only here does anybody look at the truth."""
     n = len(scans)
     stamps, world_T_base = vehicle.stamps_ns[:n], vehicle.world_T_base
@@ -251,7 +251,7 @@ def _landed(scenario: Scenario, vehicle: Vehicle, scans: list[Scan], end: End, o
     tolerance_m = TOLERANCE_RADII * scenario.goal_radius_m
     if end is End.GOAL and goal_distance_m > tolerance_m:
         end = End.WRONG_PLACE
-    elif end is End.GOAL and not _visited(xy_m, scenario.via_m, tolerance_m):
+    elif end is End.GOAL and not _passes_all(xy_m, scenario.via_m, tolerance_m):
         end = End.WRONG_WAY
     base = Trajectory.of(list(range(len(world_T_base))), world_T_base)
     mission = Mission(end, n, base.length_m, _closest_m(scenario, world_T_base), goal_distance_m)

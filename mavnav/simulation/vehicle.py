@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import Struct, field
 
 from mavnav.pose import Pose
-from mavnav.simulation.planner.potential_field import Command
+from mavnav.simulation.planner.potential_field import MotionCommand
 from mavnav.simulation.world import Body
 from mavnav.units import DEG, MM, NS
 
@@ -48,7 +48,7 @@ class Vehicle(Struct):
         k = (stamp_ns - START_NS) // self.period_ns
         return self.odom_T_base[k] @ self.base_T_laser if 0 <= k < len(self.odom_T_base) else None
 
-    def execute(self, command: Command, noise: Pose) -> Iterator[None]:
+    def execute(self, command: MotionCommand, noise: Pose) -> Iterator[None]:
         """Move by a command of the laser's frame, and by its error (paper, "Maneuver Performance"), scan by scan."""
         wanted = Pose(command.dx_m, command.dy_m, command.dyaw_rad)
         done = Pose(wanted.x_m + noise.x_m, wanted.y_m + noise.y_m, wanted.yaw_rad + noise.yaw_rad)
@@ -57,13 +57,13 @@ class Vehicle(Struct):
             self.body.command(command.dx_m, command.dy_m)
         for scan in range(1, self.scans_a_command + 1):
             share = scan / self.scans_a_command
-            self.odom_T_base.append(odom_T_base @ self._moved(wanted, share))
-            self.world_T_base.append(world_T_base @ self._moved(done, share))
+            self.odom_T_base.append(odom_T_base @ self._base_motion(wanted, share))
+            self.world_T_base.append(world_T_base @ self._base_motion(done, share))
             if self.body:
                 self.body.step()
             yield
 
-    def _moved(self, motion: Pose, share: float) -> Pose:
+    def _base_motion(self, motion: Pose, share: float) -> Pose:
         """Return the base's part of a motion of the laser."""
         part = Pose(share * motion.x_m, share * motion.y_m, share * motion.yaw_rad)
         return self.base_T_laser @ part @ self.base_T_laser.inverse()
@@ -77,11 +77,11 @@ def vehicle_of(scenario: Scenario, period_s: float) -> Vehicle:
     return Vehicle(scenario.base_T_laser, period_ns, scenario.scans_a_command, [start], body=body)
 
 
-def disturbance(scenario: Scenario, rng: np.random.Generator, command: Command) -> Pose:
+def disturbance(scenario: Scenario, rng: np.random.Generator, command: MotionCommand) -> Pose:
     """Draw the error of a command; one to hover has none unless ``hover_noise`` is set."""
     vehicle = scenario.vehicle
     x, y, yaw = rng.standard_normal(3)
-    if command == Command() and not scenario.recovery.hover_noise:
+    if command == MotionCommand() and not scenario.recovery.hover_noise:
         return Pose()
     return Pose(x * vehicle.noise_xy_mm * MM, y * vehicle.noise_xy_mm * MM, yaw * vehicle.noise_yaw_deg * DEG)
 

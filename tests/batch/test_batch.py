@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from mavnav.batch.options import Options, request_of
+from mavnav.batch.options import BatchOptions, request_of
 from mavnav.batch.plan import plan_batch
 from mavnav.batch.request import BatchPart
 from mavnav.batch.run import run_batch
@@ -76,7 +76,7 @@ def test_a_run_that_was_spoilt_is_made_again(home: Path, broken: str) -> None:
 
 
 def missing_runs() -> list[str]:
-    planned = plan_batch(request_of(Options(**OPTIONS)), lambda *args: None)
+    planned = plan_batch(request_of(BatchOptions(**OPTIONS)), lambda *args: None)
     return [case.name for case in planned.missing]
 
 
@@ -102,7 +102,7 @@ def test_a_run_without_one_of_its_files_is_made_again(home: Path, name: str) -> 
 
 
 def test_a_run_that_is_spoilt_meanwhile_does_not_pass(home: Path) -> None:
-    planned = plan_batch(request_of(Options(**OPTIONS | {"sources": ("logs/good.mcap",)})), lambda *args: None)
+    planned = plan_batch(request_of(BatchOptions(**OPTIONS | {"sources": ("logs/good.mcap",)})), lambda *args: None)
     next(Path("runs/batch/cells").glob("good-*/run.json")).write_text('{"exit_code": 0}')
     document = run_batch(planned, lambda event: None, lambda row: None)
     (row,) = document["cells"]
@@ -111,7 +111,7 @@ def test_a_run_that_is_spoilt_meanwhile_does_not_pass(home: Path) -> None:
 
 
 def test_force_runs_again(home: Path) -> None:
-    asked = Options(sources=("logs/good.mcap",), grids=("5x5",), azimuths=(6,), options={"end_s": 0.5}, force=True)
+    asked = BatchOptions(sources=("logs/good.mcap",), grids=("5x5",), azimuths=(6,), options={"end_s": 0.5}, force=True)
     assert len(plan_batch(request_of(asked), lambda *args: None).missing) == 1
 
 
@@ -261,7 +261,7 @@ def test_the_same_results_whoever_makes_them(home: Path) -> None:
 def test_runs_that_share_a_directory_are_made_once(home: Path) -> None:
     Path("copies").mkdir()
     shutil.copy("logs/good.mcap", "copies/good.mcap")
-    asked = Options(sources=("logs/good.mcap", "copies/good.mcap"), directory=Path("new"))
+    asked = BatchOptions(sources=("logs/good.mcap", "copies/good.mcap"), directory=Path("new"))
     planned = plan_batch(request_of(asked), lambda *args: None)
     assert (len(planned.cases), len(planned.missing)) == (2, 1)
 
@@ -278,7 +278,7 @@ def test_a_log_that_cannot_be_run_is_named_in_its_own_row(home: Path) -> None:
 
 def test_parts_are_the_whole(home: Path) -> None:
     def names(part: str | None) -> list[str]:
-        asked = Options(sources=("logs", "gone.bag"), grids=("5x5", "6x6"), part=part)
+        asked = BatchOptions(sources=("logs", "gone.bag"), grids=("5x5", "6x6"), part=part)
         return [case.name for case in plan_batch(request_of(asked), lambda *args: None).cases]
 
     parts = [names(f"{k}/3") for k in (1, 2, 3)]
@@ -405,7 +405,7 @@ def test_references_of_a_log_that_a_pattern_names_as_well(home: Path) -> None:
 
     def truths(text: str) -> dict[str, Path | None]:
         Path("night.yaml").write_text(text)
-        cases = plan_batch(request_of(Options(sources=("night.yaml",))), lambda *args: None).cases
+        cases = plan_batch(request_of(BatchOptions(sources=("night.yaml",))), lambda *args: None).cases
         return {case.log: case.run.request.options.get("truth") for case in cases if case.run}
 
     assert truths(f"{logs}, logs/good.mcap]") == dict.fromkeys(("logs/cut.mcap", "logs/empty.mcap")) | {
@@ -430,7 +430,7 @@ def test_a_part_misses_nothing_and_makes_no_baseline(home: Path) -> None:
 def test_what_an_entry_asks_is_read_before_the_logs(home: Path, wrong: str) -> None:
     Path("night.yaml").write_text(f"logs: [{{log: logs/good.mcap, {wrong}}}]")
     with pytest.raises(UsageError, match=r"accept: 9|m' is not NAME|no baseline"):
-        request_of(Options(sources=("night.yaml",)))
+        request_of(BatchOptions(sources=("night.yaml",)))
 
 
 @pytest.mark.parametrize(
@@ -451,11 +451,11 @@ def test_errors_in_a_manifest_have_its_line(home: Path, of_log: bool, wrong: str
     lines = ["logs:", "  - log: logs/good.mcap", "    end_s: 0.5", *(indent + line for line in wrong.split("\n"))]
     Path("night.yaml").write_text("\n".join(lines))
     with pytest.raises(ConfigError, match=f"^night.yaml:{said}"):
-        plan_batch(request_of(Options(sources=("night.yaml",))), lambda *args: None)
+        plan_batch(request_of(BatchOptions(sources=("night.yaml",))), lambda *args: None)
 
 
 def test_a_gate_of_the_command_line_has_no_line(home: Path) -> None:
     Path("night.yaml").write_text("logs: [logs/good.mcap]\ngates: scans.total>=1\n")
     for gate, said in (("basline", "^--gate 'basline' is not"), ("foo<=1", "^no number foo .*example --gate")):
         with pytest.raises(UsageError, match=said):
-            plan_batch(request_of(Options(sources=("night.yaml",), gates=(gate,))), lambda *args: None)
+            plan_batch(request_of(BatchOptions(sources=("night.yaml",), gates=(gate,))), lambda *args: None)

@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import pytest
 import yaml
 
-from mavnav.batch.options import Options, request_of
+from mavnav.batch.options import BatchOptions, request_of
 from mavnav.cli import run
 
 NIGHTLY = """
@@ -60,7 +60,7 @@ def test_the_manifest_is_one(recipes: list[tuple[str, str]], tmp_path: Path) -> 
     path = tmp_path / "nightly.yaml"
     path.write_text(block(recipes, "yaml", "# nightly.yaml"))
     (tmp_path / "baseline.json").write_text('{"mavnav_version": "1", "cells": []}')
-    request = request_of(Options(sources=(str(path),)))
+    request = request_of(BatchOptions(sources=(str(path),)))
     assert [setting.name for setting in request.settings] == ["usual", "fine", "paper"]
     assert [setting.config.method for setting in request.settings] == ["robust", "robust", "paper"]
     assert request.rules.baseline_gate

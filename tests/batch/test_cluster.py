@@ -13,12 +13,12 @@ from types import SimpleNamespace
 
 import pytest
 
-from mavnav.batch.options import Options, request_of
+from mavnav.batch.options import BatchOptions, request_of
 from mavnav.batch.plan import plan_batch
 from mavnav.batch.run import run_batch
 from mavnav.errors import ExitCode, UsageError
 from mavnav.jobs import Ended, Event, Job, Outcome, Progressed, Started, Status
-from mavnav.jobs.dask import LOCAL, Cluster, connected
+from mavnav.jobs.dask import LOCAL, Cluster, connect
 from mavnav.jobs.dask import client as cluster_client
 from mavnav.jobs.dask.client import _incompatibility
 from mavnav.jobs.dask.worker import in_cluster
@@ -42,7 +42,7 @@ def cluster() -> Iterator[Cluster]:
 
 @pytest.fixture(scope="module")
 def processes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
-    with connected(LOCAL, tmp_path_factory.mktemp("shared"), 2, None, TRIES) as found:
+    with connect(LOCAL, tmp_path_factory.mktemp("shared"), 2, None, TRIES) as found:
         yield found
 
 
@@ -126,7 +126,7 @@ def files(directory: Path) -> dict[str, str]:
 
 
 def test_a_batch_has_the_same_bytes_as_one_made_here(cluster: Cluster, home: Path) -> None:
-    planned = plan_batch(request_of(Options(**OPTIONS, directory=Path("runs/there"))), lambda *args: None)
+    planned = plan_batch(request_of(BatchOptions(**OPTIONS, directory=Path("runs/there"))), lambda *args: None)
     document = run_batch(planned, ignore, lambda row: None, cluster)
     assert [row["exit_code"] for row in document["cells"]] == [3, 4, 0, 2]
     assert len(files(Path("runs/there"))) >= 10
@@ -162,7 +162,7 @@ def test_workers_of_another_version_are_refused(processes: Cluster, tmp_path, mo
     monkeypatch.setattr("mavnav.jobs.dask.worker.__version__", "0.0.9")
     with (
         pytest.raises(UsageError, match=r"the worker has mavnav .*, not 0\.0\.9: install mavnav 0\.0\.9"),
-        connected(processes.client.scheduler.address, tmp_path, 1, None, 1),
+        connect(processes.client.scheduler.address, tmp_path, 1, None, 1),
     ):
         pass
 
@@ -172,7 +172,7 @@ def test_where_nobody_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     for scheduler in ("tcp://127.0.0.1:9", "nonsense"):
         with (
             pytest.raises(UsageError, match=f"{scheduler}: no scheduler with workers answers; start one"),
-            connected(scheduler, tmp_path, 1, None, 1),
+            connect(scheduler, tmp_path, 1, None, 1),
         ):
             pass
 
@@ -193,7 +193,7 @@ def test_where_something_else_answers(tmp_path: Path, monkeypatch: pytest.Monkey
         scheduler = f"tcp://127.0.0.1:{server.getsockname()[1]}"
         with (
             pytest.raises(UsageError, match=f"no Dask scheduler answers at {scheduler}; is this the port of its dash"),
-            connected(scheduler, tmp_path, 1, None, 1),
+            connect(scheduler, tmp_path, 1, None, 1),
         ):
             pass
         thread.join()
@@ -204,11 +204,11 @@ def test_without_dask(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with (
         pytest.raises(UsageError, match=r"install mavnav\[cluster\]"),
-        connected(LOCAL, tmp_path, 1, None, 1),
+        connect(LOCAL, tmp_path, 1, None, 1),
     ):
         pass
 
 
 def test_memory_is_not_for_workers_that_run_already() -> None:
     with pytest.raises(UsageError, match="--memory-limit"):
-        request_of(Options(sources=("logs",), scheduler="tcp://127.0.0.1:9", memory_mb=100))
+        request_of(BatchOptions(sources=("logs",), scheduler="tcp://127.0.0.1:9", memory_mb=100))

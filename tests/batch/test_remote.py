@@ -12,7 +12,7 @@ from threading import Thread
 
 import pytest
 
-from mavnav.batch.remote import fetched
+from mavnav.batch.remote import download
 from mavnav.errors import ExitCode, UsageError
 from support.small_batch import batch
 
@@ -108,7 +108,7 @@ def test_secrets_of_an_address_are_written_nowhere(served: str, home: Path) -> N
 def test_memory_is_an_address_too() -> None:
     with fsspec.open("memory://a/b.mcap", "wb") as file:
         file.write(b"\x00" * 3_000_000)
-    with fetched("memory://a/b.mcap") as folder:
+    with download("memory://a/b.mcap") as folder:
         assert (folder / "memory:/a/b.mcap").stat().st_size == 3_000_000
     assert not folder.exists()
 
@@ -122,11 +122,11 @@ def test_memory_is_an_address_too() -> None:
     ],
 )
 def test_addresses_that_lead_nowhere(address: str, said: str) -> None:
-    with pytest.raises(UsageError, match=said), fetched(address):
+    with pytest.raises(UsageError, match=said), download(address):
         pass
 
 
 def test_without_fsspec(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "fsspec", None)
-    with pytest.raises(UsageError, match=r"install mavnav\[cluster\]"), fetched("memory://a"):
+    with pytest.raises(UsageError, match=r"install mavnav\[cluster\]"), download("memory://a"):
         pass

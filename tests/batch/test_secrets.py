@@ -32,7 +32,7 @@ def found(place: Path) -> list[str]:
 def address(home: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     """Return an address with secrets, under which the good log is found, as if by a web server."""
     pytest.importorskip("aiohttp", reason="the extra mavnav[cluster]")
-    monkeypatch.setattr("mavnav.batch.remote._opened", lambda *_: (home / "logs" / "good.mcap").open("rb"))
+    monkeypatch.setattr("mavnav.batch.remote._open", lambda *_: (home / "logs" / "good.mcap").open("rb"))
     monkeypatch.setattr("mavnav.batch.runner.run_jobs", run_here)
     monkeypatch.setenv("MAVNAV_FETCH_TIMEOUT_S", "20")
     return planted(home / "logs" / "good.mcap")

@@ -12,7 +12,7 @@ from threading import Event, Thread
 import pytest
 
 from mavnav.batch import remote
-from mavnav.batch.remote import fetched
+from mavnav.batch.remote import download
 from mavnav.errors import ExitCode, OutputError, UsageError
 from support.small_batch import batch
 
@@ -121,7 +121,7 @@ def test_a_bad_server_is_one_line_in_bounded_time(
     began_s = time.monotonic()
     with serving(answer) as address:
         secret = address.replace("://", "://alice:hunter2@") + "?sig=SECRET"
-        with pytest.raises(UsageError, match=rf"{address}: cannot be read \(({said})\); ") as caught, fetched(secret):
+        with pytest.raises(UsageError, match=rf"{address}: cannot be read \(({said})\); ") as caught, download(secret):
             pass
     text = str(caught.value)
     assert not any(word in text for word in ("\n", "alice", "hunter2", "SECRET"))
@@ -132,7 +132,7 @@ def test_a_bad_server_is_one_line_in_bounded_time(
 def test_a_slow_server_is_given_up_before_the_time_is_over(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(remote, "IDLE_S", 0.2)
     for answer, said in ((silence, "no data for 0.2 s"), (a_byte_now_and_then, "less than 1000 bytes/s for 0.2 s")):
-        with serving(answer) as address, pytest.raises(UsageError, match=said), fetched(address):
+        with serving(answer) as address, pytest.raises(UsageError, match=said), download(address):
             pass
 
 
@@ -157,7 +157,7 @@ def test_a_full_temporary_folder_is_named(monkeypatch: pytest.MonkeyPatch) -> No
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Path, "mkdir", full)
-    with pytest.raises(OutputError, match=r"No space left on device.*TMPDIR"), fetched("file:///etc/hostname"):
+    with pytest.raises(OutputError, match=r"No space left on device.*TMPDIR"), download("file:///etc/hostname"):
         pass
 
 
@@ -191,10 +191,10 @@ def test_a_worker_of_a_cluster_enters_private_networks_only_where_its_list_says_
 ) -> None:
     monkeypatch.setattr(remote, "in_cluster", lambda: True)
     with serving(whole) as address:
-        with pytest.raises(UsageError, match=r"127\.0\.0\.1 is a private address\); list the host"), fetched(address):
+        with pytest.raises(UsageError, match=r"127\.0\.0\.1 is a private address\); list the host"), download(address):
             pass
         monkeypatch.setenv("MAVNAV_FETCH_HOSTS", "127.0.0.1")
-        with fetched(address) as folder:
+        with download(address) as folder:
             assert next(file for file in folder.rglob("*") if file.is_file()).read_bytes() == b"whole"
 
 
@@ -202,4 +202,4 @@ def test_a_worker_of_a_cluster_enters_private_networks_only_where_its_list_says_
 def test_a_limit_that_the_client_reaches_first_is_explained(early_s: float, said: str, tmp_path: Path) -> None:
     copy = remote._Copy("http://h/a.mcap", tmp_path / "a", remote.limits())
     copy.began_s -= early_s
-    assert str(copy._explained(TimeoutError())).startswith(f"http://h/a.mcap: cannot be read ({said}); ")
+    assert str(copy._public_error(TimeoutError())).startswith(f"http://h/a.mcap: cannot be read ({said}); ")

@@ -12,7 +12,7 @@ import pytest
 from mavnav.errors import UsageError
 from mavnav.jobs import Ended, Event, Job
 from mavnav.jobs.dask import client as cluster_client
-from mavnav.jobs.dask import connected
+from mavnav.jobs.dask import connect
 from support import strange_jobs
 
 distributed = pytest.importorskip("distributed", reason="the extra mavnav[cluster]")
@@ -45,14 +45,14 @@ def test_an_encrypted_cluster(certificate: tuple[str, str], tmp_path: Path, monk
         assert address.startswith("tls://")
         with (
             pytest.raises(UsageError, match="no scheduler with workers answers"),
-            connected(address, tmp_path, 1, None, 1),
+            connect(address, tmp_path, 1, None, 1),
         ):
             pass
         gc.collect()  # the client that failed: its finalizer waits for a lock that the next one takes
         names = {"ca-file": public, "client.key": key, "client.cert": public}
         with (
             dask.config.set({f"distributed.comm.tls.{name}": value for name, value in names.items()}),
-            connected(address, tmp_path, 1, None, 1) as cluster,
+            connect(address, tmp_path, 1, None, 1) as cluster,
         ):
             events: list[Event] = []
             cluster.run_jobs([Job("square", strange_jobs.square, (7,))], events.append)

@@ -47,7 +47,7 @@ def test_a_cluster_is_reported_with_its_workers(
     mavnav: Callable, empty: Path, monkeypatch: pytest.MonkeyPatch, workers: int, text: str
 ) -> None:
     found = SimpleNamespace(workers=workers, dashboard="http://127.0.0.1:8787/status")
-    monkeypatch.setattr("mavnav.jobs.dask.connected", lambda *_: nullcontext(found))
+    monkeypatch.setattr("mavnav.jobs.dask.connect", lambda *_: nullcontext(found))
     assert f"mavnav: {text} dashboard at {found.dashboard}\n" in mavnav("batch", "gone.bag", "--scheduler", "local")[2]
 
 

@@ -13,7 +13,7 @@ import pytest
 
 import mavnav as api
 from mavnav.ground_truth.tables import read_tum
-from mavnav.units import counted
+from mavnav.units import pluralize
 from support.log_files import drive, write_mcap
 from support.sessions import CELLAR, WIDE, cut, errors_m, tour, written
 from support.synthetic import along, furnished_rooms, record
@@ -51,7 +51,7 @@ def test_three_parts_one_after_another(mavnav, parts, first, tmp_path) -> None:
     for k in (1, 2):
         code, out, err = mavnav("replay", "--continue", runs[k - 1], parts[k], "-o", runs[k], "-q")
         assert (code, err) == (0, "")
-        assert f"{runs[k - 1]}, {counted(k, 'session')}" in out
+        assert f"{runs[k - 1]}, {pluralize(k, 'session')}" in out
     assert digests(first) == before
     found, hall = document(runs[2]), tour("hall")
     assert [session["name"] for session in found["continued"]["sessions"]] == ["part0", "part1"]

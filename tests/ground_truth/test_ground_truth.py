@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavnav.errors import MavnavError, UsageError
-from mavnav.ground_truth.references import References, check_times, compared, load_references
+from mavnav.ground_truth.references import References, check_times, compare_to, load_references
 from mavnav.ground_truth.tables import read_relations, read_tum
 from mavnav.ground_truth.true_map import of_scenario, read_true_map
 from mavnav.metrics.reference import Reference
@@ -77,7 +77,7 @@ def test_relations_and_errors_do_not_depend_on_the_frame(tmp_path_factory, x, y,
     path = tmp_path_factory.mktemp("relations") / "r.txt"
     truth = wander()
     write_relations(path, truth, PAIRS)
-    found = compared(References(truth=truth, relations=read_relations(path)), truth.seen_from(Pose(x, y, yaw)), None)
+    found = compare_to(References(truth=truth, relations=read_relations(path)), truth.seen_from(Pose(x, y, yaw)), None)
     assert found.relations["all"].scored == 4
     assert found.relations["all"].translation_mean_m < 1e-8
     assert found.relations["all"].rotation_mean_deg < 1e-6
@@ -88,7 +88,7 @@ def test_relations_and_errors_do_not_depend_on_the_frame(tmp_path_factory, x, y,
 def test_relations_against_the_definition(tmp_path) -> None:
     truth, estimate = wander(), wander(1)
     write_relations(tmp_path / "r.txt", truth, PAIRS)
-    found = compared(References(relations=read_relations(tmp_path / "r.txt")), estimate, None).relations
+    found = compare_to(References(relations=read_relations(tmp_path / "r.txt")), estimate, None).relations
     errors = [truth[i].between(truth[j]).between(estimate[i].between(estimate[j])) for i, j in PAIRS]
     assert found["all"].translation_mean_m == pytest.approx(np.mean([e.distance_m for e in errors]), abs=1e-9)
     assert found["all"].translation_std_m == pytest.approx(np.std([e.distance_m for e in errors]), abs=1e-9)
@@ -106,7 +106,7 @@ def test_a_trajectory_that_stops_early_misses_relations(tmp_path) -> None:
     truth = wander()
     write_relations(tmp_path / "r.txt", truth, PAIRS)
     early = Trajectory(truth.stamps_ns[:50].copy(), truth.xyyaw[:50].copy())
-    found = compared(References(relations=read_relations(tmp_path / "r.txt")), early, None).relations
+    found = compare_to(References(relations=read_relations(tmp_path / "r.txt")), early, None).relations
     assert (found["all"].scored, found["all"].share) == (2, 0.5)
     assert found["loops"].scored == 0
     assert np.isnan(found["loops"].translation_mean_m)
@@ -135,8 +135,8 @@ def test_both_times_of_relations_are_those_of_the_log(tmp_path) -> None:
 def test_too_few_poses_measure_nothing() -> None:
     truth = wander()
     two = Trajectory(truth.stamps_ns[:2].copy(), truth.xyyaw[:2].copy())
-    assert compared(References(truth=truth), two, None) == Reference(ate=None, rpe=None)
-    assert compared(References(), truth, None) is None
+    assert compare_to(References(truth=truth), two, None) == Reference(ate=None, rpe=None)
+    assert compare_to(References(), truth, None) is None
 
 
 def test_a_scenario_is_seen_from_its_start() -> None:
@@ -144,12 +144,12 @@ def test_a_scenario_is_seen_from_its_start() -> None:
     start = scenario.world_T_base @ scenario.base_T_laser
     truth = of_scenario(scenario, start)
     assert truth.distance_m(truth.xy_m).max() < 1e-9
-    found = compared(References(true_map=truth), None, truth.xy_m + 0.03 * np.array([1.0, 0.0])).map_distance
+    found = compare_to(References(true_map=truth), None, truth.xy_m + 0.03 * np.array([1.0, 0.0])).map_distance
     assert found.alignment == "start pose"
     assert 0 < found.mean_mm <= found.p95_mm <= found.max_mm <= 30.0001
     assert found.covered_share == 1.0
     half = truth.xy_m[: len(truth.xy_m) // 2]
-    assert 0.3 < compared(References(true_map=truth), None, half).map_distance.covered_share < 0.8
+    assert 0.3 < compare_to(References(true_map=truth), None, half).map_distance.covered_share < 0.8
 
 
 @pytest.mark.parametrize("name", ["corner", "curved.yaml"])
@@ -164,7 +164,7 @@ def test_shipped_scenarios_are_truths(name, tmp_path, monkeypatch) -> None:
 
 def test_an_empty_map_has_no_distance() -> None:
     scenario = load_scenario("corner")
-    found = compared(References(true_map=of_scenario(scenario, Pose())), None, np.zeros((0, 2))).map_distance
+    found = compare_to(References(true_map=of_scenario(scenario, Pose())), None, np.zeros((0, 2))).map_distance
     assert found.cells == 0
     assert np.isnan(found.mean_mm)
 

@@ -15,7 +15,7 @@ import pytest
 
 from mavnav.errors import ExitCode
 from mavnav.jobs import Ended, Event, Job, Outcome, Progressed, Started, Status, run_jobs, usable_cores
-from mavnav.jobs.worker import failed
+from mavnav.jobs.worker import failure
 from mavnav.logs.content import unreadable
 from support import strange_jobs as strange
 
@@ -104,9 +104,9 @@ def test_memory_is_limited() -> None:
     ],
 )
 def test_a_lack_of_memory_is_no_bug(error: Exception) -> None:
-    outcome = failed(error, 0.0)
+    outcome = failure(error, 0.0)
     assert (outcome.error, outcome.exit_code) == ("it needs more memory than it may use", ExitCode.USAGE)
-    other = failed(ImportError("no module named a"), 0.0)
+    other = failure(ImportError("no module named a"), 0.0)
     assert (other.error, other.exit_code) == ("a bug: ImportError: no module named a", ExitCode.BUG)
 
 

@@ -15,7 +15,7 @@ from mavnav.logs import Log, open_log
 from mavnav.logs.ceiling import ceiling_height_m
 from mavnav.logs.levelling import RecordedAttitude
 from mavnav.pose import Pose
-from mavnav.scan import Attitude, Scan, levelled
+from mavnav.scan import Attitude, Scan, level_scan
 from support.log_files import IMU, ODOM, START_NS, TF, Message, laser, write_mcap
 from support.synthetic import DEG, cast, room
 from support.tilted import SPEC, attitude_message, flight, furnished, quaternion, tilted_scan
@@ -57,7 +57,7 @@ def test_scans_are_levelled_by_the_attitude_of_their_time(tmp_path: Path) -> Non
     assert raw.attitude is None
     assert (log.attitude.topic, log.attitude.source) == ("/attitude", "pose")
     for k, (scan, recorded) in enumerate(zip(log, raw, strict=True)):
-        expected = levelled(recorded, *tilt(k))
+        expected = level_scan(recorded, *tilt(k))
         np.testing.assert_allclose(scan.ranges_m, expected.ranges_m, atol=1e-5)
         np.testing.assert_allclose(scan.heights_m, expected.heights_m, atol=1e-5)
 

@@ -26,7 +26,7 @@ def by_definition(monkeypatch: pytest.MonkeyPatch):
         from mavnav.logs.messages import decode as room
 
         convert = {TF: room._transforms, ODOMETRY: room._odometry, POSE: room._pose}[kind]
-        return convert(room._deserialized(data, encoding, kind))
+        return convert(room._deserialize(data, encoding, kind))
 
     return decode
 

@@ -7,12 +7,12 @@ import pytest
 from mcap.reader import make_reader
 
 from mavnav.logs.messages import definitions, ros
-from mavnav.logs.writing.mcap_writer import CHUNK_BYTES, Attachment, Channel, Extras, write_serialized
+from mavnav.logs.writing.mcap_writer import CHUNK_BYTES, Attachment, Extras, OutputChannel, write_serialized
 
 CHANNELS = {
-    "/tf_static": Channel(definitions.TF, latched=True),
-    "/tf": Channel(definitions.TF),
-    "/scan": Channel(definitions.SCAN),
+    "/tf_static": OutputChannel(definitions.TF, latched=True),
+    "/tf": OutputChannel(definitions.TF),
+    "/scan": OutputChannel(definitions.SCAN),
 }
 
 

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from mavnav.cli import run
 from mavnav.errors import TopicError
 from mavnav.logs import open_log
-from mavnav.logs.merging import Mounted, merged, partners, virtual_laser
+from mavnav.logs.merging import Mounted, partners, virtual_laser, virtual_scan
 from mavnav.pose import Pose
 from mavnav.scan import LaserSpec, Scan
 from support.log_files import LASER, START_NS, TF, Message, write_mcap
@@ -111,7 +111,7 @@ def test_lasers_apart_see_the_walls_where_they_are() -> None:
     mounts = [Pose(0.3, 0.1, 0.2), Pose(-0.4, -0.1, 3.0)]
     scans = [Scan(0, room(SPEC, mount), SPEC) for mount in mounts]
     lasers = [Mounted(SPEC, mount, np.zeros(1, np.int64)) for mount in mounts]
-    scan = merged(list(zip(scans, mounts, strict=True)), virtual_laser(lasers))
+    scan = virtual_scan(list(zip(scans, mounts, strict=True)), virtual_laser(lasers))
     seen = np.isfinite(scan.ranges_m)
     expected = room(scan.spec, Pose())[seen]
     corner = np.abs(np.abs(scan.spec.angles_rad[seen]) % (np.pi / 2) - np.pi / 4) < 0.03
@@ -123,7 +123,7 @@ def test_beams_of_lasers_that_are_not_synchronous_keep_their_times() -> None:
     first, late_ns = Scan(0, room(SPEC, Pose()), SPEC), 30_000_000
     other = Scan(late_ns, room(SPEC, Pose(0.0, 0.0, np.pi)), SPEC)
     lasers = [Mounted(SPEC, Pose(0.0, 0.0, yaw), np.zeros(1, np.int64)) for yaw in (0.0, np.pi)]
-    scan = merged([(first, Pose()), (other, lasers[1].base_T_laser)], virtual_laser(lasers))
+    scan = virtual_scan([(first, Pose()), (other, lasers[1].base_T_laser)], virtual_laser(lasers))
     assert scan.times_s is not None
     assert scan.times_s[0] == 0.0
     assert scan.sweep_s == pytest.approx(0.03 + 320 * 1e-4)

@@ -18,8 +18,8 @@ from mavnav.mapping.tiled_arrays import (
     covering,
     enlarge,
     in_strips,
+    max_pool,
     plain,
-    pooled,
     within,
 )
 
@@ -100,7 +100,7 @@ def test_blank_cells_take_no_memory(*, strips: bool) -> None:
 
 
 def test_pooling_keeps_the_largest_and_fills_up() -> None:
-    small = pooled(np.array([[-1, -1, 0], [-1, 100, -1], [-1, -1, -1]], np.int8), 2, fill=-1)
+    small = max_pool(np.array([[-1, -1, 0], [-1, 100, -1], [-1, -1, -1]], np.int8), 2, fill=-1)
     np.testing.assert_array_equal(small, [[100, 0], [-1, -1]])
 
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from mavnav.metrics.calibration.motion import Wheels, corrected, motions_of
+from mavnav.metrics.calibration.motion import Wheels, apply_calibration, motions_of
 from mavnav.metrics.calibration.noise import Noise
 from mavnav.metrics.calibration.quantities import (
     BETTER,
     DRIVE_MORE,
     KINDS,
     Calibration,
-    Motion,
+    Travel,
     _advice,
     calibration_of,
 )
@@ -170,13 +170,13 @@ def test_corrected_odometry_is_that_of_a_good_robot() -> None:
     silent = replace(CROOKED, length_noise=0.0, yaw_noise=0.0, jitter_s=0.0)
     path = path_of(silent)
     wheels = Wheels(CROOKED.distance_scale, CROOKED.turn_scale, CROOKED.veer_rad_m)
-    found = corrected(odometry_of(silent, path, np.random.default_rng(0)), CROOKED.offset_s, wheels)
+    found = apply_calibration(odometry_of(silent, path, np.random.default_rng(0)), CROOKED.offset_s, wheels)
     good = odometry_of(
         replace(silent, offset_s=0, distance_scale=1, turn_scale=1, veer_rad_m=0), path, np.random.default_rng(0)
     )
     assert np.abs(found.xyyaw[:, :2] - good.xyyaw[:, :2]).max() < 5e-3
     assert np.abs(found.stamps_ns - good.stamps_ns).max() <= 1
-    assert len(corrected(Trajectory.of([], []), 0.1, wheels)) == 0
+    assert len(apply_calibration(Trajectory.of([], []), 0.1, wheels)) == 0
 
 
 def test_noise_is_that_of_its_covariance() -> None:
@@ -185,7 +185,7 @@ def test_noise_is_that_of_its_covariance() -> None:
     matrix = np.diag(diagonal) + np.diag(between, 1) + np.diag(between, -1)
     noise, step = Noise(diagonal, between, np.zeros(9)), rng.standard_normal(9)
     inverse = np.linalg.inv(matrix)
-    assert noise.whitened(step) @ noise.whitened(step) == pytest.approx(step @ inverse @ step)
+    assert noise.whiten(step) @ noise.whiten(step) == pytest.approx(step @ inverse @ step)
     assert noise.alone() == pytest.approx(1 / inverse.diagonal())
     assert noise.unforeseen(step) == pytest.approx(inverse @ step / inverse.diagonal())
     assert noise.unlikeliness(step) == pytest.approx(np.linalg.slogdet(matrix)[1] + step @ inverse @ step)
@@ -193,7 +193,7 @@ def test_noise_is_that_of_its_covariance() -> None:
 
 def test_the_advice_asks_for_nothing_that_the_log_has() -> None:
     distance, turns = KINDS[4], KINDS[5]
-    short, long = Motion(2.0, 3.0, 2.0, 3.0, 50), Motion(8.0, 12.0, 8.0, 12.0, 200)
+    short, long = Travel(2.0, 3.0, 2.0, 3.0, 50), Travel(8.0, 12.0, 8.0, 12.0, 200)
     assert _advice(distance, short) == DRIVE_MORE == distance.advice
     assert _advice(turns, short) == turns.advice
     assert {_advice(distance, long), _advice(turns, long)} == {BETTER}

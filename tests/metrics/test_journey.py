@@ -36,7 +36,7 @@ def test_another_geometry_is_brought_to_that_of_most_scans_by_the_nearest_beam(o
     assert placed is not None
     assert placed.spec == USUAL
     assert list(placed.others) == [0]
-    recorded_m, directions = placed.recorded(0)
+    recorded_m, directions = placed.recorded_beams(0)
     assert len(recorded_m) == len(directions) == other.beams
     for k, angle_rad in enumerate(USUAL.angles_rad):
         off_rad = np.abs((other.angles_rad - angle_rad + np.pi) % tau - np.pi)
@@ -51,5 +51,5 @@ def test_one_geometry_is_left_as_it_is() -> None:
     placed = placed_scans(journey(USUAL, USUAL), np.arange(2))
     assert placed is not None
     assert not placed.others
-    assert np.array_equal(placed.recorded(1)[0], placed.ranges_m[1])
-    assert placed.recorded(1)[1] is USUAL.directions
+    assert np.array_equal(placed.recorded_beams(1)[0], placed.ranges_m[1])
+    assert placed.recorded_beams(1)[1] is USUAL.directions

@@ -7,8 +7,8 @@ from math import hypot
 import pytest
 
 from mavnav.config.models import Config
-from mavnav.mapping.occupancy_grid import Grid, known_part, occupied_xy_m
-from mavnav.metrics.map_difference import Change, View, difference, paired
+from mavnav.mapping.occupancy_grid import Grid, known_area, occupied_xy_m
+from mavnav.metrics.map_difference import Change, View, difference, pair_changes
 from mavnav.pose import Pose
 from mavnav.sessions.map_alignment import align
 from mavnav.slam.matching.prior_map import PriorMap
@@ -22,7 +22,7 @@ def before() -> Grid:
 
 
 def known(grid: Grid) -> PriorMap:
-    return PriorMap(known_part(grid), occupied_xy_m(known_part(grid)))
+    return PriorMap(known_area(grid), occupied_xy_m(known_area(grid)))
 
 
 def places(changes: tuple[Change, ...], where: tuple[float, float]) -> list[tuple[str, bool]]:
@@ -59,8 +59,8 @@ def test_what_one_map_does_not_know_is_no_change(before) -> None:
 def test_a_moved_object_is_one_that_is_gone_and_one_that_is_new() -> None:
     gone, near, far = (Change(k, x, 0.0, 0.1, length, None) for k, x, length in
                        (("gone", 0.0, 1.0), ("new", 0.5, 1.1), ("new", 0.3, 3.0)))  # fmt: skip
-    assert [change.moved_with for change in paired([gone, near, far])] == [1, 0, None]
-    assert [change.moved_with for change in paired([gone, far])] == [None, None]
+    assert [change.moved_with for change in pair_changes([gone, near, far])] == [1, 0, None]
+    assert [change.moved_with for change in pair_changes([gone, far])] == [None, None]
 
 
 def test_maps_of_other_frames_are_aligned_despite_changes(before) -> None:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mavnav.ground_truth.references import References, compared
+from mavnav.ground_truth.references import References, compare_to
 from mavnav.ground_truth.tables import read_tum
 from mavnav.metrics.trajectory_error import absolute_error, position_errors, relative_error
 from mavnav.pose import Pose, Trajectory, rigid_fit, transform_points
@@ -99,7 +99,7 @@ def test_a_simulated_run_as_evo_measures_it() -> None:
     """The truth has other stamps than the estimate, which drifts."""
     truth = along(TOUR, period_s=0.07)
     estimate = drifting_odometry(along(TOUR, period_s=0.1))
-    ours = compared(References(truth=truth), estimate, np.zeros((0, 2)))
+    ours = compare_to(References(truth=truth), estimate, np.zeros((0, 2)))
     theirs = evo_errors(estimate, truth)
     assert ours.ate.rmse_m == pytest.approx(theirs.pop("rmse_m"), abs=1e-6)
     assert ours.rpe.pairs > 10
@@ -110,14 +110,14 @@ def test_a_simulated_run_as_evo_measures_it() -> None:
 def test_no_stretch_of_relative_errors_spans_a_gap(side: str) -> None:
     truth = along(TOUR, period_s=0.1)
     estimate = drifting_odometry(truth)
-    whole = compared(References(truth=truth), estimate, np.zeros((0, 2))).rpe
+    whole = compare_to(References(truth=truth), estimate, np.zeros((0, 2))).rpe
     elapsed_s = (truth.stamps_ns - truth.stamps_ns[0]) * 1e-9
     kept = (elapsed_s < 0.2 * elapsed_s[-1]) | (elapsed_s > 0.8 * elapsed_s[-1])
     ends = {
         name: Trajectory(path.stamps_ns[kept], path.xyyaw[kept]) if name == side else path
         for name, path in (("truth", truth), ("estimate", estimate))
     }
-    found = compared(References(truth=ends["truth"]), ends["estimate"], np.zeros((0, 2))).rpe
+    found = compare_to(References(truth=ends["truth"]), ends["estimate"], np.zeros((0, 2))).rpe
     assert 0.25 * whole.pairs < found.pairs < 0.5 * whole.pairs
     assert found.translation_rmse_m < 1.2 * whole.translation_rmse_m
     assert found.rotation_rmse_deg < 1.2 * whole.rotation_rmse_deg
@@ -126,7 +126,7 @@ def test_no_stretch_of_relative_errors_spans_a_gap(side: str) -> None:
 def test_a_sparse_path_has_relative_errors() -> None:
     truth = along(TOUR, period_s=0.1)
     sparse = Trajectory(truth.stamps_ns[::15].copy(), truth.xyyaw[::15].copy())
-    assert compared(References(truth=truth), sparse, np.zeros((0, 2))).rpe.pairs > 5
+    assert compare_to(References(truth=truth), sparse, np.zeros((0, 2))).rpe.pairs > 5
 
 
 @pytest.mark.real_logs
@@ -137,7 +137,7 @@ def test_a_real_run_as_evo_measures_it(real_logs) -> None:
     truth = read_tum(folder / "groundtruth.tum")
     t, x, y, yaw = np.loadtxt(folder / "odometry.txt", usecols=range(4)).T
     estimate = Trajectory(np.round(t * 1e9).astype(np.int64), np.column_stack((x, y, yaw)))
-    ours = compared(References(truth=truth), estimate, np.zeros((0, 2)))
+    ours = compare_to(References(truth=truth), estimate, np.zeros((0, 2)))
     theirs = evo_errors(estimate, truth)
     assert ours.ate.rmse_m == pytest.approx(theirs["rmse_m"], abs=1e-6)
     assert ours.rpe.distance_rmse_m == pytest.approx(theirs["distance_rmse_m"], abs=1e-6)

@@ -11,11 +11,11 @@ from msgspec.structs import replace
 
 from mavnav.config.models import Config
 from mavnav.logs import Damage, Odometry, ScanCounts, Topic
-from mavnav.mapping.occupancy_grid import GridBuilder, measured_part
+from mavnav.mapping.occupancy_grid import GridBuilder, measured_area
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import measure_map
 from mavnav.outputs.documents.provenance import Typed, provenance
-from mavnav.outputs.run import Run, Timing
+from mavnav.outputs.run import RunResult, Timing
 from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.slam.matching.scan_matching import Match
 from mavnav.slam.matching.steps import LostInterval, Step, Steps
@@ -72,7 +72,7 @@ class FabricatedLog(Struct, frozen=True):
         return iter(self.recorded)
 
 
-def fabricate(scans: int = 20, noise: float = 0.005) -> Run:
+def fabricate(scans: int = 20, noise: float = 0.005) -> RunResult:
     walls, rng = furnished_rooms(), np.random.default_rng(7)
     truth = along([(1.0, 1.0), (3.0, 1.0), (4.6, 3.0), (4.6, 5.5)], period_s=0.5)
     pick = np.linspace(0, len(truth) - 1, scans).round().astype(int)
@@ -84,7 +84,7 @@ def fabricate(scans: int = 20, noise: float = 0.005) -> Run:
     return run_of(recorded, poses)
 
 
-def run_of(recorded, poses, cell_m: float = 0.02) -> Run:
+def run_of(recorded, poses, cell_m: float = 0.02) -> RunResult:
     tally, steps = GridBuilder(cell_m), []
     for k, (scan, pose) in enumerate(zip(recorded, poses, strict=True)):
         tracked = k not in LOST
@@ -97,16 +97,16 @@ def run_of(recorded, poses, cell_m: float = 0.02) -> Run:
     lost = (LostInterval(recorded[LOST[0]].stamp_ns, recorded[LOST[-1]].stamp_ns, len(LOST), recovered=True),)
     grid = tally.by_rows()
     journey = Journey(trajectory, lambda: iter(recorded), len(kept) / len(steps))
-    measured = measure_map(measured_part(grid), journey)
+    measured = measure_map(measured_area(grid), journey)
     log = FabricatedLog(recorded, cleaning={"valid": 600, "zero": 7})
     result = SlamResult(Steps(steps), trajectory, grid, lost)
     typed = Typed(("mavnav", "replay", "room [1].mcap"), folder="/logs")
     made = provenance("2026-01-31T12:00:00Z", typed, ["mavnav", "replay", "/logs/room [1].mcap"])
-    return Run(log, Config(), result, measured, Timing(2.0, 1.5, 0.5), made)
+    return RunResult(log, Config(), result, measured, Timing(2.0, 1.5, 0.5), made)
 
 
 @pytest.fixture(scope="session")
-def run() -> Run:
+def run() -> RunResult:
     return fabricate()
 
 

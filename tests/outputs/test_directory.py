@@ -174,7 +174,7 @@ def test_the_old_run_comes_back_where_the_new_cannot_take_its_place(run, tmp_pat
         return rename(self, target)
 
     monkeypatch.setattr(type(tmp_path), "rename", refuse)
-    monkeypatch.setattr("mavnav.atomic_files._swapped", lambda one, other: False)
+    monkeypatch.setattr("mavnav.atomic_files._swap_names", lambda one, other: False)
     with pytest.raises(OutputError, match="Permission denied"):
         write_run(run, tmp_path / "x", force=True)
     assert [p.name for p in tmp_path.iterdir()] == ["x"]

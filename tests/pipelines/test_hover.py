@@ -15,7 +15,7 @@ from mavnav.logs import open_log
 from mavnav.outputs.report.entry import load
 from mavnav.outputs.report.motion_panel import curves
 from mavnav.outputs.report.page import single
-from mavnav.outputs.run import Run
+from mavnav.outputs.run import RunResult
 from mavnav.pipelines.simulate import SimulationRequest, simulate_mission
 from mavnav.pose import Pose
 from mavnav.simulation.world import Scenario, load_scenario
@@ -32,7 +32,7 @@ class Flown(NamedTuple):
     """A mission of some steps with its files."""
 
     scenario: Scenario
-    run: Run
+    run: RunResult
     document: dict[str, Any]
     folder: Path
 

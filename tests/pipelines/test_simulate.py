@@ -19,7 +19,7 @@ from mavnav.outputs.documents.run_json import TruthErrors
 from mavnav.pipelines.simulate import (
     SimulationRequest,
     check_outputs,
-    recorded,
+    recording_of,
     simulate_mission,
     truth_errors,
     wall_distances_m,
@@ -129,7 +129,7 @@ def test_walls_move_as_the_rays_do() -> None:
 
 def test_the_recording_tells_the_base(tmp_path: Path) -> None:
     flight = flown()
-    recording = recorded(flight)
+    recording = recording_of(flight)
     start = recording.world_T_base[0]
     np.testing.assert_allclose(start.as_array(), flight.scenario.world_T_base.as_array(), atol=1e-9)
     record(recording, tmp_path / "flight.mcap")

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from mavnav.pipelines.simulate import recorded, truth_errors
+from mavnav.pipelines.simulate import recording_of, truth_errors
 from mavnav.pose import Pose
 from mavnav.scan import Attitude
 from mavnav.simulation.mission import Flight, fly
-from mavnav.simulation.planner.potential_field import Command
+from mavnav.simulation.planner.potential_field import MotionCommand
 from mavnav.simulation.vehicle import vehicle_of
 from mavnav.simulation.world import load_scenario
 from mavnav.units import DEG
@@ -52,7 +52,7 @@ def test_a_flight_has_an_attitude_for_every_scan() -> None:
     assert true.shape == measured.shape == (len(flight.scans), 3)
     assert true[:, :2].std() / DEG == pytest.approx(10, abs=3)
     assert (measured - true).std(axis=0) == pytest.approx([0.5 * DEG, 0.5 * DEG, 0.01], rel=0.3)
-    record = recorded(flight)
+    record = recording_of(flight)
     assert [stamp for stamp, _ in record.attitudes] == [scan.stamp_ns for scan in flight.scans]
     assert isinstance(record.attitudes[0][1], Attitude)
     again = fly(load_scenario("hover", TILTED))
@@ -66,7 +66,9 @@ def test_tilt_is_of_the_time_that_a_command_lasts(period_ms: float, command_s: f
     level = ("flight.tilt_noise_deg=0", "flight.max_tilt_deg=20", "flight.response_ms=0.001")
     scenario = load_scenario("hover", [*level, f"laser.period_ms={period_ms}"])
     vehicle = vehicle_of(scenario, scenario.laser.spec.scan_time_s)
-    assert len(list(vehicle.execute(Command(0.01, 0.0, 0.0), Pose()))) * period_ms == pytest.approx(1e3 * command_s)
+    assert len(list(vehicle.execute(MotionCommand(0.01, 0.0, 0.0), Pose()))) * period_ms == pytest.approx(
+        1e3 * command_s
+    )
     assert vehicle.body.true[-1].pitch_rad == pytest.approx(np.arctan(0.01 / command_s**2 / 9.81))
 
 
@@ -89,4 +91,4 @@ def test_a_moving_laser_tilts_during_the_sweep(tmp_path: Path) -> None:
     flight = through(tmp_path, "[0, 0.7]", "laser.moving=true")
     assert flight.mission.reached
     assert truth_errors(flight).ate_rmse_m < 0.03
-    assert recorded(flight).attitudes[0][0] > flight.scans[0].stamp_ns
+    assert recording_of(flight).attitudes[0][0] > flight.scans[0].stamp_ns

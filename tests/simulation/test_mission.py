@@ -15,7 +15,7 @@ from mavnav.pose import Pose, transform_points
 from mavnav.scan import Scan
 from mavnav.simulation import mission as flying
 from mavnav.simulation.mission import End, Flight, fly
-from mavnav.simulation.planner.potential_field import Command, Planner
+from mavnav.simulation.planner.potential_field import MotionCommand, Planner
 from mavnav.simulation.vehicle import START_NS, Vehicle, disturbance, sweeping
 from mavnav.simulation.world import Scenario, load_scenario
 from mavnav.units import DEG
@@ -179,7 +179,7 @@ def slipped(scenario: Scenario, monkeypatch: pytest.MonkeyPatch) -> Flight:
     believed = [scenario.world_T_base]
     execute, take = Vehicle.execute, flying.take_scan
 
-    def slipping(self: Vehicle, command: Command, _: Pose) -> Iterator[None]:
+    def slipping(self: Vehicle, command: MotionCommand, _: Pose) -> Iterator[None]:
         wanted = Pose(command.dx_m, command.dy_m, command.dyaw_rad)
         believed.append(believed[-1] @ wanted)
         return execute(self, command, Pose(-wanted.x_m, -wanted.y_m, -wanted.yaw_rad))
@@ -211,11 +211,11 @@ def test_a_place_that_only_the_estimate_visited_is_none(monkeypatch: pytest.Monk
 
 def test_places_are_visited_in_order_and_between_scans() -> None:
     path = np.array([(0.0, 0.0), (4.0, 0.0), (4.0, 4.0)])
-    assert flying._visited(path, [(2.0, 0.4), (4.4, 2.0)], 0.5)
-    assert not flying._visited(path, [(4.4, 2.0), (2.0, 0.4)], 0.5)
-    assert not flying._visited(path, [(2.0, 0.6)], 0.5)
-    assert flying._visited(path[:1], [], 0.5)
-    assert flying._visited(path[:1], [(0.0, 0.4)], 0.5)
+    assert flying._passes_all(path, [(2.0, 0.4), (4.4, 2.0)], 0.5)
+    assert not flying._passes_all(path, [(4.4, 2.0), (2.0, 0.4)], 0.5)
+    assert not flying._passes_all(path, [(2.0, 0.6)], 0.5)
+    assert flying._passes_all(path[:1], [], 0.5)
+    assert flying._passes_all(path[:1], [(0.0, 0.4)], 0.5)
 
 
 # ---- the seed decides ------------------------------------------------------------------------------------------------
@@ -243,7 +243,7 @@ def test_noise_is_what_the_scenario_says() -> None:
     """True steps differ from the commanded ones by the vehicle's noise, drawn anew for every step."""
     rng = np.random.default_rng(0)
     scenario = load_scenario("corner", (), {"vehicle.noise_xy_mm": 30, "vehicle.noise_yaw_deg": 2})
-    ahead = Command(0.1, 0.0, 0.0)
+    ahead = MotionCommand(0.1, 0.0, 0.0)
     drawn = np.array([disturbance(scenario, rng, ahead).as_array() for _ in range(4000)])
     np.testing.assert_allclose(drawn.std(axis=0), [0.03, 0.03, 2 * DEG], rtol=0.04)
     assert abs(np.corrcoef(drawn.T)[np.triu_indices(3, 1)]).max() < 0.06
@@ -304,7 +304,7 @@ MOUNTED = {"vehicle.laser_x_mm": 120, "vehicle.laser_y_mm": -60, "vehicle.laser_
 def test_commands_are_of_the_laser_s_frame() -> None:
     base_T_laser = Pose(0.12, -0.06, 35 * DEG)
     vehicle = Vehicle(base_T_laser, 100_000_000, 1, [Pose(1.0, 2.0, 0.3)])
-    assert len(list(vehicle.execute(Command(0.1, -0.02, 0.2), Pose(0.01, 0.02, -0.05)))) == 1
+    assert len(list(vehicle.execute(MotionCommand(0.1, -0.02, 0.2), Pose(0.01, 0.02, -0.05)))) == 1
     before, after = (p @ base_T_laser for p in vehicle.world_T_base)
     np.testing.assert_allclose(before.between(after).as_array(), [0.11, 0.0, 0.15], atol=1e-12)
     then, now = vehicle.odometry(START_NS), vehicle.odometry(START_NS + 100_000_000)

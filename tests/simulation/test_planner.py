@@ -12,7 +12,7 @@ from mavnav.config.planner import PlannerConfig
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose
 from mavnav.simulation.planner.local_minima import unit
-from mavnav.simulation.planner.potential_field import TECHNIQUES, Command, Planner
+from mavnav.simulation.planner.potential_field import TECHNIQUES, MotionCommand, Planner
 from support import closed_loop
 from support.closed_loop import CLOSED, CORNER, DOORWAY, OPEN, U_TRAP, World, fly, paint
 from support.synthetic import DEG, polyline
@@ -24,7 +24,7 @@ def grid_of(walls: np.ndarray, cell_m: float = 0.02) -> GridBuilder:
     return grid
 
 
-def first_command(walls: np.ndarray, pose: Pose, goal: tuple[float, float], **settings: object) -> Command:
+def first_command(walls: np.ndarray, pose: Pose, goal: tuple[float, float], **settings: object) -> MotionCommand:
     return Planner(PlannerConfig(**settings)).plan(grid_of(walls), pose, goal).command
 
 
@@ -127,7 +127,7 @@ def test_a_goal_behind_closed_walls_is_given_up_in_words(technique: str, reason:
     flight = fly(CLOSED, technique, known=True, steps=800)
     assert not flight.reached
     assert flight.reason == reason
-    assert flight.plans[-1].command == Command()
+    assert flight.plans[-1].command == MotionCommand()
     assert flight.clearance_m > 0.2
 
 
@@ -229,7 +229,7 @@ def test_an_empty_map_and_a_goal_at_hand_are_no_trouble() -> None:
         assert plan.command.dx_m > 0
         assert np.isinf(plan.clearance_m)
         there = Planner(PlannerConfig(technique=technique)).plan(GridBuilder(0.02), Pose(2.0, 0.0, 0.0), (2.0, 0.0))
-        assert there.command == Command()
+        assert there.command == MotionCommand()
         assert not there.stuck
 
 

@@ -111,7 +111,7 @@ def _patches(disk: Disk) -> Iterator[Any]:
     real: dict[str, Callable[..., Any]] = {
         name: getattr(os, name) for name in ("fsync", "mkdir", "rename", "replace", "link", "open")
     }
-    real_file, swapped = io.open, atomic_files._swapped
+    real_file, swapped = io.open, atomic_files._swap_names
 
     def open_file(file: Any, mode: str = "r", buffering: int = -1, *more: Any, **options: Any) -> Any:
         if not set(mode) & set("wax+") or not disk.contains(file):
@@ -162,7 +162,7 @@ def _patches(disk: Disk) -> Iterator[Any]:
 
     for module in (builtins, io):
         yield patch.object(module, "open", open_file)
-    yield patch.object(atomic_files, "_swapped", swap)
+    yield patch.object(atomic_files, "_swap_names", swap)
     yield patch.object(runner, "run_jobs", run_here)
     for name, made in {"fsync": fsync, "mkdir": mkdir, "open": open_number}.items():
         yield patch.object(os, name, made)

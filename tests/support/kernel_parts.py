@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from mavnav.kernels.line_search.azimuth import turn_sums as _turn_sums
 from mavnav.kernels.line_search.azimuth import turns_of
-from mavnav.kernels.line_search.cost import Lines, Middle, Window
+from mavnav.kernels.line_search.cost import Lines, Middle, SearchWindow
 from mavnav.kernels.line_search.cost import cost_sum as _cost_sum
 from mavnav.kernels.line_search.plane import shift_sums as _shift_sums
 from mavnav.kernels.line_search.quadratic_form import quadratic_form as _quadratic_form
@@ -27,7 +27,7 @@ def _middle(at):
 @helper
 def _window(window):
     half_m, half_rad, prior, truncate_m2, prune = window
-    return Window(half_m, half_rad, prior, truncate_m2, prune > 0.0)
+    return SearchWindow(half_m, half_rad, prior, truncate_m2, prune > 0.0)
 
 
 @helper

@@ -4,6 +4,6 @@ Needs ``mavnav[cluster]``. Workers need the same version of mavnav, and the same
 runs one job at a time, in its own process. Dask runs a job that killed its worker on another one, a few times at most.
 """
 
-from mavnav.jobs.dask.client import LOCAL, Cluster, connected
+from mavnav.jobs.dask.client import LOCAL, Cluster, connect
 
-__all__ = ["LOCAL", "Cluster", "connected"]
+__all__ = ["LOCAL", "Cluster", "connect"]

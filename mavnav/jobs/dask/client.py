@@ -19,7 +19,7 @@ from msgspec.structs import asdict
 from mavnav.errors import ExitCode, UsageError
 from mavnav.jobs import Ended, Event, Job, Outcome, Progressed, Started, Status, run_with_retries
 from mavnav.jobs.dask.worker import JobContext, our_version, run_on_worker, sees
-from mavnav.units import counted
+from mavnav.units import pluralize
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -141,14 +141,14 @@ def _outcome(job: _Submitted) -> Outcome:
     error = future.exception()
     if isinstance(error, KilledWorker):
         count = error.allowed_failures + 1
-        text = f"{counted(count, 'worker')} died of it, the last {error.last_worker.address}"
+        text = f"{pluralize(count, 'worker')} died of it, the last {error.last_worker.address}"
         return Outcome(Status.DIED, 0, seconds, error=text, exit_code=ExitCode.BUG)
     text = f"its worker could not run it: {type(error).__name__}: {error}"
     return Outcome(Status.FAILED, 0, seconds, error=text, exit_code=ExitCode.BUG)
 
 
 @contextmanager
-def connected(scheduler: str, directory: Path, workers: int, memory_mb: int | None, tries: int) -> Iterator[Cluster]:
+def connect(scheduler: str, directory: Path, workers: int, memory_mb: int | None, tries: int) -> Iterator[Cluster]:
     """Connect to a scheduler, or start one with ``workers`` on this machine for `LOCAL`, and check its workers.
 
     Parameters
@@ -166,12 +166,12 @@ def connected(scheduler: str, directory: Path, workers: int, memory_mb: int | No
         ``mavnav[cluster]`` is not installed, the scheduler does not answer, or a worker has no mavnav, another version,
         or no access to the directory.
     """
-    distributed = _distributed()
+    distributed = _import_distributed()
     with ExitStack() as stack:
         try:
             address = scheduler
             if scheduler == LOCAL:
-                address = stack.enter_context(_started(workers, memory_mb, tries))
+                address = stack.enter_context(_start_local(workers, memory_mb, tries))
             else:
                 _check_scheduler(address)
             client = stack.enter_context(distributed.Client(address, timeout=CONNECT_S, set_as_default=False))
@@ -208,11 +208,11 @@ def _check_scheduler(address: str) -> None:
 
 
 @contextmanager
-def _started(workers: int, memory_mb: int | None, tries: int) -> Iterator[Any]:
+def _start_local(workers: int, memory_mb: int | None, tries: int) -> Iterator[Any]:
     """Start a scheduler with workers on this machine; yield the cluster."""
     import dask  # noqa: PLC0415  an extra
 
-    distributed = _distributed()
+    distributed = _import_distributed()
     memory = "auto" if memory_mb is None else memory_mb * 2**20
     with (
         dask.config.set({"distributed.scheduler.allowed-failures": tries - 1}),
@@ -223,7 +223,7 @@ def _started(workers: int, memory_mb: int | None, tries: int) -> Iterator[Any]:
         yield cluster
 
 
-def _distributed() -> Any:  # noqa: ANN401  a module
+def _import_distributed() -> Any:  # noqa: ANN401  a module
     try:
         import distributed  # noqa: PLC0415  an extra
     except ImportError as error:

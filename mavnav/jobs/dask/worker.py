@@ -15,7 +15,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from mavnav.errors import UsageError
-from mavnav.jobs import Outcome, Status, attempt, failed
+from mavnav.jobs import Outcome, Status, attempt, failure
 from mavnav.jobs.run_cache import source_sha256
 from mavnav.version import __version__
 
@@ -73,7 +73,7 @@ def run_on_worker(index: int, packed: bytes, context: dict[str, Any]) -> Outcome
     try:
         return _run(index, packed, JobContext(**context))
     except Exception as error:
-        return failed(error, began_s)
+        return failure(error, began_s)
 
 
 def _run(index: int, packed: bytes, context: JobContext) -> Outcome:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.kernels.line_search.cost import Window, cost_sum, least, mean_absolute, rotate
+from mavnav.kernels.line_search.cost import SearchWindow, cost_sum, least, mean_absolute, rotate
 from mavnav.kernels.line_search.quadratic_form import quadratic_form
 from mavnav.kernels.machine.jit import helper
 from mavnav.kernels.machine.types import float64, int64, uint64
@@ -48,7 +48,7 @@ def _runs(cells: NDArray[np.float64], starts: NDArray[np.int64]) -> int:
 def turn_sums(
     points: NDArray[np.float64],
     middle: Middle,
-    window: Window,
+    window: SearchWindow,
     turns: NDArray[np.float64],
     sums: NDArray[np.float64],
     line_map: Lines,
@@ -61,10 +61,10 @@ def turn_sums(
     nearest, lines, half_rad, truncate_m2 = line_map.nearest, line_map.lines, window.half_rad, window.truncate_m2
     azimuths, truncate_m = len(sums), np.sqrt(truncate_m2)
     form, loose = np.zeros((5, 5)), np.empty(points.shape[1], np.int64)
-    turning = Window(0.0, half_rad, window.prior, truncate_m2, window.prune)
-    found = quadratic_form(points, middle, turning, form, loose, line_map)
+    turning = SearchWindow(0.0, half_rad, window.prior, truncate_m2, window.prune)
+    loose_count = quadratic_form(points, middle, turning, form, loose, line_map)
     cos, sin, less_1, turn = np.empty(azimuths), np.empty(azimuths), turns[0], turns[1]
-    for i in range(azimuths if found else 0):
+    for i in range(azimuths if loose_count else 0):
         yaw = middle.yaw_rad - half_rad + i * (2 * half_rad / (azimuths - 1))
         cos[i], sin[i] = np.cos(yaw), np.sin(yaw)
     at_x, at_y, c, s = middle.x_m, middle.y_m, np.cos(middle.yaw_rad), np.sin(middle.yaw_rad)
@@ -74,7 +74,7 @@ def turn_sums(
     diffs, cells, starts = np.zeros((azimuths + 1, 6)), np.empty(azimuths), np.empty(azimuths + 1, np.int64)
     diffs[0, 0], diffs[0, 1], diffs[0, 2] = form[0, 0], form[0, 1], form[0, 2]
     diffs[0, 3], diffs[0, 4], diffs[0, 5] = form[1, 1], form[1, 2], form[2, 2]
-    for n in range(found):
+    for n in range(loose_count):
         k = uint64(loose[uint64(n)])
         from_x, from_y = points[0, k], points[1, k]
         for i in range(azimuths):
@@ -126,7 +126,7 @@ def turn_sums(
 def least_turn(
     points: NDArray[np.float64],
     middle: Middle,
-    window: Window,
+    window: SearchWindow,
     turns: NDArray[np.float64],
     line_map: Lines,
 ) -> int:

@@ -41,7 +41,7 @@ class Middle(NamedTuple):
     expected_y_m: float
 
 
-class Window(NamedTuple):
+class SearchWindow(NamedTuple):
     """Half-widths of a grid, the cost of a squared metre of distance from the expected centroid, and the truncation."""
 
     half_m: float

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.kernels.line_search.cost import ROUNDING_M2, Window, cost_sum, least, rotate
+from mavnav.kernels.line_search.cost import ROUNDING_M2, SearchWindow, cost_sum, least, rotate
 from mavnav.kernels.line_search.quadratic_form import quadratic_form
 from mavnav.kernels.machine.jit import helper
 from mavnav.kernels.machine.types import int64, uint64
@@ -22,7 +22,7 @@ RECTANGLE_COST = 3
 
 
 @helper
-def _shift(ji: int, nx: int, ny: int, middle: Middle, window: Window) -> tuple[float, float, float]:
+def _shift(ji: int, nx: int, ny: int, middle: Middle, window: SearchWindow) -> tuple[float, float, float]:
     """Return the centroid of candidate j nx + i of the plane, and the prior cost of its distance per point."""
     x = middle.x_m - window.half_m + (ji % nx) * (2 * window.half_m / (nx - 1))
     y = middle.y_m - window.half_m + (ji // nx) * (2 * window.half_m / (ny - 1))
@@ -97,7 +97,7 @@ def _nodes(middle_m: float, half_m: float, count: int) -> tuple[NDArray[np.float
 def shift_sums(
     points: NDArray[np.float64],
     middle: Middle,
-    window: Window,
+    window: SearchWindow,
     sums: NDArray[np.float64],
     line_map: Lines,
 ) -> None:
@@ -114,8 +114,8 @@ def shift_sums(
     truncate_m = np.sqrt(truncate_m2)
     (to_x, right), (to_y, up) = _nodes(at_x, half_m, nx), _nodes(at_y, half_m, ny)
     form, loose = np.zeros((5, 5)), np.empty(points.shape[1], np.int64)
-    shifting = Window(half_m, 0.0, window.prior, truncate_m2, window.prune)
-    found = quadratic_form(points, middle, shifting, form, loose, line_map)
+    shifting = SearchWindow(half_m, 0.0, window.prior, truncate_m2, window.prune)
+    loose_count = quadratic_form(points, middle, shifting, form, loose, line_map)
     diffs, steps = np.zeros((ny, nx, 6)), np.zeros((nx, 6))
     diffs[0, 0, 0], diffs[0, 0, 1], diffs[0, 0, 2] = form[0, 0], 2.0 * form[0, 3], 2.0 * form[0, 4]
     diffs[0, 0, 3], diffs[0, 0, 4], diffs[0, 0, 5] = form[3, 3], 2.0 * form[3, 4], form[4, 4]
@@ -124,7 +124,7 @@ def shift_sums(
     flat, wide, last_col, last_row = nearest.ravel(), nearest.shape[1], nearest.shape[1] - 1, nearest.shape[0] - 1
     starts_i, starts_j = np.empty(nx + 1, np.int64), np.empty(ny + 1, np.int64)
     cols, rows = np.empty(nx, np.int64), np.empty(ny, np.int64)
-    for m in range(found):
+    for m in range(loose_count):
         k = uint64(loose[uint64(m)])
         px, py = c * points[0, k] - s * points[1, k], s * points[0, k] + c * points[1, k]
         n_i = _spans(px, ox, inverse, to_x, cols, starts_i)
@@ -166,7 +166,7 @@ def shift_sums(
 def least_shift(
     points: NDArray[np.float64],
     middle: Middle,
-    window: Window,
+    window: SearchWindow,
     nx: int,
     ny: int,
     line_map: Lines,

@@ -13,7 +13,7 @@ from mavnav.kernels.maps.lookup import slot_of
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.kernels.line_search.cost import Lines, Middle, Window
+    from mavnav.kernels.line_search.cost import Lines, Middle, SearchWindow
 
 LANES = 32
 """Number of SIMD lanes of sums over points: several are added at a time in an unchanged order."""
@@ -34,7 +34,7 @@ def _fold(sums: NDArray[np.float64]) -> None:
 def quadratic_form(
     points: NDArray[np.float64],
     middle: Middle,
-    window: Window,
+    window: SearchWindow,
     form: NDArray[np.float64],
     loose: NDArray[np.int64],
     line_map: Lines,
@@ -46,7 +46,7 @@ def quadratic_form(
     triangle is written.
     """
     nearest, lines = line_map.nearest, line_map.lines
-    n, fixes_all, found = points.shape[1], len(loose) == 0, 0
+    n, fixes_all, loose_count = points.shape[1], len(loose) == 0, 0
     ox, oy, cell, inverse = line_map.origin_x_m, line_map.origin_y_m, line_map.cell_m, 1.0 / line_map.cell_m
     half_m, half_rad, truncate_m2 = window.half_m, window.half_rad, window.truncate_m2
     truncate_m = np.sqrt(truncate_m2)
@@ -102,8 +102,8 @@ def quadratic_form(
             g[14, k] += d
         if not fixes_all:
             for k in range(block):
-                loose[uint64(found)] = first + k  # overwritten unless the point is loose
-                found += p[8, k] == 0.0
+                loose[uint64(loose_count)] = first + k  # overwritten unless the point is loose
+                loose_count += p[8, k] == 0.0
     _fold(g)
     m = 0
     for i in range(5):
@@ -116,11 +116,11 @@ def quadratic_form(
     form[0, 4] += prior * uy
     form[3, 3] += prior
     form[4, 4] += prior
-    return found
+    return loose_count
 
 
 @helper
-def least_of_form(form: NDArray[np.float64], window: Window, turns: NDArray[np.float64], nx: int, ny: int) -> int:
+def least_of_form(form: NDArray[np.float64], window: SearchWindow, turns: NDArray[np.float64], nx: int, ny: int) -> int:
     """Return the index (a ny + j) nx + i of the least value over yaw samples, ups and rights.
 
     Along a row the form is a parabola with its minimum at one of the two nodes around its vertex.

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from mavnav.kernels.line_search.azimuth import least_turn, turns_of
-from mavnav.kernels.line_search.cost import Lines, Middle, Window, mean, rotate
+from mavnav.kernels.line_search.cost import Lines, Middle, SearchWindow, mean, rotate
 from mavnav.kernels.line_search.plane import least_shift
 from mavnav.kernels.line_search.quadratic_form import least_of_form, quadratic_form
 from mavnav.kernels.machine.jit import helper, kernel
@@ -93,12 +93,12 @@ class SearchLimits(NamedTuple):
 
 
 @helper
-def _shifted(middle: Middle, right_m: float, up_m: float) -> Middle:
+def _shift(middle: Middle, right_m: float, up_m: float) -> Middle:
     return Middle(middle.x_m + right_m, middle.y_m + up_m, middle.yaw_rad, middle.expected_x_m, middle.expected_y_m)
 
 
 @helper
-def _turned(middle: Middle, turn_rad: float) -> Middle:
+def _turn(middle: Middle, turn_rad: float) -> Middle:
     return Middle(middle.x_m, middle.y_m, middle.yaw_rad + turn_rad, middle.expected_x_m, middle.expected_y_m)
 
 
@@ -114,7 +114,7 @@ def _move_back(points: NDArray[np.float64], right_m: float, up_m: float) -> None
 def _joint_search(
     points: NDArray[np.float64],
     middle: Middle,
-    window: Window,
+    window: SearchWindow,
     grid: Grid,
     turns: NDArray[np.float64],
     rounds: int,
@@ -132,8 +132,8 @@ def _joint_search(
         quadratic_form(points, middle, window, form, no_list, line_map)
         best = least_of_form(form, window, turns, nx, ny)
         i, j, a = best % nx, (best // nx) % ny, best // (nx * ny)
-        middle = _shifted(middle, i * step_x - window.half_m, j * step_y - window.half_m)
-        middle = _turned(middle, a * step_rad - window.half_rad)
+        middle = _shift(middle, i * step_x - window.half_m, j * step_y - window.half_m)
+        middle = _turn(middle, a * step_rad - window.half_rad)
         grids += 1
         if turn + 1 >= rounds and 0 < i < nx - 1 and 0 < j < ny - 1 and 0 < a < azimuths - 1:
             break
@@ -141,7 +141,7 @@ def _joint_search(
 
 
 @helper
-def _evaluated(points: NDArray[np.float64], middle: Middle, truncate_m2: float, line_map: Lines) -> tuple[float, int]:
+def _evaluate(points: NDArray[np.float64], middle: Middle, truncate_m2: float, line_map: Lines) -> tuple[float, int]:
     """Return the cost sum of the points at the middle, m2, and the number within half the truncation distance."""
     nearest, lines, ox, oy, cell = line_map
     n, total, inliers = points.shape[1], 0.0, 0
@@ -159,7 +159,7 @@ def _evaluated(points: NDArray[np.float64], middle: Middle, truncate_m2: float, 
 def _alternating_search(
     points: NDArray[np.float64],
     middle: Middle,
-    window: Window,
+    window: SearchWindow,
     grid: Grid,
     turns: NDArray[np.float64],
     rounds: int,
@@ -177,19 +177,19 @@ def _alternating_search(
     for turn in range(rounds):
         for _ in range(extensions + 1):
             i = least_turn(points, middle, window, turns, line_map)
-            middle = _turned(middle, i * step_rad - window.half_rad)
+            middle = _turn(middle, i * step_rad - window.half_rad)
             of_yaw += 1
             if 0 < i < azimuths - 1:
                 break
         for _ in range(extensions + 1):
             ji = least_shift(points, middle, window, nx, ny, line_map)
             i, j = ji % nx, ji // nx
-            middle = _shifted(middle, i * step_x - window.half_m, j * step_y - window.half_m)
+            middle = _shift(middle, i * step_x - window.half_m, j * step_y - window.half_m)
             of_plane += 1
             if 0 < i < nx - 1 and 0 < j < ny - 1:
                 break
         if turn == 0 and most_m2 < np.inf:
-            total, _ = _evaluated(points, middle, window.truncate_m2, line_map)
+            total, _ = _evaluate(points, middle, window.truncate_m2, line_map)
             if total > most_m2:
                 return middle, of_yaw, of_plane, True
     return middle, of_yaw, of_plane, False
@@ -269,7 +269,7 @@ def search(
     dense, rounds = n >= dense_points, joint_rounds
     evaluations, grids, converged = 0, 0, False
     for level in range(MAX_LEVELS):
-        window = Window(half_m, half_rad, prior, truncate_m2, prune > 0)
+        window = SearchWindow(half_m, half_rad, prior, truncate_m2, prune > 0)
         step_m, step_rad = max(2 * half_m / (nx - 1), 2 * half_m / (ny - 1)), 2 * half_rad / (azimuths - 1)
         last = step_m < stop_m and step_rad < stop_rad
         within = half_m <= within_below_m
@@ -314,7 +314,7 @@ def search(
             rounds = 1  # finer levels start close to their result
         half_m, half_rad = min(1.5 * step_m, 0.9 * half_m), min(1.5 * step_rad, 0.9 * half_rad)
 
-    total, inliers = _evaluated(centred, middle, truncate_m2, line_map)
+    total, inliers = _evaluate(centred, middle, truncate_m2, line_map)
     c, s = np.cos(middle.yaw_rad), np.sin(middle.yaw_rad)
     to_x, to_y = middle.x_m - c * pivot_x + s * pivot_y, middle.y_m - s * pivot_x - c * pivot_y
     return to_x, to_y, middle.yaw_rad, total / n, inliers / n, evaluations, grids, converged

@@ -23,7 +23,7 @@ def _root(parent: NDArray[np.int32], label: int) -> int:
 
 
 @helper
-def _joined(parent: NDArray[np.int32], a: int, b: int) -> int:
+def _union(parent: NDArray[np.int32], a: int, b: int) -> int:
     """Merge the regions of two labels and return its first label; -1 is no label."""
     if a < 0 or b < 0:
         return max(a, b)
@@ -50,9 +50,9 @@ def region_sizes(mask: NDArray[np.bool_], diagonal: bool) -> NDArray[np.int64]:
             here[c + 1] = -1
             if not mask[r, c]:
                 continue
-            label = _joined(parent, here[c], above[c + 1])
+            label = _union(parent, here[c], above[c + 1])
             if diagonal:
-                label = _joined(parent, _joined(parent, label, above[c]), above[c + 2])
+                label = _union(parent, _union(parent, label, above[c]), above[c + 2])
             if label < 0:
                 label = labels
                 parent[labels], sizes[labels] = labels, 0

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @kernel(float64[:, ::1](U16_3D, U16_2D, F64_1D, int64, float64))
-def occupied(
+def wall_centres(
     hits: NDArray[np.uint16], passes: NDArray[np.uint16], lattice: NDArray[np.float64], min_hits: int, min_share: float
 ) -> NDArray[np.float64]:
     """Return the centres (n, 2) in m of the cells that are walls, in row-major order.

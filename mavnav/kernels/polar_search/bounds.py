@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.kernels.machine.jit import helper
-from mavnav.kernels.polar_search.cost import Scan, span, to_polar
+from mavnav.kernels.polar_search.cost import Beams, span, to_polar
 from mavnav.kernels.polar_search.fixed_beams import (
     FIXED_SHARE,
     Reach,
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.kernels.polar_search.cost import Work
-    from mavnav.kernels.polar_search.fixed_beams import Window
+    from mavnav.kernels.polar_search.fixed_beams import HalfWindow
 
 FIXED_BEAMS, TRIMMED_BEAMS, WORTH_TRIMMING = 0.25, 6.0, 15
 """Bounds on the beams that points pass on the grid, on average.
@@ -39,13 +39,13 @@ SUM_M2 = 1e-11
 
 @helper
 def bound(
-    scan: Scan,
+    scan: Beams,
     motions: NDArray[np.float64],
     offsets: NDArray[np.float64],
-    window: Window,
+    window: HalfWindow,
     work: Work,
     bounds: NDArray[np.float64],
-) -> Scan:
+) -> Beams:
     """Write a lower bound of each candidate's cost, -inf if unknown.
 
     ``motions`` are those of the candidates, and of the grid's middle at the end; ``offsets`` (m, 2) are relative to it.
@@ -68,14 +68,14 @@ def bound(
     rest = rest_of(scan, swept, fixed)
     if not small:
         to_polar(rest, middle, limits, work.r[: rest.shape[1]], work.beam[: rest.shape[1]])
-        trimmed = Scan(np.where(fixed < 0, virtual, np.nan), rest, limits)
+        trimmed = Beams(np.where(fixed < 0, virtual, np.nan), rest, limits)
         bound_wide(trimmed, motions, work, bounds)
         return trimmed
     p0, p_u, p_v, p_uu, p_uv, p_vv = polynomial(scan, middle, window, work, sight.seen, fixed)
     loose, sure = np.flatnonzero(fixed < 0), float(np.count_nonzero(fixed > 0))
     for i in range(len(bounds)):
         u, v = offsets[i]
-        total, used = sum_loose(Scan(virtual, rest, limits), loose, motions[i], work)
+        total, used = sum_loose(Beams(virtual, rest, limits), loose, motions[i], work)
         total += p0 + u * (p_u + u * p_uu + v * p_uv) + v * (p_v + v * p_vv)
         used += sure
         bounds[i] = total / used - SUM_M2 if used >= max(limits.fewest_beams, 1.0) else np.inf

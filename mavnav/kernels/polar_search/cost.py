@@ -33,7 +33,7 @@ class Limits(NamedTuple):
     counted: bool
 
 
-class Scan(NamedTuple):
+class Beams(NamedTuple):
     """The virtual ranges (beams,), the points of the scan (6, n), and the limits.
 
     The rows of points are x, y, beam number, range, bearing, and 1 if a point and the one before are on one surface.
@@ -68,9 +68,9 @@ def limits_of(limits: NDArray[np.float64]) -> Limits:
 
 
 @helper
-def scan_of(virtual: NDArray[np.float64], points: NDArray[np.float64], limits: Limits) -> Scan:
+def scan_of(virtual: NDArray[np.float64], points: NDArray[np.float64], limits: Limits) -> Beams:
     """Return a scan of virtual ranges (beams,) and points (5, n)."""
-    return Scan(virtual.copy(), _joined(points, limits.edge_m), limits)
+    return Beams(virtual.copy(), _mark_surfaces(points, limits.edge_m), limits)
 
 
 @helper
@@ -82,7 +82,7 @@ def work_for(points: int, beams: int) -> Work:
 
 
 @helper
-def _joined(points: NDArray[np.float64], edge: float) -> NDArray[np.float64]:
+def _mark_surfaces(points: NDArray[np.float64], edge: float) -> NDArray[np.float64]:
     """Return points (5, n) with one more row: 1 if a point and the one before are on one surface."""
     out = np.zeros((6, points.shape[1]))
     for row in range(5):
@@ -131,7 +131,7 @@ def to_polar(
 
 
 @helper
-def span(scan: Scan, work: Work) -> None:
+def span(scan: Beams, work: Work) -> None:
     """Write the range in which the first virtual beam meets the segment before each point, and the segment's slope.
 
     Segments are between neighbouring beams on one surface, with their front towards the virtual laser (step iv). The
@@ -152,7 +152,7 @@ def span(scan: Scan, work: Work) -> None:
 
 
 @helper
-def lower_ranges(scan: Scan, work: Work, seen: NDArray[np.float64]) -> None:
+def lower_ranges(scan: Beams, work: Work, seen: NDArray[np.float64]) -> None:
     """Lower the range in which each virtual beam meets the moved points: nearer surfaces hide farther ones."""
     r, beam, value, slope, first, more = work.r, work.beam, work.value, work.slope, work.first, work.more
     beams, turn = len(seen), 2.0 * np.pi / abs(scan.limits.step_rad)
@@ -194,7 +194,7 @@ def _compare(
 
 
 @helper
-def _mean(scan: Scan, work: Work) -> tuple[float, float]:
+def _mean(scan: Beams, work: Work) -> tuple[float, float]:
     """Return the cost and the number of beams in it, from ranges and beam numbers of the moved points."""
     virtual, limits = scan.virtual, scan.limits
     # Cost function, step iv
@@ -210,7 +210,7 @@ def _mean(scan: Scan, work: Work) -> tuple[float, float]:
 
 
 @helper
-def evaluate(scan: Scan, motion: NDArray[np.float64], work: Work) -> tuple[float, float]:
+def evaluate(scan: Beams, motion: NDArray[np.float64], work: Work) -> tuple[float, float]:
     """Return the cost and the number of beams in it, see ``polar_cost``."""
     n = scan.points.shape[1]
     # Cost function, step iii

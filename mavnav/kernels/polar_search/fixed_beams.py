@@ -12,7 +12,7 @@ from mavnav.kernels.machine.types import int64, uint64
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.kernels.polar_search.cost import Scan, Work
+    from mavnav.kernels.polar_search.cost import Beams, Work
 
 FIXED_SHARE = 1.0 / 16.0
 """Largest change by motion within a small grid, as a share of a point's range and of a segment's width."""
@@ -25,7 +25,7 @@ CLOSE = 1e-8
 """Distance to the end of a segment, in beams, or to a threshold, in m, within which rounding may decide."""
 
 
-class Window(NamedTuple):
+class HalfWindow(NamedTuple):
     """Half-window in m and rad, one of them 0, and the centre of rotation (m)."""
 
     half_m: float
@@ -52,9 +52,9 @@ class Sight(NamedTuple):
 
 @helper
 def reach_of(
-    scan: Scan,
+    scan: Beams,
     motion: NDArray[np.float64],
-    window: Window,
+    window: HalfWindow,
     r: NDArray[np.float64],
     reach: Reach,
 ) -> tuple[float, float]:
@@ -78,7 +78,7 @@ def reach_of(
 
 
 @helper
-def sweep(scan: Scan, beam: NDArray[np.float64], by_beams: NDArray[np.float64], swept: NDArray[np.float64]) -> None:
+def sweep(scan: Beams, beam: NDArray[np.float64], by_beams: NDArray[np.float64], swept: NDArray[np.float64]) -> None:
     """Write the first and last beam that each segment may meet somewhere on the grid.
 
     The range is empty if it meets none, and extends below 0 or above a whole turn if it may cross the seam.
@@ -94,7 +94,7 @@ def sweep(scan: Scan, beam: NDArray[np.float64], by_beams: NDArray[np.float64], 
 
 @helper
 def find_fixed(
-    scan: Scan,
+    scan: Beams,
     work: Work,
     reach: Reach,
     swept: NDArray[np.float64],
@@ -131,7 +131,7 @@ def find_fixed(
 
 @helper
 def classify(
-    scan: Scan,
+    scan: Beams,
     work: Work,
     reach: Reach,
     sight: Sight,
@@ -162,7 +162,7 @@ def classify(
 
 
 @helper
-def rest_of(scan: Scan, swept: NDArray[np.float64], fixed: NDArray[np.int64]) -> NDArray[np.float64]:
+def rest_of(scan: Beams, swept: NDArray[np.float64], fixed: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return the points (6, m) of the segments that beams with -1 may meet."""
     points, last, turn, count = scan.points, len(fixed) - 1, 2.0 * np.pi / abs(scan.limits.step_rad), 0
     n, loose = points.shape[1], np.zeros(len(fixed) + 1, np.int64)

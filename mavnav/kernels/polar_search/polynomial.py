@@ -13,15 +13,15 @@ from mavnav.kernels.polar_search.cost import lower_ranges, span, to_polar
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.kernels.polar_search.cost import Scan, Work
-    from mavnav.kernels.polar_search.fixed_beams import Window
+    from mavnav.kernels.polar_search.cost import Beams, Work
+    from mavnav.kernels.polar_search.fixed_beams import HalfWindow
 
 
 @helper
 def _derive(
-    scan: Scan,
+    scan: Beams,
     motion: NDArray[np.float64],
-    window: Window,
+    window: HalfWindow,
     path: NDArray[np.float64],
     r: NDArray[np.float64],
     rates: NDArray[np.float64],
@@ -93,9 +93,9 @@ def _sum_up(terms: NDArray[np.float64], sums: NDArray[np.float64]) -> None:
 
 @helper
 def polynomial(
-    scan: Scan,
+    scan: Beams,
     motion: NDArray[np.float64],
-    window: Window,
+    window: HalfWindow,
     work: Work,
     seen: NDArray[np.float64],
     fixed: NDArray[np.int64],
@@ -129,7 +129,7 @@ def polynomial(
 
 
 @helper
-def sum_loose(scan: Scan, loose: NDArray[np.int64], motion: NDArray[np.float64], work: Work) -> tuple[float, float]:
+def sum_loose(scan: Beams, loose: NDArray[np.int64], motion: NDArray[np.float64], work: Work) -> tuple[float, float]:
     """Return the sum of the squared differences of loose beams for one candidate, and the number that contribute."""
     virtual, points, limits = scan
     n, total, used = points.shape[1], 0.0, 0.0

@@ -20,8 +20,8 @@ import numpy as np
 from mavnav.kernels.machine.jit import helper, kernel
 from mavnav.kernels.machine.types import F64_1D, F64_2D, float64, int64
 from mavnav.kernels.polar_search.bounds import bound
-from mavnav.kernels.polar_search.cost import Limits, Scan, evaluate, limits_of, scan_of, work_for
-from mavnav.kernels.polar_search.fixed_beams import Window
+from mavnav.kernels.polar_search.cost import Beams, Limits, evaluate, limits_of, scan_of, work_for
+from mavnav.kernels.polar_search.fixed_beams import HalfWindow
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -65,7 +65,7 @@ class Schedule(NamedTuple):
     either: float
 
 
-class Grid(NamedTuple):
+class GridCentre(NamedTuple):
     """The middle of a grid: position of the pivot, and yaw; and the pivot in the scan, m."""
 
     x_m: float
@@ -77,7 +77,7 @@ class Grid(NamedTuple):
 
 @helper
 def _least(
-    scan: Scan, motions: NDArray[np.float64], bounds: NDArray[np.float64], work: Work
+    scan: Beams, motions: NDArray[np.float64], bounds: NDArray[np.float64], work: Work
 ) -> tuple[int, float, float]:
     """Return the first candidate of least cost (-1 if all are inf), its cost and the number of its beams."""
     promising = int64(np.argmin(bounds))
@@ -94,7 +94,7 @@ def _least(
 
 @helper
 def _turns(
-    grid: Grid,
+    grid: GridCentre,
     half_rad: float,
     motions: NDArray[np.float64],
     offsets: NDArray[np.float64],
@@ -114,7 +114,7 @@ def _turns(
 
 @helper
 def _shifts(
-    grid: Grid,
+    grid: GridCentre,
     half_m: float,
     nx: int,
     motions: NDArray[np.float64],
@@ -139,11 +139,11 @@ def _shifts(
 
 
 @helper
-def _at_occlusion(scan: Scan, occlusion_m: float) -> Scan:
+def _at_occlusion(scan: Beams, occlusion_m: float) -> Beams:
     """Return the scan with another occlusion threshold."""
     first_rad, step_rad, near_m, far_m, _, edge_m, fewest_beams, counted = scan.limits
     limits = Limits(first_rad, step_rad, near_m, far_m, occlusion_m, edge_m, fewest_beams, counted)
-    return Scan(scan.virtual, scan.points, limits)
+    return Beams(scan.virtual, scan.points, limits)
 
 
 @kernel(float64[::1](F64_1D, F64_2D, F64_1D, F64_1D, F64_1D))
@@ -183,9 +183,9 @@ def search(
         step_rad = 2.0 * half_rad / (azimuths - 1)
         for _ in range(extensions + 1):
             # Minimisation, steps i and ii
-            _turns(Grid(x, y, yaw, pivot_x, pivot_y), half_rad, turns, by_turn)
+            _turns(GridCentre(x, y, yaw, pivot_x, pivot_y), half_rad, turns, by_turn)
             if bounded:
-                part = bound(scan, turns, by_turn, Window(0.0, half_rad, x, y), work, turn_bounds)
+                part = bound(scan, turns, by_turn, HalfWindow(0.0, half_rad, x, y), work, turn_bounds)
             i, best, beams = _least(part, turns, turn_bounds, work)
             evaluations += azimuths
             if i >= 0:
@@ -196,9 +196,9 @@ def search(
                 break
         for _ in range(extensions + 1):
             # Steps iii and iv
-            _shifts(Grid(x, y, yaw, pivot_x, pivot_y), half_m, nx, shifts, by_shift)
+            _shifts(GridCentre(x, y, yaw, pivot_x, pivot_y), half_m, nx, shifts, by_shift)
             if bounded:
-                part = bound(scan, shifts, by_shift, Window(half_m, 0.0, x, y), work, bounds)
+                part = bound(scan, shifts, by_shift, HalfWindow(half_m, 0.0, x, y), work, bounds)
             ji, best, beams = _least(part, shifts, bounds, work)
             evaluations += nx * ny
             if ji >= 0:

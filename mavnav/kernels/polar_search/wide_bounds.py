@@ -15,7 +15,7 @@ from mavnav.kernels.machine.types import float64, int32, int64, uint64
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.kernels.polar_search.cost import Limits, Scan, Work
+    from mavnav.kernels.polar_search.cost import Beams, Limits, Work
 
 BEARING_RAD, RANGE_M, RANGE_SHARE = 6e-7, 5e-5, 1e-6
 """Errors in single precision: of bearings, and of ranges on surfaces that are not too steep.
@@ -34,7 +34,7 @@ NEARLY_BEHIND_RAD = 3.0
 """Largest change of a bearing: beyond, a neighbour may have turned the other way."""
 
 
-class Motion(NamedTuple):
+class BeamMotion(NamedTuple):
     """Shift along the axes of the grid's middle (m), turn in beams, and beams per radian, in single precision."""
 
     x: np.float32
@@ -78,7 +78,7 @@ def _widths_of(limits: Limits, beams: int) -> Widths:
 
 
 @helper
-def _to_polar_f32(points: NDArray[np.float32], motion: Motion, moved: NDArray[np.float32]) -> None:
+def _to_polar_f32(points: NDArray[np.float32], motion: BeamMotion, moved: NDArray[np.float32]) -> None:
     """Write the range and the change of the beam number of the moved points; NaN if that is not accurate.
 
     The tangent of half the change is cross / (product of the ranges + dot). A short series is accurate to 1e-7 for
@@ -188,7 +188,7 @@ def _least_mean(
 
 
 @helper
-def _at_middle(scan: Scan, middle: NDArray[np.float64], work: Work) -> NDArray[np.float32]:
+def _at_middle(scan: Beams, middle: NDArray[np.float64], work: Work) -> NDArray[np.float32]:
     """Return the points in the middle of a grid, (7, n).
 
     The rows are x, y, beam number as measured, squared range, change of the beam number (not wrapped at the seam),
@@ -208,7 +208,7 @@ def _at_middle(scan: Scan, middle: NDArray[np.float64], work: Work) -> NDArray[n
 
 
 @helper
-def bound_wide(scan: Scan, motions: NDArray[np.float64], work: Work, bounds: NDArray[np.float64]) -> None:
+def bound_wide(scan: Beams, motions: NDArray[np.float64], work: Work, bounds: NDArray[np.float64]) -> None:
     """Write a lower bound of each candidate's cost, -inf if unknown.
 
     ``work`` has the points relative to the grid's middle, the last of the ``motions``; the candidates are expressed as
@@ -225,7 +225,7 @@ def bound_wide(scan: Scan, motions: NDArray[np.float64], work: Work, bounds: NDA
         turn = motions[i, 4] - yaw
         c, s = np.cos(turn), np.sin(turn)
         right, up = c * motions[i, 2] + s * motions[i, 3] - x, c * motions[i, 3] - s * motions[i, 2] - y
-        motion = Motion(np.float32(right), np.float32(up), np.float32(turn * per_step), np.float32(per_step))
+        motion = BeamMotion(np.float32(right), np.float32(up), np.float32(turn * per_step), np.float32(per_step))
         _to_polar_f32(small, motion, moved)
         _span_f32(small, widths, moved, spans)
         known = _lower_ranges_f32(small, widths, moved, spans, seen)

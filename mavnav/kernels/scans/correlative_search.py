@@ -106,7 +106,7 @@ def separate_minima(
     Each is the lowest of the finite costs that is not the same minimum as one before it, by ``separate`` (m, rad); of
     equal costs the first. The costs around them are overwritten.
     """
-    (yaws, positions), found, n = costs_m2.shape, np.empty((most, 3)), 0
+    (yaws, positions), minima, n = costs_m2.shape, np.empty((most, 3)), 0
     while n < most:
         best, at_q, at_p = np.inf, 0, 0
         for q in range(yaws):
@@ -115,7 +115,7 @@ def separate_minima(
                     best, at_q, at_p = costs_m2[q, p], q, p
         if best == np.inf:
             break
-        found[n, 0], found[n, 1], found[n, 2] = best, at_q, at_p
+        minima[n, 0], minima[n, 1], minima[n, 2] = best, at_q, at_p
         n += 1
         for q in range(yaws):
             turned_rad = yaws_rad[q] - yaws_rad[at_q]
@@ -125,4 +125,4 @@ def separate_minima(
                 moved_m = xy_map_m[p, 0] - xy_map_m[at_p, 0], xy_map_m[p, 1] - xy_map_m[at_p, 1]
                 if is_same(moved_m, 0.0, separate):
                     costs_m2[q, p] = np.inf
-    return found[:n].copy()
+    return minima[:n].copy()

@@ -49,7 +49,7 @@ class Heap(NamedTuple):
 
 
 @helper
-def _grown(heap: Heap, count: int) -> Heap:
+def _grow(heap: Heap, count: int) -> Heap:
     """Return a heap with space for more than ``count`` entries."""
     had = len(heap.code)
     if count < had:
@@ -157,7 +157,7 @@ def _squares(index: NDArray[np.int32]) -> NDArray[np.uint16]:
 
 
 @helper
-def _widened(planes: NDArray[np.uint8], cols: int) -> NDArray[np.uint8]:
+def _pad_columns(planes: NDArray[np.uint8], cols: int) -> NDArray[np.uint8]:
     """Return planes padded to ``cols`` columns at least, with `WORST`."""
     n, rows, had = planes.shape
     if had >= cols:
@@ -234,11 +234,11 @@ def _upper_sum(histogram: NDArray[np.int64], after: int, least: int) -> tuple[in
 
     Also returns the number of these squares.
     """
-    found, upper = 0, after
-    while found < least and upper < len(histogram) - 1:
+    count, upper = 0, after
+    while count < least and upper < len(histogram) - 1:
         upper += 1
-        found += histogram[upper]
-    return upper, found
+        count += histogram[upper]
+    return upper, count
 
 
 @helper
@@ -283,7 +283,7 @@ def lowest_poses(
     cells, counts = _cells(points, (x0, y0), yaws_rad, corner, geometry)
     blank = _squares(index)
     positions, n_yaws, (square_rows, square_cols) = index.size, len(yaws_rad), blank.shape
-    wide = _widened(planes, square_cols)
+    wide = _pad_columns(planes, square_cols)
     sums = np.empty((n_yaws, square_rows, wide.shape[2]), np.uint16)
     scale = ROUNDING * truncate_m * truncate_m / (WORST * len(points))
     limit = int(min(max(limit_m2 / scale, 0.0), MOST_POINTS * WORST - 1.0)) + 1
@@ -299,7 +299,7 @@ def lowest_poses(
                         histogram[bounds[col]] += 1
     kind = n_yaws * positions  # code: (TOP - level, or LEVELS if exact) times this, plus yaw and position
     heap, count, upper, slice_size = Heap(np.empty(4 * SLICE), np.empty(4 * SLICE, np.int64)), 0, -1, SLICE
-    found, n = np.empty((most, 3)), 0
+    minima, n = np.empty((most, 3)), 0
     while n < most:
         if count == 0 or (upper + 1 < len(histogram) and heap.cost_m2[0] >= (upper + 1) * scale):
             if upper + 1 >= len(histogram) or (upper + 1) * scale > limit_m2:
@@ -307,7 +307,7 @@ def lowest_poses(
             lower = upper
             upper, more = _upper_sum(histogram, upper, slice_size)
             slice_size *= 4
-            heap = _grown(heap, count + more)  # not in the loops, where each pass would count references
+            heap = _grow(heap, count + more)  # not in the loops, where each pass would count references
             for q in range(n_yaws):
                 for row in range(square_rows):
                     if least[q, row] > upper:
@@ -328,7 +328,7 @@ def lowest_poses(
         if level > 0:
             side = 1 << (level - 1)
             bounds = _bound_quarters(cells[q], counts[q], row * step, col * step, side * step, floors[level - 1], limit)
-            heap = _grown(heap, count + 3)
+            heap = _grow(heap, count + 3)
             for k in range(4):
                 r, c = k // 2 * side, k % 2 * side
                 if bounds[k] <= limit and _holds_any(index, row + r, col + c, side):
@@ -339,17 +339,17 @@ def lowest_poses(
         p = int64(index[row, col])
         taken = False
         for k in range(n):
-            other_q, other_p = int(found[k, 1]), int(found[k, 2])
+            other_q, other_p = int(minima[k, 1]), int(minima[k, 2])
             moved_m = xy_map_m[p, 0] - xy_map_m[other_p, 0], xy_map_m[p, 1] - xy_map_m[other_p, 1]
             taken |= is_same(moved_m, yaws_rad[q] - yaws_rad[other_q], separate)
         if taken:
             continue
         if level == 0:
             cost_m2 = pose_cost(points, xy_map_m[p], yaws_rad[q], truncate_m, nearest, lines, geometry)
-            heap = _grown(heap, count)
+            heap = _grow(heap, count)
             _push(heap, count, cost_m2, LEVELS * kind + at)
             count += 1
         else:
-            found[n, 0], found[n, 1], found[n, 2] = cost_m2, q, p
+            minima[n, 0], minima[n, 1], minima[n, 2] = cost_m2, q, p
             n += 1
-    return found[:n].copy()
+    return minima[:n].copy()

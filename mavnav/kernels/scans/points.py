@@ -139,7 +139,7 @@ def extent(points: NDArray[np.float64]) -> tuple[float, float, float, float]:
 
 
 @kernel(Several((float64, float64, float64, float64))(F64_2D, F64_1D, float64[:, ::1]))
-def placed(
+def place_points(
     points: NDArray[np.float64], pose: NDArray[np.float64], out: NDArray[np.float64]
 ) -> tuple[float, float, float, float]:
     """Transform points (n, 2), m, by a ``pose`` (3,): x, y (m), yaw (rad).

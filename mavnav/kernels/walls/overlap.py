@@ -18,7 +18,7 @@ AT_ONCE = 4
 
 
 @helper
-def _sampled(
+def _sample_ends(
     ranges_m: NDArray[np.float64],
     directions: NDArray[np.float64],
     near_m: float,
@@ -149,7 +149,7 @@ def scan_distances(
     for pair in range(len(pairs)):
         a, b = pairs[pair]
         if a != last:  # the pairs of a scan follow each other
-            last, n = a, _sampled(ranges_m[a], directions, near_m, far_m, every, sampled)
+            last, n = a, _sample_ends(ranges_m[a], directions, near_m, far_m, every, sampled)
         dx, dy, dyaw = poses[a, 0] - poses[b, 0], poses[a, 1] - poses[b, 1], poses[a, 2] - poses[b, 2]
         c, s = np.cos(poses[b, 2]), np.sin(poses[b, 2])
         motion = np.array([np.cos(dyaw), np.sin(dyaw), c * dx + s * dy, c * dy - s * dx])

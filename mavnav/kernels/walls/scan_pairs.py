@@ -67,20 +67,20 @@ def _used_ends(
 
 
 @helper
-def _beside(
+def _moments_beside(
     xy: NDArray[np.float64], apart: NDArray[np.bool_], n: int, i: int
 ) -> tuple[int, float, float, float, float, float, float]:
     """Return the lesser of the numbers of points near point ``i`` on its two sides, and the moments of all of them."""
     fewest, count, x, y, xx, xy_, yy = n, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for step in (-1, 1):
-        found, k = 0, i + step
+        near, k = 0, i + step
         while 0 <= k < n and not apart[max(k, k - step)]:
             dx, dy = xy[0, k] - xy[0, i], xy[1, k] - xy[1, i]
-            if found >= LEAST_BESIDE and dx * dx + dy * dy > HALF_LENGTH_M * HALF_LENGTH_M:
+            if near >= LEAST_BESIDE and dx * dx + dy * dy > HALF_LENGTH_M * HALF_LENGTH_M:
                 break
             count, x, y, xx, xy_, yy = count + 1.0, x + dx, y + dy, xx + dx * dx, xy_ + dx * dy, yy + dy * dy
-            found, k = found + 1, k + step
-        fewest = min(fewest, found)
+            near, k = near + 1, k + step
+        fewest = min(fewest, near)
     return fewest, count, x, y, xx, xy_, yy
 
 
@@ -100,7 +100,7 @@ def wall_normals(
         used = _used_ends(ranges_m[s], directions, limits_m, beam, xy, apart)
         for k in range(used):
             i = beam[k]
-            fewest, n, x, y, xx, xy_, yy = _beside(xy, apart, used, k)
+            fewest, n, x, y, xx, xy_, yy = _moments_beside(xy, apart, used, k)
             if fewest < LEAST_BESIDE:
                 continue
             xx, xy_, yy = xx / n - x * x / n / n, xy_ / n - x * y / n / n, yy / n - y * y / n / n

@@ -23,7 +23,7 @@ def _add(
 
 
 @kernel(float32[:, ::1](F32_2D, F64_1D, F64_1D, float64, float64))
-def smoothed(
+def smooth_image(
     image: NDArray[np.float32],
     down: NDArray[np.float64],
     across: NDArray[np.float64],

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 @helper
-def _thinned(xy_m: NDArray[np.float64], spacing_m: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def _thin(xy_m: NDArray[np.float64], spacing_m: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Return the numbers of the points at least ``spacing_m`` from the one before, and these points."""
     beam, n = np.empty(len(xy_m), np.int64), 0
     for i in range(len(xy_m)):
@@ -55,7 +55,7 @@ def straight_beams(
     (n,): direction in rad, -pi/2 to pi/2, NaN where a point lies on no straight wall or was left out.
     """
     direction = np.full(len(xy_m), np.nan)
-    beam, xy = _thinned(xy_m, spacing_m)
+    beam, xy = _thin(xy_m, spacing_m)
     for radius_m in radii_m:
         for i in range(len(beam)):
             if not np.isnan(direction[beam[i]]):

@@ -52,7 +52,7 @@ def is_carmen(head: bytes) -> bool:
     return LASER_LINE.search(head) is not None or len(_PARAMETER_LINE.findall(head)) > 1
 
 
-class _State(Struct):
+class _CarmenState(Struct):
     """Parameters and channels read so far."""
 
     report: ReadReport
@@ -75,7 +75,7 @@ def read_carmen(path: Path, report: ReadReport) -> Iterator[RawMessage]:
     that cannot be parsed is reported and left out.
     """
     with path.open("rb") as file:
-        state = _State(report, *kinds_of_poses(islice(_lines(file), _INSPECTED_LINES)))
+        state = _CarmenState(report, *kinds_of_poses(islice(_lines(file), _INSPECTED_LINES)))
     if state.poses is Poses.CORRECTED:
         report.warn("the poses in the log are those of a SLAM and no odometry; --truth auto compares with them")
     offset = 0
@@ -131,7 +131,7 @@ def kinds_of_poses(lines: Iterable[bytes]) -> tuple[Poses, bool]:
     return Poses.BOTH if moved else Poses.ODOMETRY, bool(by_time)
 
 
-def _messages(line: bytes, state: _State) -> Iterator[RawMessage]:
+def _messages(line: bytes, state: _CarmenState) -> Iterator[RawMessage]:
     """Yield the messages of a line: a scan with its poses, odometry, or nothing."""
     if LASER_LINE.match(line):
         yield from _scan(line, state)
@@ -147,7 +147,7 @@ def _messages(line: bytes, state: _State) -> Iterator[RawMessage]:
         raise ValueError("zeros, as a crash leaves them, are no text")
 
 
-def _scan(line: bytes, state: _State) -> Iterator[RawMessage]:
+def _scan(line: bytes, state: _CarmenState) -> Iterator[RawMessage]:
     """Yield a scan and the poses in its line; before the first scan, also the mounting of the laser."""
     laser = laser_of(line.split())
     kind, at_ns = laser.kind, laser.stamp_ns
@@ -169,7 +169,7 @@ def _scan(line: bytes, state: _State) -> Iterator[RawMessage]:
         yield RawMessage(state.channel("/odom", ODOMETRY), at_ns, text)
 
 
-def _mounting(kind: str, base: Pose | None, laser: Pose | None, state: _State) -> Pose | None:
+def _mounting(kind: str, base: Pose | None, laser: Pose | None, state: _CarmenState) -> Pose | None:
     """Return ``base_T_laser`` from the poses of both, else from the parameters; None if unknown."""
     if state.poses is Poses.ODOMETRY and base is not None and laser is not None:
         return base.between(laser)

@@ -249,15 +249,15 @@ def unpack_message(data: bytes) -> bytes:
 
 def first_bytes(path: Path, packer: str, count: int) -> bytes:
     """Return the first ``count`` decompressed bytes of a file, fewer if it is damaged; ``packer`` is in ``PACKERS``."""
-    found = b""
+    head = b""
     with path.open("rb") as file, suppress(*_file_errors(packer)), PACKERS[packer][1](file) as stream:
-        while len(found) < count and (block := stream.read1(_PIECE_BYTES)):
-            found += block
-    return found[:count]
+        while len(head) < count and (block := stream.read1(_PIECE_BYTES)):
+            head += block
+    return head[:count]
 
 
 @contextmanager
-def unpacked_file(path: Path, packer: str, report: ReadReport) -> Iterator[Path]:
+def unpack_file(path: Path, packer: str, report: ReadReport) -> Iterator[Path]:
     """Decompress a file into a temporary one, deleted at the end; damaged data are reported and left out.
 
     Raises OutputError if the temporary folder is full.

@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from mavnav.atomic_files import short_name
-from mavnav.logs.formats.decompress import PACKERS, first_bytes, unpacked_file
+from mavnav.logs.formats.decompress import PACKERS, first_bytes, unpack_file
 from mavnav.logs.formats.mcap_records import MAGIC, find_record
 from mavnav.logs.formats.rosbag2 import METADATA, compare_count, read_metadata, storage_files
 from mavnav.logs.formats.source import BAG_MAGIC, MAGIC_WITHIN_BYTES, OLD_BAG_MAGIC, SQLITE_MAGIC, Source
@@ -59,8 +59,8 @@ def _sniff_strictly(path: Path) -> str:
 
 
 def _sniff_head(head: bytes) -> str:
-    found = next((name for magic, name in MAGICS.items() if head.startswith(magic)), UNKNOWN)
-    return "carmen" if found == UNKNOWN and _module("carmen").is_carmen(head) else found
+    kind = next((name for magic, name in MAGICS.items() if head.startswith(magic)), UNKNOWN)
+    return "carmen" if kind == UNKNOWN and _module("carmen").is_carmen(head) else kind
 
 
 def _sniff_damaged(path: Path) -> str:
@@ -147,7 +147,7 @@ def read(path: Path, report: ReadReport) -> Iterator[RawMessage]:
 def _read_file(path: Path, report: ReadReport) -> Iterator[RawMessage]:
     name, packer = split_name(sniff(path))
     if packer:
-        with unpacked_file(path, packer, report) as inner:
+        with unpack_file(path, packer, report) as inner:
             yield from _read_file(inner, report)
     elif name in READERS:
         module, reader = READERS[name]

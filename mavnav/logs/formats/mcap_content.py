@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from msgspec import Struct, field
 
 from mavnav.logs.formats.decompress import Allowance
-from mavnav.logs.formats.mcap_records import MESSAGE_HEAD, Fields, Op
+from mavnav.logs.formats.mcap_records import MESSAGE_HEAD, Op, RecordFields
 from mavnav.logs.formats.untyped import channel_of, lacks_type, with_detected_type
 from mavnav.logs.records import Channel, RawMessage, Schema, ros_type
 
@@ -19,7 +19,7 @@ _ENCODING_OF_SCHEMA = {"ros2msg": "cdr", "ros2idl": "cdr", "ros1msg": "ros1"}
 _NO_SCHEMA = Schema()
 
 
-class State(Struct):
+class McapState(Struct):
     """Schemas, channels and counters of the records read so far.
 
     The data section is ``unsound`` if its CRC does not match, and ``verified`` if it does. In a ``suspect`` chunk,
@@ -50,15 +50,15 @@ class State(Struct):
         self.messages, self.closed, self.reported_outside, self.data_ended = 0, False, False, False
 
 
-def apply_record(opcode: int, content: bytes, where: str, state: State) -> RawMessage | None:
+def apply_record(opcode: int, content: bytes, where: str, state: McapState) -> RawMessage | None:
     """Return the message of a record; a record of another kind updates the state and returns None."""
     try:
         if opcode == Op.MESSAGE:
             return _message(content, where, state)
         if opcode == Op.SCHEMA:
-            _declare_schema(Fields(content), where, state)
+            _declare_schema(RecordFields(content), where, state)
         elif opcode == Op.CHANNEL:
-            _declare_channel(Fields(content), where, state)
+            _declare_channel(RecordFields(content), where, state)
         elif opcode == Op.STATISTICS:
             _check_count(content, where, state)
         elif opcode == Op.DATA_END:
@@ -70,7 +70,7 @@ def apply_record(opcode: int, content: bytes, where: str, state: State) -> RawMe
     return None
 
 
-def _message(content: bytes, where: str, state: State) -> RawMessage | None:
+def _message(content: bytes, where: str, state: McapState) -> RawMessage | None:
     number, _, log_ns, publish_ns = MESSAGE_HEAD.unpack_from(content)
     state.messages += 1
     data = content[MESSAGE_HEAD.size :]
@@ -82,14 +82,14 @@ def _message(content: bytes, where: str, state: State) -> RawMessage | None:
     return _undeclared_message(number, log_ns, data, where, state)
 
 
-def _spare_channel(number: int, state: State) -> Channel | None:
+def _spare_channel(number: int, state: McapState) -> Channel | None:
     channel = state.spare.get(number)
     if channel is not None:
         state.channels[number] = state.report.declare(channel)
     return channel
 
 
-def _undeclared_message(number: int, log_ns: int, data: bytes, where: str, state: State) -> RawMessage | None:
+def _undeclared_message(number: int, log_ns: int, data: bytes, where: str, state: McapState) -> RawMessage | None:
     """Return a message of an undeclared channel, marked as suspect, if its bytes are a LaserScan; else None."""
     channel = channel_of(data, f"/channel_{number}", state.report)
     if number not in state.undeclared:
@@ -99,7 +99,7 @@ def _undeclared_message(number: int, log_ns: int, data: bytes, where: str, state
     return None if channel is None else RawMessage(channel, log_ns, data, suspect=True)
 
 
-def _declare_schema(fields: Fields, where: str, state: State) -> None:
+def _declare_schema(fields: RecordFields, where: str, state: McapState) -> None:
     number, name, encoding = fields.number("H"), fields.text(), fields.text()
     schema = Schema(name, encoding, fields.block())
     if state.suspect and number in state.schemas:
@@ -109,7 +109,7 @@ def _declare_schema(fields: Fields, where: str, state: State) -> None:
     state.schemas[number] = schema
 
 
-def _declare_channel(fields: Fields, where: str, state: State) -> None:
+def _declare_channel(fields: RecordFields, where: str, state: McapState) -> None:
     """Declare a channel. Writers repeat declarations; a channel without its schema is replaced by the summary's."""
     number, schema_number, topic, encoding = fields.number("H"), fields.number("H"), fields.text(), fields.text()
     schema = state.schemas.get(schema_number, _NO_SCHEMA)
@@ -127,7 +127,7 @@ def _declare_channel(fields: Fields, where: str, state: State) -> None:
     state.channels[number] = state.report.declare(channel)
 
 
-def _metadata(fields: Fields) -> tuple[tuple[str, str], ...]:
+def _metadata(fields: RecordFields) -> tuple[tuple[str, str], ...]:
     """Return the metadata of a channel; none where they are cut, as the channel can be used without."""
     try:
         return tuple(fields.texts().items())
@@ -135,7 +135,7 @@ def _metadata(fields: Fields) -> tuple[tuple[str, str], ...]:
         return ()
 
 
-def _check_count(content: bytes, where: str, state: State) -> None:
+def _check_count(content: bytes, where: str, state: McapState) -> None:
     (declared,) = struct.unpack_from("<Q", content)
     if declared > state.messages:
         missing = declared - state.messages

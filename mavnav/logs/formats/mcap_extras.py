@@ -7,24 +7,24 @@ import zlib
 from typing import TYPE_CHECKING, Final
 
 from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES
-from mavnav.logs.formats.mcap_records import Fields, Op
+from mavnav.logs.formats.mcap_records import Op, RecordFields
 from mavnav.logs.records import AttachedFile, MetadataRecord
 
 if TYPE_CHECKING:
-    from mavnav.logs.formats.mcap_records import Record
+    from mavnav.logs.formats.mcap_records import McapRecord
     from mavnav.logs.formats.source import Source
 
 EXTRAS: Final = {Op.ATTACHMENT: "attachment", Op.METADATA: "metadata record"}
 """Opcodes of such records, and what they are called."""
 
 
-def read_extra(source: Source, record: Record) -> AttachedFile | MetadataRecord | str:
+def read_extra(source: Source, record: McapRecord) -> AttachedFile | MetadataRecord | str:
     """Return a record of ``EXTRAS``, or why it cannot be used."""
     what = f"{EXTRAS[Op(record.opcode)]} at {source.where(record.start)}"
     if record.end - record.start > MAX_CHUNK_BYTES:
         return f"the {what} is larger than {MAX_CHUNK_BYTES} bytes"
     content = source.read(record.start, record.end - record.start)
-    fields = Fields(content)
+    fields = RecordFields(content)
     try:
         if record.opcode == Op.METADATA:
             return MetadataRecord(fields.text(), fields.texts())

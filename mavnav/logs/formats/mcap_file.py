@@ -12,7 +12,7 @@ from io import BytesIO
 from typing import TYPE_CHECKING
 
 from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES, TOO_MANY, Allowance, DecompressError, decompress
-from mavnav.logs.formats.mcap_content import State, apply_record
+from mavnav.logs.formats.mcap_content import McapState, apply_record
 from mavnav.logs.formats.mcap_extras import EXTRAS, read_extra
 from mavnav.logs.formats.mcap_records import (
     HEAD,
@@ -20,8 +20,8 @@ from mavnav.logs.formats.mcap_records import (
     MAGIC,
     PRIVATE,
     ChunkHead,
+    McapRecord,
     Op,
-    Record,
     chunk_head,
     find_record,
     is_boundary,
@@ -53,7 +53,7 @@ def read_mcap(path: Path, report: ReadReport) -> Iterator[RawMessage]:
     """
     with path.open("rb") as file:
         source = Source(file, path.stat().st_size)
-        state = State(report, Allowance(source.size))
+        state = McapState(report, Allowance(source.size))
         summary = read_summary(source, report)
         state.spare, state.spare_is_sound, state.chunked = summary.channels, summary.sound, summary.chunked
         for record in _records(source, _begin(source, state), state):
@@ -68,7 +68,7 @@ def read_mcap(path: Path, report: ReadReport) -> Iterator[RawMessage]:
             report.damage("the file ends without a footer; it was cut or not closed", source.where(source.size))
 
 
-def _outside(source: Source, record: Record, state: State) -> Iterator[RawMessage]:
+def _outside(source: Source, record: McapRecord, state: McapState) -> Iterator[RawMessage]:
     """Process a record outside of the chunks; in the data section of a file with chunks it is a result of damage."""
     is_message = record.opcode == Op.MESSAGE
     outside_chunks = state.chunked and not state.verified and (is_message or not state.data_ended)
@@ -85,7 +85,7 @@ def _outside(source: Source, record: Record, state: State) -> Iterator[RawMessag
         yield message._replace(suspect=True) if doubtful else message
 
 
-def _begin(source: Source, state: State) -> int:
+def _begin(source: Source, state: McapState) -> int:
     """Return the offset of the magic, which may be damaged or have other bytes before it."""
     at = source.read(0, MAGIC_WITHIN_BYTES).find(MAGIC)
     if at == 0:
@@ -97,14 +97,14 @@ def _begin(source: Source, state: State) -> int:
     return 0
 
 
-def _check_data(source: Source, start: int, state: State) -> None:
+def _check_data(source: Source, start: int, state: McapState) -> None:
     """Check the data section that begins at ``start``, and store the result in the state."""
     section = read_data_section(source, start, state.report)
     state.unsound, state.verified = section.crc_matches is False, section.crc_matches is True
     state.chunked |= section.chunked
 
 
-def _records(source: Source, offset: int, state: State) -> Iterator[Record]:
+def _records(source: Source, offset: int, state: McapState) -> Iterator[McapRecord]:
     """Yield the records; after bytes that are no record, continue at the next one.
 
     A record that no other record follows is yielded too, and its content is searched for records, because its length
@@ -124,7 +124,7 @@ def _records(source: Source, offset: int, state: State) -> Iterator[Record]:
             state.report.damage(record.correction, source.where(offset))
         followed = is_boundary(source, record.end)
         if not followed and record.opcode == Op.CHUNK:
-            record = _clipped(source, record, state)
+            record = _clip(source, record, state)
         yield record
         if state.closed:
             offset = _skip_end_magic(source, record.end, state)
@@ -134,7 +134,7 @@ def _records(source: Source, offset: int, state: State) -> Iterator[Record]:
             offset = _report_loss(source, offset, record.start, state)
 
 
-def _clipped(source: Source, record: Record, state: State) -> Record:
+def _clip(source: Source, record: McapRecord, state: McapState) -> McapRecord:
     """End a chunk that no record follows, and whose CRC does not match, at the first record found in it.
 
     Many chunks of a hostile file can declare the same bytes, so the number of bytes searched is limited.
@@ -142,15 +142,15 @@ def _clipped(source: Source, record: Record, state: State) -> Record:
     state.searched_bytes += record.end - record.start
     if state.searched_bytes > _FREE_SEARCH_BYTES + 4 * source.size or _is_verified(source, record, state):
         return record
-    found = find_record(source, record.start + 1, outer=True)
-    if found >= record.end:
+    end = find_record(source, record.start + 1, outer=True)
+    if end >= record.end:
         return record
-    text = f"the chunk has {found - record.start} of its {record.end - record.start} bytes"
+    text = f"the chunk has {end - record.start} of its {record.end - record.start} bytes"
     state.report.damage(text, source.where(record.start))
-    return record._replace(end=found)
+    return record._replace(end=end)
 
 
-def _is_verified(source: Source, record: Record, state: State) -> bool:
+def _is_verified(source: Source, record: McapRecord, state: McapState) -> bool:
     """Return whether a chunk has a CRC that matches."""
     try:
         head, (records, _) = _read_chunk(source, record, state.allowance)
@@ -168,18 +168,18 @@ def _runs_into_loss(source: Source, end: int) -> bool:
     return not (0 < opcode <= Op.DATA_END and source.size - end < length < 1 << 32)
 
 
-def _report_loss(source: Source, offset: int, search_from: int, state: State) -> int:
+def _report_loss(source: Source, offset: int, search_from: int, state: McapState) -> int:
     """Report the bytes up to the next record as lost; return the offset of that record."""
-    found = find_record(source, search_from)
-    if found == offset:
-        return found
-    empty = not any(source.read(offset, min(found - offset, _BLOCK_BYTES)))
+    next_offset = find_record(source, search_from)
+    if next_offset == offset:
+        return next_offset
+    empty = not any(source.read(offset, min(next_offset - offset, _BLOCK_BYTES)))
     kind = "zeros" if empty else "bytes that are no record"
-    state.report.damage(f"{found - offset} {kind}; what they held is lost", source.where(offset))
-    return found
+    state.report.damage(f"{next_offset - offset} {kind}; what they held is lost", source.where(offset))
+    return next_offset
 
 
-def _skip_magic(source: Source, offset: int, state: State) -> int:
+def _skip_magic(source: Source, offset: int, state: McapState) -> int:
     """Return the offset after the magic; a magic after records begins another file."""
     if state.closed or state.messages:
         state.report.warn("several MCAP files lie one behind the other in this one; all were read")
@@ -188,7 +188,7 @@ def _skip_magic(source: Source, offset: int, state: State) -> int:
     return offset + len(MAGIC)
 
 
-def _skip_end_magic(source: Source, offset: int, state: State) -> int:
+def _skip_end_magic(source: Source, offset: int, state: McapState) -> int:
     """Return the offset after the magic that follows the footer; report it if it is missing."""
     if source.read(offset, len(MAGIC)) == MAGIC:
         return offset + len(MAGIC)
@@ -196,7 +196,7 @@ def _skip_end_magic(source: Source, offset: int, state: State) -> int:
     return offset if offset == source.size else _report_loss(source, offset, offset, state)
 
 
-def _chunk_messages(source: Source, record: Record, state: State) -> Iterator[RawMessage]:
+def _chunk_messages(source: Source, record: McapRecord, state: McapState) -> Iterator[RawMessage]:
     where = f"chunk at byte {record.start}"
     try:
         records, suspect = _chunk_records(source, record, where, state)
@@ -214,7 +214,7 @@ def _chunk_messages(source: Source, record: Record, state: State) -> Iterator[Ra
     state.suspect = False
 
 
-def _chunk_records(source: Source, record: Record, where: str, state: State) -> tuple[bytes, bool]:
+def _chunk_records(source: Source, record: McapRecord, where: str, state: McapState) -> tuple[bytes, bool]:
     """Decompress as much of a chunk as possible and report damage; return the records and whether they are suspect."""
     head, (records, problem) = _read_chunk(source, record, state.allowance)
     if problem is None and len(records) != head.declared_bytes:
@@ -229,17 +229,17 @@ def _chunk_records(source: Source, record: Record, where: str, state: State) -> 
     return records, doubtful and not verified
 
 
-def _read_chunk(source: Source, record: Record, allowance: Allowance) -> tuple[ChunkHead, tuple[bytes, str | None]]:
+def _read_chunk(source: Source, record: McapRecord, allowance: Allowance) -> tuple[ChunkHead, tuple[bytes, str | None]]:
     """Return the head of a chunk, and the output of ``decompress``; raises DecompressError, struct.error."""
     size = record.end - record.start
     if size > MAX_CHUNK_BYTES:
         raise DecompressError(f"of {size} bytes; no more than {MAX_CHUNK_BYTES} are taken into memory")
     content = source.read(record.start, size)
     head = chunk_head(content)
-    return head, _unpacked(head, content[head.start :], allowance)
+    return head, _unpack(head, content[head.start :], allowance)
 
 
-def _unpacked(head: ChunkHead, data: bytes, allowance: Allowance) -> tuple[bytes, str | None]:
+def _unpack(head: ChunkHead, data: bytes, allowance: Allowance) -> tuple[bytes, str | None]:
     """Decompress the declared number of bytes of a chunk, or all its bytes if that number is wrong."""
     records, problem = decompress(head.compression, data[: head.stored_bytes], allowance)
     if problem is None or len(data) <= head.stored_bytes:
@@ -247,7 +247,7 @@ def _unpacked(head: ChunkHead, data: bytes, allowance: Allowance) -> tuple[bytes
     return decompress(head.compression, data, allowance)
 
 
-def _sound_messages(records: bytes, inner: Source, state: State) -> Iterator[RawMessage]:
+def _sound_messages(records: bytes, inner: Source, state: McapState) -> Iterator[RawMessage]:
     """Yield the messages of an undamaged chunk without checks; after a record that does not fit, with checks."""
     offset = 0
     for opcode, content in plain_records(records):
@@ -262,7 +262,7 @@ def _sound_messages(records: bytes, inner: Source, state: State) -> Iterator[Raw
     yield from _walk(inner, offset, state)
 
 
-def _walk(inner: Source, offset: int, state: State) -> Iterator[RawMessage]:
+def _walk(inner: Source, offset: int, state: McapState) -> Iterator[RawMessage]:
     for record in _records(inner, offset, state):
         if not state.allowance.spend_record(_CHECKED_RECORD_COST):
             state.report.damage(TOO_MANY, inner.where(record.start))
@@ -275,5 +275,5 @@ def _walk(inner: Source, offset: int, state: State) -> Iterator[RawMessage]:
             _refuse_nested(inner.where(record.start), state)
 
 
-def _refuse_nested(where: str, state: State) -> None:
+def _refuse_nested(where: str, state: McapState) -> None:
     state.report.damage("a chunk lies within a chunk, which is not legal; it is not read", where)

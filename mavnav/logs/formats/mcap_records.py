@@ -59,7 +59,7 @@ PRIVATE: Final = 0x80
 """First of the opcodes that the format reserves for applications."""
 
 
-class Record(NamedTuple):
+class McapRecord(NamedTuple):
     """A record with its content from ``start`` to ``end``; ``correction`` describes a repair of its head, if any."""
 
     opcode: int
@@ -68,7 +68,7 @@ class Record(NamedTuple):
     correction: str = ""
 
 
-class Fields:
+class RecordFields:
     """Sequential reader of the fields of a record; raises struct.error at a field that is cut."""
 
     def __init__(self, content: bytes) -> None:
@@ -97,12 +97,12 @@ class Fields:
 
     def texts(self) -> dict[str, str]:
         """Read strings by name."""
-        inner = Fields(self.block())
-        found = {}
+        inner = RecordFields(self.block())
+        texts = {}
         while inner.offset < len(inner._content):
             name = inner.text()
-            found[name] = inner.text()
-        return found
+            texts[name] = inner.text()
+        return texts
 
 
 class ChunkHead(NamedTuple):
@@ -118,13 +118,13 @@ class ChunkHead(NamedTuple):
 def chunk_head(content: bytes) -> ChunkHead:
     """Read the fields of a chunk; raises struct.error."""
     _, _, declared, crc = _CHUNK_HEAD.unpack_from(content)
-    fields = Fields(content)
+    fields = RecordFields(content)
     fields.offset = _CHUNK_HEAD.size
     compression = fields.text()
     return ChunkHead(declared, crc, compression, fields.number("Q"), fields.offset)
 
 
-def record_at(source: Source, offset: int, *, repair: bool = True) -> Record | None:
+def record_at(source: Source, offset: int, *, repair: bool = True) -> McapRecord | None:
     """Read the record head at an offset; None if there is none, or if the content does not fit the opcode.
 
     With ``repair``, the fields of a chunk take precedence over a wrong opcode or length in the head, if a record
@@ -137,7 +137,7 @@ def record_at(source: Source, offset: int, *, repair: bool = True) -> Record | N
     opcode, length = HEAD.unpack_from(prefix)
     start, rest, content = offset + HEAD.size, source.size - offset - HEAD.size, prefix[HEAD.size :]
     known = _CHECKS.get(opcode, _never if opcode == 0 else _any)
-    declared = None if length > rest or not known(content, length) else Record(opcode, start, start + length)
+    declared = None if length > rest or not known(content, length) else McapRecord(opcode, start, start + length)
     if declared is not None and not (repair and _may_be_chunk(opcode, length)):
         return declared
     head = _head_of_chunk(content)
@@ -145,9 +145,9 @@ def record_at(source: Source, offset: int, *, repair: bool = True) -> Record | N
         return declared
     stored = head.start + head.stored_bytes
     if repair and (opcode, length) != (Op.CHUNK, stored) and _is_chunk_instead(source, declared, opcode, start, head):
-        return Record(Op.CHUNK, start, start + stored, f"the record says kind {opcode} and {length} bytes")
+        return McapRecord(Op.CHUNK, start, start + stored, f"the record says kind {opcode} and {length} bytes")
     if opcode == Op.CHUNK and stored == length > rest:
-        return Record(Op.CHUNK, start, source.size, "the chunk is cut by the end of the file")
+        return McapRecord(Op.CHUNK, start, source.size, "the chunk is cut by the end of the file")
     return declared
 
 
@@ -157,7 +157,7 @@ def _may_be_chunk(opcode: int, length: int) -> bool:
     return long_enough and (opcode > Op.DATA_END or (opcode ^ Op.CHUNK).bit_count() <= 1)
 
 
-def _is_chunk_instead(source: Source, declared: Record | None, opcode: int, start: int, head: ChunkHead) -> bool:
+def _is_chunk_instead(source: Source, declared: McapRecord | None, opcode: int, start: int, head: ChunkHead) -> bool:
     """Return whether the content is a chunk by its own fields, although the head has another opcode or length."""
     if not _may_be_chunk(opcode, _PREFIX_BYTES) and not head.compression:
         return False

@@ -11,7 +11,7 @@ from io import BytesIO
 from typing import TYPE_CHECKING, NamedTuple
 
 from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES
-from mavnav.logs.formats.mcap_content import State, apply_record
+from mavnav.logs.formats.mcap_content import McapState, apply_record
 from mavnav.logs.formats.mcap_records import HEAD, MAGIC, Op, find_record, plain_records, record_at
 from mavnav.logs.formats.source import Source
 from mavnav.logs.read_report import ReadReport
@@ -31,7 +31,7 @@ _CHUNK_LENGTH = slice(24, 32)
 _HOP_BYTES = 1 << 12
 
 
-class Summary(NamedTuple):
+class McapSummary(NamedTuple):
     """Channels of the summary, and whether it lists chunks; ``sound`` unless its CRC or its offset is wrong."""
 
     channels: dict[int, Channel]
@@ -39,7 +39,7 @@ class Summary(NamedTuple):
     sound: bool = False
 
 
-def read_summary(source: Source, report: ReadReport) -> Summary:
+def read_summary(source: Source, report: ReadReport) -> McapSummary:
     """Return the content of the summary, which is needed only if the chunk that declares the channels is damaged.
 
     If the footer is lost or its offset is wrong, the summary is searched for after the end of the data.
@@ -51,7 +51,7 @@ def read_summary(source: Source, report: ReadReport) -> Summary:
     footer = source.read(record.start, _FOOTER_BYTES)
     start, _, crc = struct.unpack("<QQI", footer)
     if start == 0:
-        return Summary({})
+        return McapSummary({})
     first = record_at(source, start) if start < footer_at <= start + MAX_CHUNK_BYTES else None
     if first is None or first.opcode not in _KINDS:  # bytes were lost or gained before it
         return _search_summary(source)
@@ -63,21 +63,21 @@ def read_summary(source: Source, report: ReadReport) -> Summary:
     return _parse_summary(summary)
 
 
-def _search_summary(source: Source) -> Summary:
+def _search_summary(source: Source) -> McapSummary:
     """Return the summary found after the last end-of-data record, or, if there is none, in the last MiB."""
     end = _last_data_end(source, MAX_CHUNK_BYTES)
     start = max(source.size - _BLOCK_BYTES, 0) if end is None else end
     return _parse_summary(source.read(start, MAX_CHUNK_BYTES))._replace(sound=False)
 
 
-def _parse_summary(summary: bytes) -> Summary:
-    state = State(ReadReport())
+def _parse_summary(summary: bytes) -> McapSummary:
+    state = McapState(ReadReport())
     for opcode, content in _records(summary):
         if opcode in (Op.SCHEMA, Op.CHANNEL):
             apply_record(opcode, content, "summary", state)
         elif opcode == Op.CHUNK_INDEX:
             state.chunked |= any(content[_CHUNK_LENGTH])
-    return Summary(state.channels, state.chunked, sound=True)
+    return McapSummary(state.channels, state.chunked, sound=True)
 
 
 def _records(summary: bytes) -> Iterator[tuple[int, bytes]]:

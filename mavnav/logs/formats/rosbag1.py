@@ -19,8 +19,8 @@ from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES, TOO_MANY, Allowance,
 from mavnav.logs.formats.rosbag1_records import (
     RECORD_COST,
     U32,
-    Op,
-    Record,
+    BagOp,
+    BagRecord,
     is_flat,
     parse_fields,
     parse_header,
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 _U32_PAIR = struct.Struct("<II")
 
 
-class _State(Struct):
+class _BagState(Struct):
     report: ReadReport
     allowance: Allowance = field(default_factory=Allowance)
     channels: dict[int, Channel] = field(default_factory=dict)
@@ -59,7 +59,7 @@ def read_rosbag1(path: Path, report: ReadReport) -> Iterator[RawMessage]:
     """
     with path.open("rb") as file:
         source = Source(file, path.stat().st_size)
-        state = _State(report, Allowance(source.size))
+        state = _BagState(report, Allowance(source.size))
         begin = _begin(source, report)
         if source.size == begin:
             report.damage("the bag ends behind its magic line", source.where(source.size))
@@ -67,7 +67,7 @@ def read_rosbag1(path: Path, report: ReadReport) -> Iterator[RawMessage]:
         state.search = partial(_all_connections, source, begin)
         for record in sound_records(source, begin, report):
             report.at(record.start)
-            if record.opcode == Op.CHUNK and not is_flat(record):
+            if record.opcode == BagOp.CHUNK and not is_flat(record):
                 yield from _chunk_messages(source, record, state)
             else:
                 yield from _take(source, record, state)
@@ -91,11 +91,11 @@ def _begin(source: Source, report: ReadReport) -> int:
 
 def _index_connections(source: Source) -> dict[int, Channel]:
     """Return the connections of the index, which are needed only if the chunk that declares them is damaged."""
-    spare = _State(ReadReport())
+    spare = _BagState(ReadReport())
     bag = parse_header(source, len(BAG_MAGIC))
     index_at = _index_pos(bag) if bag else 0
     record = parse_header(source, index_at) if len(BAG_MAGIC) < index_at < source.size else None
-    while record is not None and record.opcode == Op.CONNECTION and record.end <= source.size:
+    while record is not None and record.opcode == BagOp.CONNECTION and record.end <= source.size:
         for _ in _take(source, record, spare):
             pass
         record = parse_header(source, record.end)
@@ -104,15 +104,15 @@ def _index_connections(source: Source) -> dict[int, Channel]:
 
 def _all_connections(source: Source, begin: int) -> dict[int, Channel]:
     """Return the connections of all records of the file, because the index may not be where the header expects it."""
-    spare = _State(ReadReport())
+    spare = _BagState(ReadReport())
     for record in sound_records(source, begin, spare.report):
-        if record.opcode == Op.CONNECTION:
+        if record.opcode == BagOp.CONNECTION:
             for _ in _take(source, record, spare):
                 pass
     return spare.channels
 
 
-def _chunk_messages(source: Source, record: Record, state: _State) -> Iterator[RawMessage]:
+def _chunk_messages(source: Source, record: BagRecord, state: _BagState) -> Iterator[RawMessage]:
     """Yield the messages of a compressed chunk."""
     name = record.fields.get(b"compression", b"").decode(errors="replace")
     where = f"chunk at byte {record.start}"
@@ -137,23 +137,23 @@ def _chunk_messages(source: Source, record: Record, state: _State) -> Iterator[R
             yield message._replace(suspect=message.suspect or problem is not None)
 
 
-def _take(source: Source, record: Record, state: _State) -> Iterator[RawMessage]:
+def _take(source: Source, record: BagRecord, state: _BagState) -> Iterator[RawMessage]:
     """Yield the message of a record; connections and counts of the index update the state."""
     try:
-        if record.opcode == Op.MESSAGE:
+        if record.opcode == BagOp.MESSAGE:
             yield from _message(source, record, state)
-        elif record.opcode == Op.CONNECTION:
+        elif record.opcode == BagOp.CONNECTION:
             _declare(source, record, state)
-        elif record.opcode == Op.BAG:
+        elif record.opcode == BagOp.BAG:
             _check_index(source, record, state)
-        elif record.opcode == Op.CHUNK_INFO:
+        elif record.opcode == BagOp.CHUNK_INFO:
             pairs = source.read(record.start, record.end - record.start)
             state.declared += sum(count for _, count in _U32_PAIR.iter_unpack(pairs[: len(pairs) // 8 * 8]))
     except (struct.error, KeyError) as error:
         state.report.damage(f"a record lacks a field ({error})", source.where(record.start))
 
 
-def _check_index(source: Source, record: Record, state: _State) -> None:
+def _check_index(source: Source, record: BagRecord, state: _BagState) -> None:
     index_at = _index_pos(record)
     if not index_at:
         state.report.warn("the bag has no index, as after a crash of the recorder; it was read from front to back")
@@ -161,11 +161,11 @@ def _check_index(source: Source, record: Record, state: _State) -> None:
         state.report.damage("the bag is cut: it ends before its index", source.where(source.size))
 
 
-def _index_pos(bag: Record) -> int:
+def _index_pos(bag: BagRecord) -> int:
     return int.from_bytes(bag.fields.get(b"index_pos", b"")[:8], "little")
 
 
-def _message(source: Source, record: Record, state: _State) -> Iterator[RawMessage]:
+def _message(source: Source, record: BagRecord, state: _BagState) -> Iterator[RawMessage]:
     state.messages += 1
     data = source.read(record.start, min(record.end - record.start, MAX_CHUNK_BYTES))
     channel = _old_channel(record, state) if b"topic" in record.fields else _channel(record, state)
@@ -178,19 +178,19 @@ def _message(source: Source, record: Record, state: _State) -> Iterator[RawMessa
         yield from _undeclared_message(source, record, data, state)
 
 
-def _time_ns(record: Record) -> int:
+def _time_ns(record: BagRecord) -> int:
     fields = record.fields
     seconds, nanoseconds = _U32_PAIR.unpack(fields[b"time"] if b"time" in fields else fields[b"sec"] + fields[b"nsec"])
     return int(seconds) * 1_000_000_000 + int(nanoseconds)
 
 
-def _old_channel(record: Record, state: _State) -> Channel:
+def _old_channel(record: BagRecord, state: _BagState) -> Channel:
     """Return the channel of a message of format 1.2, whose header has topic and type."""
     topic, kind = (record.fields[name].decode(errors="replace") for name in (b"topic", b"type"))
     return state.report.declare(Channel(topic, ros_type(kind), "ros1", Schema(kind, "ros1msg")))
 
 
-def _channel(record: Record, state: _State) -> Channel | None:
+def _channel(record: BagRecord, state: _BagState) -> Channel | None:
     """Return the channel of a message's connection: as declared, else from the index or a search of the whole file."""
     (number,) = U32.unpack(record.fields[b"conn"])
     if number not in state.channels and number not in state.spare and state.search:
@@ -200,7 +200,7 @@ def _channel(record: Record, state: _State) -> Channel | None:
     return state.channels.get(number)
 
 
-def _undeclared_message(source: Source, record: Record, data: bytes, state: _State) -> Iterator[RawMessage]:
+def _undeclared_message(source: Source, record: BagRecord, data: bytes, state: _BagState) -> Iterator[RawMessage]:
     """Yield a message of an undeclared connection, marked as suspect, if its bytes are a LaserScan."""
     (number,) = U32.unpack(record.fields[b"conn"])
     channel = channel_of(data, f"/connection_{number}", state.report)
@@ -213,7 +213,7 @@ def _undeclared_message(source: Source, record: Record, data: bytes, state: _Sta
         yield RawMessage(channel, _time_ns(record), data, suspect=True)
 
 
-def _declare(source: Source, record: Record, state: _State) -> None:
+def _declare(source: Source, record: BagRecord, state: _BagState) -> None:
     (number,) = U32.unpack(record.fields[b"conn"])
     fields = parse_fields(source.read(record.start, record.end - record.start)) or {}
     topic = record.fields[b"topic"].decode(errors="replace")

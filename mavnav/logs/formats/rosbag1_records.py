@@ -26,7 +26,7 @@ RECORD_COST = 4
 U32: Final = struct.Struct("<I")
 
 
-class Op(IntEnum):
+class BagOp(IntEnum):
     """Kinds of records."""
 
     DEFINITION = 1
@@ -38,10 +38,10 @@ class Op(IntEnum):
     CONNECTION = 7
 
 
-_OPCODES = frozenset(Op)
+_OPCODES = frozenset(BagOp)
 
 
-class Record(NamedTuple):
+class BagRecord(NamedTuple):
     """A record with a valid header, and data from ``start`` to ``end`` by its length.
 
     It is ``suspect`` if no valid record follows.
@@ -54,25 +54,25 @@ class Record(NamedTuple):
     suspect: bool = False
 
 
-def is_flat(record: Record) -> bool:
+def is_flat(record: BagRecord) -> bool:
     """Return whether a record is an uncompressed chunk, whose records are read as records of the file."""
-    return record.opcode == Op.CHUNK and record.fields.get(b"compression", b"none") == b"none"
+    return record.opcode == BagOp.CHUNK and record.fields.get(b"compression", b"none") == b"none"
 
 
-def sound_records(source: Source, offset: int, report: ReadReport) -> Iterator[Record]:
+def sound_records(source: Source, offset: int, report: ReadReport) -> Iterator[BagRecord]:
     """Yield the complete records; after lost bytes, continue at the next valid header."""
-    pending: Record | None = None
+    pending: BagRecord | None = None
     while offset < source.size or (pending and offset > source.size):
         record = parse_header(source, offset)
         if record is None:
-            found = _find_header(source, (pending.start if pending else offset) + 1)
-            if pending and _is_whole(source, pending, found):
-                yield _clipped(source, pending, found)
-            _report_loss(source, pending, offset, found, report)
+            next_header = _find_header(source, (pending.start if pending else offset) + 1)
+            if pending and _is_whole(source, pending, next_header):
+                yield _extend_chunk(source, pending, next_header)
+            _report_loss(source, pending, offset, next_header, report)
             pending = None
-            if found is None:
+            if next_header is None:
                 return
-            offset = found
+            offset = next_header
             continue
         if pending:
             yield pending
@@ -82,18 +82,20 @@ def sound_records(source: Source, offset: int, report: ReadReport) -> Iterator[R
         yield pending
 
 
-def _clipped(source: Source, pending: Record, found: int | None) -> Record:
+def _extend_chunk(source: Source, pending: BagRecord, next_header: int | None) -> BagRecord:
     """Extend a compressed chunk to the next valid header, because its length may be wrong."""
-    end = pending.end if pending.opcode != Op.CHUNK else source.size if found is None else found
+    end = pending.end if pending.opcode != BagOp.CHUNK else source.size if next_header is None else next_header
     return pending._replace(end=end, suspect=True)
 
 
-def _report_loss(source: Source, pending: Record | None, offset: int, found: int | None, report: ReadReport) -> None:
+def _report_loss(
+    source: Source, pending: BagRecord | None, offset: int, next_header: int | None, report: ReadReport
+) -> None:
     """Report lost bytes or a wrong length; ``offset`` is where a header is expected."""
-    upto = source.size if found is None else found
-    if offset > source.size and found is None and pending:
+    upto = source.size if next_header is None else next_header
+    if offset > source.size and next_header is None and pending:
         text, at = "the last record is cut by the end", pending.start
-    elif pending and not _is_whole(source, pending, found):
+    elif pending and not _is_whole(source, pending, next_header):
         text, at = f"{upto - pending.start} bytes are no record", pending.start
     elif offset >= upto and pending:
         text, at = "the length of a record is wrong", pending.start
@@ -102,21 +104,21 @@ def _report_loss(source: Source, pending: Record | None, offset: int, found: int
     report.damage(text, source.where(at))
 
 
-def _is_whole(source: Source, pending: Record, found: int | None) -> bool:
+def _is_whole(source: Source, pending: BagRecord, next_header: int | None) -> bool:
     """Return whether a record is complete, if no header follows it.
 
     It is not if the next valid header is within its declared length. A compressed chunk always counts as complete,
     because its decompression shows a loss.
     """
-    if pending.opcode == Op.CHUNK:
+    if pending.opcode == BagOp.CHUNK:
         return True
-    if found is not None:
-        return found >= pending.end
+    if next_header is not None:
+        return next_header >= pending.end
     left = source.read(pending.end, 4)  # the header that follows is cut by the end, or zeros follow
     return pending.end <= source.size and (len(left) < 4 or 0 < U32.unpack(left)[0] <= _MAX_HEADER_BYTES)
 
 
-def parse_header(source: Source, offset: int) -> Record | None:
+def parse_header(source: Source, offset: int) -> BagRecord | None:
     """Parse the record header at an offset; None if there is none."""
     block = source.read(offset, _USUAL_HEADER_BYTES)
     if len(block) < 4:
@@ -131,7 +133,7 @@ def parse_header(source: Source, offset: int) -> Record | None:
     if fields is None or len(op) != 1 or op[0] not in _OPCODES:
         return None
     start = offset + 8 + length
-    return Record(op[0], fields, start, start + U32.unpack_from(block, 4 + length)[0])
+    return BagRecord(op[0], fields, start, start + U32.unpack_from(block, 4 + length)[0])
 
 
 def parse_fields(header: bytes) -> dict[bytes, bytes] | None:
@@ -165,9 +167,9 @@ def _find_header(source: Source, offset: int) -> int | None:
     return None
 
 
-def _is_followed(source: Source, record: Record) -> bool:
+def _is_followed(source: Source, record: BagRecord) -> bool:
     """Return whether a header belongs to the bag, rather than being bytes in compressed data that look like one."""
-    return record.opcode == Op.CHUNK or record.end == source.size or parse_header(source, record.end) is not None
+    return record.opcode == BagOp.CHUNK or record.end == source.size or parse_header(source, record.end) is not None
 
 
 def _candidates(block: bytes) -> Iterator[int]:

@@ -41,24 +41,24 @@ def storage_files(
     UsageError
         The folder holds several logs that are not parts of one bag.
     """
-    found = _found(folder, report, is_storage)
+    files = _find_storage(folder, report, is_storage)
     names = metadata.names if metadata else ()
     inside = [file for name in dict.fromkeys(names) if (file := _inside(folder, name, report)) is not None]
     listed = list(dict.fromkeys(inside))
     if len(set(names)) < len(names) or len(listed) < len(inside):
         report.warn("metadata.yaml lists a file more than once; it was read once")
-    unlisted = [file for file in found if file not in listed]
+    unlisted = [file for file in files if file not in listed]
     parts = [file for file in unlisted if not listed or _name_stem(file) in set(map(_name_stem, listed))]
     if len({_name_stem(file) for file in parts}) > 1:
-        names_found = ", ".join(file.name for file in found[:5]) + (", ..." if len(found) > 5 else "")
-        raise UsageError(f"{folder}: {len(found)} logs that are no parts of one bag ({names_found}); name one of them")
+        names_found = ", ".join(file.name for file in files[:5]) + (", ..." if len(files) > 5 else "")
+        raise UsageError(f"{folder}: {len(files)} logs that are no parts of one bag ({names_found}); name one of them")
     for file in unlisted if metadata else ():
         outcome = "was read too" if file in parts else "was not read"
         report.warn(f"{file.name} lies in the folder, but metadata.yaml does not list it; it {outcome}")
     return listed + parts
 
 
-def _found(folder: Path, report: ReadReport, is_storage: Callable[[Path], bool]) -> list[Path]:
+def _find_storage(folder: Path, report: ReadReport, is_storage: Callable[[Path], bool]) -> list[Path]:
     """Return the storage files of a folder by number; links that lead out of it are reported."""
     files = []
     for file in sorted(folder.iterdir(), key=_natural_key):

@@ -48,7 +48,7 @@ _WAL_HEAD_BYTES = 32
 _FRAME_HEAD_BYTES = 24
 
 
-class _State(Struct):
+class _DatabaseState(Struct):
     """Channels read so far, and in ``missing`` the row numbers that sqlite did not return."""
 
     path: Path
@@ -74,14 +74,14 @@ def read_sqlite(path: Path, report: ReadReport) -> Iterator[RawMessage]:
     searched for in the pages. Losses are reported.
     """
     with _readable_file(path, report) as whole:
-        state = _State(path, report)
+        state = _DatabaseState(path, report)
         try:
             yield from _rows(whole, state)
         except (sqlite3.Error, UnicodeError) as error:
             report.damage(f"sqlite cannot read on: {error}", f"{path.name}, after {state.messages} messages")
             state.missing.append(range(state.last + 1, _NO_END))
         if state.missing:
-            yield from _recovered(whole, state)
+            yield from _recover_messages(whole, state)
 
 
 def _connect(path: Path) -> sqlite3.Connection:
@@ -91,7 +91,7 @@ def _connect(path: Path) -> sqlite3.Connection:
     return connection
 
 
-def _rows(path: Path, state: _State) -> Iterator[RawMessage]:
+def _rows(path: Path, state: _DatabaseState) -> Iterator[RawMessage]:
     with closing(_connect(path)) as connection:
         (tables,) = connection.execute(_TABLES).fetchone()
         if tables != 2:
@@ -109,18 +109,18 @@ def _rows(path: Path, state: _State) -> Iterator[RawMessage]:
             yield from _message(topic_id, log_ns, data, state)
 
 
-def _schemas(connection: sqlite3.Connection, state: _State) -> dict[str, Schema]:
+def _schemas(connection: sqlite3.Connection, state: _DatabaseState) -> dict[str, Schema]:
     """Return the definitions of message types by name; recorders before ROS 2 Iron store none."""
     (has_definitions,) = connection.execute(_HAS_DEFINITIONS).fetchone()
     try:
-        found = connection.execute(_DEFINITIONS).fetchall() if has_definitions else []
+        definitions = connection.execute(_DEFINITIONS).fetchall() if has_definitions else []
     except sqlite3.Error as error:
         state.report.damage(f"the definitions of messages cannot be read: {error}", state.path.name)
         return {}
-    return {str(name): Schema(str(name), str(encoding), str(text).encode()) for name, encoding, text in found}
+    return {str(name): Schema(str(name), str(encoding), str(text).encode()) for name, encoding, text in definitions}
 
 
-def _declare(row: tuple[object, ...], state: _State) -> None:
+def _declare(row: tuple[object, ...], state: _DatabaseState) -> None:
     """Declare the channel of a topic; report a topic without a name."""
     number, name, kind, encoding, qos = row
     if isinstance(number, int) and isinstance(name, str):
@@ -132,7 +132,7 @@ def _declare(row: tuple[object, ...], state: _State) -> None:
         state.report.damage(f"topic {number} has no name", state.path.name)
 
 
-def _message(topic_id: object, log_ns: object, data: object, state: _State) -> Iterator[RawMessage]:
+def _message(topic_id: object, log_ns: object, data: object, state: _DatabaseState) -> Iterator[RawMessage]:
     number = topic_id if isinstance(topic_id, int) else -1
     channel = state.channels.get(number)
     suspect = channel is None
@@ -147,31 +147,31 @@ def _message(topic_id: object, log_ns: object, data: object, state: _State) -> I
         yield RawMessage(channel, log_ns, data, suspect)
 
 
-def _recovered(path: Path, state: _State) -> Iterator[RawMessage]:
+def _recover_messages(path: Path, state: _DatabaseState) -> Iterator[RawMessage]:
     """Yield the messages of missing rows that are found in the pages, marked as suspect."""
     with path.open("rb") as file:
         source = Source(file, path.stat().st_size)
         if not state.channels:
             _recover_channels(source, state)
-        found, seen = 0, set()
+        count, seen = 0, set()
         for number, values in rows(source):
             if isinstance(values[3], bytes) and number not in seen and _is_missing(number, state):
                 seen.add(number)
                 for message in _message(values[1], values[2], values[3], state):
-                    found += 1
+                    count += 1
                     yield message._replace(suspect=True)
-    lost = sum(len(gap) for gap in state.missing if gap.stop != _NO_END) - found
-    if found:
-        state.report.damage(f"{found} messages were read from the pages themselves, and are suspect", state.path.name)
+    lost = sum(len(gap) for gap in state.missing if gap.stop != _NO_END) - count
+    if count:
+        state.report.damage(f"{count} messages were read from the pages themselves, and are suspect", state.path.name)
     elif lost > 0:
         state.report.warn(f"{state.path.name}: {lost} row numbers are not in use, as after rows were deleted")
 
 
-def _is_missing(number: int, state: _State) -> bool:
+def _is_missing(number: int, state: _DatabaseState) -> bool:
     return any(number in gap for gap in state.missing)
 
 
-def _recover_channels(source: Source, state: _State) -> None:
+def _recover_channels(source: Source, state: _DatabaseState) -> None:
     for number, (_, name, kind, encoding, *_) in rows(source):
         if isinstance(encoding, str) and "/" in str(kind):
             channel = Channel(str(name), ros_type(str(kind)), encoding, Schema(str(kind)))

@@ -24,14 +24,14 @@ _MAX_COLUMNS = 16
 Value = int | bytes | str | None
 
 
-class Row(NamedTuple):
+class DatabaseRow(NamedTuple):
     """A row: its number, and the values of its columns."""
 
     number: int
     values: tuple[Value, ...]
 
 
-def rows(source: Source) -> Iterator[Row]:
+def rows(source: Source) -> Iterator[DatabaseRow]:
     """Yield the rows of messages and topics, in the order of the pages; rows that reach into lost pages are left out.
 
     Of the file header only the page layout is used; a page size that sqlite does not allow is replaced by 4096 bytes.
@@ -51,7 +51,7 @@ def page_size(head: bytes) -> int:
     return size if size >= 512 and size.bit_count() == 1 else 4096
 
 
-def _rows_of(source: Source, page: bytes, start: int, usable: int) -> Iterator[Row]:
+def _rows_of(source: Source, page: bytes, start: int, usable: int) -> Iterator[DatabaseRow]:
     if len(page) < start + 8 or page[start] != _LEAF:
         return
     cells = int.from_bytes(page[start + 3 : start + 5], "big")
@@ -61,7 +61,7 @@ def _rows_of(source: Source, page: bytes, start: int, usable: int) -> Iterator[R
             yield row
 
 
-def _cell(source: Source, page: bytes, offset: int, usable: int) -> Row | None:
+def _cell(source: Source, page: bytes, offset: int, usable: int) -> DatabaseRow | None:
     """Read the cell at an offset; None if it is cut or belongs to another table."""
     try:
         length, offset = _varint(page, offset)
@@ -75,7 +75,7 @@ def _cell(source: Source, page: bytes, offset: int, usable: int) -> Row | None:
     if local < length:
         payload = _overflow(source, page, offset + local, payload, length, usable)
     values = _record(payload) if len(payload) == length else None
-    return None if values is None else Row(number, values)
+    return None if values is None else DatabaseRow(number, values)
 
 
 def _varint(data: bytes, offset: int) -> tuple[int, int]:
@@ -130,11 +130,11 @@ def _types(payload: bytes) -> tuple[list[int], int] | None:
 
 def _is_known(payload: bytes) -> bool:
     """Return whether a record is a message or a topic by the types of its columns."""
-    found = _types(payload)
-    if found is None or len(found[0]) < 4 or found[0][0] != 0:
+    columns = _types(payload)
+    if columns is None or len(columns[0]) < 4 or columns[0][0] != 0:
         return False
-    kinds = found[0][1:4]
-    message = kinds[0] in _INTEGER_BYTES and kinds[1] in _INTEGER_BYTES and _is_blob(kinds[2]) and len(found[0]) == 4
+    kinds = columns[0][1:4]
+    message = kinds[0] in _INTEGER_BYTES and kinds[1] in _INTEGER_BYTES and _is_blob(kinds[2]) and len(columns[0]) == 4
     return message or all(kind >= 13 and kind % 2 for kind in kinds)
 
 
@@ -144,11 +144,11 @@ def _is_blob(kind: int) -> bool:
 
 def _record(payload: bytes) -> tuple[Value, ...] | None:
     """Read the columns of a record; None if their lengths do not add up to the length of the record."""
-    found = _types(payload)
-    if found is None:
+    columns = _types(payload)
+    if columns is None:
         return None
     values: list[Value] = []
-    types, offset = found
+    types, offset = columns
     for kind in types:
         size = (kind - 12) // 2 if kind >= 12 else _INTEGER_BYTES.get(kind, 8 if kind == 7 else 0)
         values.append(_value(kind, payload[offset : offset + size]))

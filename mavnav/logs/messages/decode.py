@@ -11,7 +11,7 @@ from mavnav.logs.formats.decompress import DecompressError, unpack_message
 from mavnav.logs.messages import carmen
 from mavnav.logs.messages.definitions import FOXGLOVE_SCAN, IMU, ODOMETRY, POSE, SCAN, TF, TF_ROS1, TRANSFORM
 from mavnav.logs.messages.fast_cdr import imu_message, imu_of, laser_of, odometry_of, pose_of, transforms_of
-from mavnav.logs.messages.other_scans import other_scan, part_of
+from mavnav.logs.messages.other_scans import other_scan, suffix_of
 from mavnav.logs.messages.records import DecodeError, ImuMessage, LaserMessage, TransformMessage
 
 if TYPE_CHECKING:
@@ -30,28 +30,28 @@ def decoder(channel: Channel, *, poses: bool = False, topic: str | None = None) 
     raises DecodeError. With ``poses``, single poses and transforms are decoded too. A requested ``topic`` adds scans in
     messages of other types.
     """
-    kind, part = (channel.encoding, channel.type), part_of(channel, topic)
+    kind, part = (channel.encoding, channel.type), suffix_of(channel, topic)
     if part is not None and channel.encoding in ROS_ENCODINGS:
-        return _unpacked(_other_scans(channel, part))
+        return _unpack_first(_other_scans(channel, part))
     make = DECODERS.get(kind) or (POSE_DECODERS.get(kind) if poses else None)
-    return None if make is None else _unpacked(make(channel))
+    return None if make is None else _unpack_first(make(channel))
 
 
-def _unpacked(decode: Callable[[bytes], Any]) -> Callable[[bytes], Any]:
-    def checked(data: bytes) -> Any:  # noqa: ANN401
+def _unpack_first(decode: Callable[[bytes], Any]) -> Callable[[bytes], Any]:
+    def decode_unpacked(data: bytes) -> Any:  # noqa: ANN401
         try:
             return decode(unpack_message(data))
         except DecompressError as error:
             raise DecodeError(str(error)) from error
 
-    return checked
+    return decode_unpacked
 
 
 def _other_scans(channel: Channel, part: str) -> Callable[[bytes], LaserMessage]:
     state: dict[str, Any] = {}
 
     def decode(data: bytes) -> LaserMessage:
-        return other_scan(_deserialized(data, channel.encoding, channel.type), channel.type, part, state)
+        return other_scan(_deserialize(data, channel.encoding, channel.type), channel.type, part, state)
 
     return decode
 
@@ -69,12 +69,12 @@ def scan_topic(channel: Channel, topic: str | None) -> str | None:
     if topic is None:
         return channel.topic if is_laser(channel) else None
     other = channel.encoding in ROS_ENCODINGS
-    found = (
+    names = (
         name
         for name in scan_topics(topic)
-        if (is_laser(channel) and name == channel.topic) or (other and part_of(channel, name) is not None)
+        if (is_laser(channel) and name == channel.topic) or (other and suffix_of(channel, name) is not None)
     )
-    return next(found, None)
+    return next(names, None)
 
 
 def is_laser(channel: Channel) -> bool:
@@ -82,7 +82,7 @@ def is_laser(channel: Channel) -> bool:
     return channel.type in LASER_TYPES and (channel.encoding, channel.type) in DECODERS
 
 
-def _deserialized(data: bytes, encoding: str, type_name: str) -> Any:  # noqa: ANN401
+def _deserialize(data: bytes, encoding: str, type_name: str) -> Any:  # noqa: ANN401
     """Decode a message by its standard definition; raises DecodeError."""
     from rosbags.serde import SerdeError  # noqa: PLC0415
 
@@ -101,8 +101,8 @@ def _ros(
 ) -> Callable[[Channel], Callable[[bytes], Any]]:
     def make(channel: Channel) -> Callable[[bytes], Any]:
         def decode(data: bytes) -> Any:  # noqa: ANN401
-            found = by_layout(data, channel.encoding)
-            return convert(_deserialized(data, channel.encoding, type_name)) if found is None else found
+            messages = by_layout(data, channel.encoding)
+            return convert(_deserialize(data, channel.encoding, type_name)) if messages is None else messages
 
         return decode
 

@@ -74,7 +74,7 @@ FIELDS: Final[dict[str, tuple[str, ...]]] = {
 
 def definition(msgtype: str) -> str:
     """Return the definition of a type of ``FIELDS`` with the types that it contains (MCAP's ``ros2msg``)."""
-    first, *others = _contained(msgtype.replace("/msg/", "/"))
+    first, *others = _nested_types(msgtype.replace("/msg/", "/"))
     line = "=" * 80
     return _text(first) + "".join(f"{line}\nMSG: {name}\n{_text(name)}" for name in others)
 
@@ -83,10 +83,10 @@ def _text(name: str) -> str:
     return "\n".join(FIELDS[name]) + "\n"
 
 
-def _contained(name: str) -> list[str]:
+def _nested_types(name: str) -> list[str]:
     """Return a type and, recursively, the types of its fields, each once, in depth-first order."""
-    found = {name: None}
+    names = {name: None}
     for field in FIELDS[name]:
         kind = field.partition(" ")[0].partition("[")[0]
-        found |= dict.fromkeys(_contained(kind)) if kind in FIELDS else {}
-    return list(found)
+        names |= dict.fromkeys(_nested_types(kind)) if kind in FIELDS else {}
+    return list(names)

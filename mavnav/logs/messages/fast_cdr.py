@@ -55,44 +55,44 @@ def _laser(body: bytes, start: int, align: int, order: str) -> LaserMessage | No
 def transforms_of(data: bytes, encoding: str) -> list[TransformMessage] | None:
     """Decode a tf2_msgs/TFMessage in ``cdr`` or ``ros1``; None if the bytes are not exactly one."""
     try:
-        fields = _Fields.of(data, encoding)
-        found = [fields.transform() for _ in range(fields.count())]
+        fields = _CdrFields.of(data, encoding)
+        transforms = [fields.transform() for _ in range(fields.count())]
     except (struct.error, ValueError):
         return None
-    return found if fields.ended else None
+    return transforms if fields.at_end else None
 
 
 def pose_of(data: bytes, encoding: str) -> list[TransformMessage] | None:
     """Decode a geometry_msgs/PoseStamped in ``cdr`` or ``ros1``; None if the bytes are not exactly one."""
     try:
-        fields = _Fields.of(data, encoding)
-        found = fields.transform(child=False)
+        fields = _CdrFields.of(data, encoding)
+        pose = fields.transform(child=False)
     except (struct.error, ValueError):
         return None
-    return [found] if fields.ended else None
+    return [pose] if fields.at_end else None
 
 
 def odometry_of(data: bytes, encoding: str) -> list[TransformMessage] | None:
     """Decode the pose of a nav_msgs/Odometry in ``cdr`` or ``ros1``; None if the bytes are not exactly one."""
     try:
-        fields = _Fields.of(data, encoding)
-        found = fields.transform()
+        fields = _CdrFields.of(data, encoding)
+        pose = fields.transform()
         fields.doubles(_COVARIANCE + _TWIST + _COVARIANCE)
     except (struct.error, ValueError):
         return None
-    return [found] if fields.ended else None
+    return [pose] if fields.at_end else None
 
 
 def imu_of(data: bytes, encoding: str) -> ImuMessage | None:
     """Decode a sensor_msgs/Imu in ``cdr`` or ``ros1``; None if the bytes are not exactly one."""
     try:
-        fields = _Fields.of(data, encoding)
+        fields = _CdrFields.of(data, encoding)
         stamp_ns = fields.stamp_ns()
         frame_id = fields.text()
         values = fields.doubles(37)
     except (struct.error, ValueError):
         return None
-    return imu_message(stamp_ns, frame_id, values) if fields.ended else None
+    return imu_message(stamp_ns, frame_id, values) if fields.at_end else None
 
 
 def imu_message(stamp_ns: int, frame_id: str, values: tuple[float, ...]) -> ImuMessage:
@@ -105,7 +105,7 @@ def imu_message(stamp_ns: int, frame_id: str, values: tuple[float, ...]) -> ImuM
     return ImuMessage(stamp_ns, orientation, values[13:16], values[25:28], frame_id)  # type: ignore[arg-type]
 
 
-class _Fields(Struct):
+class _CdrFields(Struct):
     """Sequential reader of the fields of a message; raises struct.error or ValueError if a field is missing."""
 
     body: bytes
@@ -114,7 +114,7 @@ class _Fields(Struct):
     offset: int = 0
 
     @classmethod
-    def of(cls, data: bytes, encoding: str) -> _Fields:
+    def of(cls, data: bytes, encoding: str) -> _CdrFields:
         """Return a reader at the first field of a message; raises ValueError for other kinds of CDR."""
         if encoding == "ros1":
             return cls(data, "<", aligned=False)
@@ -123,7 +123,7 @@ class _Fields(Struct):
         return cls(data[4:], "<" if data[1] else ">", aligned=True)
 
     @property
-    def ended(self) -> bool:
+    def at_end(self) -> bool:
         """Whether all bytes except padding were read."""
         return 0 <= len(self.body) - self.offset < (_MAX_PADDING if self.aligned else 1)
 

@@ -103,9 +103,9 @@ def _message_class(channel: Channel) -> Any:  # noqa: ANN401  (generated at run 
     try:
         for file in descriptor_pb2.FileDescriptorSet.FromString(data).file:
             pool.Add(file)
-        found = pool.FindMessageTypeByName(channel.type)
-        _check_fields(found, _SCAN, "")
-        return message_factory.GetMessageClass(found)
+        descriptor = pool.FindMessageTypeByName(channel.type)
+        _check_fields(descriptor, _SCAN, "")
+        return message_factory.GetMessageClass(descriptor)
     except (ProtobufError, KeyError, TypeError, ValueError) as error:
         reason = " ".join(str(error).split())[:160]
         raise DecodeError(f"the protobuf schema of {channel.topic} cannot be used ({reason})") from error
@@ -130,11 +130,11 @@ def _kind(descriptor: Any, name: str) -> str:  # noqa: ANN401
 
     proto, kinds = descriptor_pb2.DescriptorProto(), descriptor_pb2.FieldDescriptorProto
     descriptor.CopyToProto(proto)
-    found = next((field for field in proto.field if field.name == name), None)
-    if found is None:
+    field = next((field for field in proto.field if field.name == name), None)
+    if field is None:
         return "missing"
-    kind = kinds.Type.Name(found.type).removeprefix("TYPE_").lower()
-    return f"repeated {kind}" if found.label == kinds.LABEL_REPEATED else kind
+    kind = kinds.Type.Name(field.type).removeprefix("TYPE_").lower()
+    return f"repeated {kind}" if field.label == kinds.LABEL_REPEATED else kind
 
 
 def _laser(

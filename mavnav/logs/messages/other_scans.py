@@ -39,7 +39,7 @@ _DEFAULT_STEP_RAD: Final = 0.25 * pi / 180
 _ROUNDING: Final = 1e-6
 
 
-def part_of(channel: Channel, topic: str | None) -> str | None:
+def suffix_of(channel: Channel, topic: str | None) -> str | None:
     """Return the suffix of a topic that selects a scan of a channel, empty for the default, None for another topic."""
     if topic is None or channel.type not in OTHER_TYPES:
         return None
@@ -124,13 +124,13 @@ def _points(message: Any) -> dict[str, Array]:  # noqa: ANN401
         data = np.ascontiguousarray(rows[:, : int(message.width) * step]).ravel()
     if step <= 0 or len(data) < count * step:
         raise ValueError(f"{len(data)} bytes for {count} points of {step}")
-    found = {}
+    fields = {}
     for f in message.fields:
         if f.datatype not in _KINDS:
             raise ValueError(f"the field {f.name!r} is of no known type: {f.datatype}")
         kind = f"{order}{_KINDS[int(f.datatype)]}"
-        found[f.name] = np.ndarray((count,), kind, data.data, int(f.offset), (step,)).astype(np.float64)
-    return {"z": np.zeros(count), **found, "x": found["x"], "y": found["y"]}
+        fields[f.name] = np.ndarray((count,), kind, data.data, int(f.offset), (step,)).astype(np.float64)
+    return {"z": np.zeros(count), **fields, "x": fields["x"], "y": fields["y"]}
 
 
 def _picker(points: dict[str, Array], part: str) -> Pick:

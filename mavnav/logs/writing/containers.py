@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
     from pathlib import Path
 
-    from mavnav.logs.writing.mcap_writer import Channel
+    from mavnav.logs.writing.mcap_writer import OutputChannel
 
     Put = Callable[[str, int, Any], None]
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 _FOREVER = QosTime(9223372036, 854775807)
 
 
-def _qos(channel: Channel) -> Qos:
+def _qos(channel: OutputChannel) -> Qos:
     return Qos(
         QosHistory.KEEP_LAST,
         1 if channel.latched else 10,
@@ -46,7 +46,7 @@ def _qos(channel: Channel) -> Qos:
 
 
 @contextmanager
-def write_mcap(path: Path, channels: Mapping[str, Channel]) -> Iterator[Put]:
+def write_mcap(path: Path, channels: Mapping[str, OutputChannel]) -> Iterator[Put]:
     """Write an MCAP file of ROS 2 messages with their definitions, chunks compressed with zstd."""
     with write_serialized(path, channels) as put_bytes:
 
@@ -57,7 +57,7 @@ def write_mcap(path: Path, channels: Mapping[str, Channel]) -> Iterator[Put]:
 
 
 @contextmanager
-def write_bag1(path: Path, channels: Mapping[str, Channel]) -> Iterator[Put]:
+def write_bag1(path: Path, channels: Mapping[str, OutputChannel]) -> Iterator[Put]:
     """Write a ROS 1 bag, chunks compressed with bz2, whose output does not depend on the version of the library."""
     writer = Bag1Writer(path)
     writer.set_compression(Bag1Writer.CompressionFormat.BZ2)
@@ -80,7 +80,7 @@ def write_bag1(path: Path, channels: Mapping[str, Channel]) -> Iterator[Put]:
 
 
 @contextmanager
-def write_bag2(path: Path, channels: Mapping[str, Channel]) -> Iterator[Put]:
+def write_bag2(path: Path, channels: Mapping[str, OutputChannel]) -> Iterator[Put]:
     """Write the folder of a ROS 2 bag: sqlite3 storage and metadata.yaml. Raises OSError for errors of sqlite."""
     writer = Bag2Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3)
     try:
@@ -100,7 +100,7 @@ def write_bag2(path: Path, channels: Mapping[str, Channel]) -> Iterator[Put]:
         raise OSError(f"sqlite: {error}") from error
 
 
-CONTAINERS: Final[dict[str, Callable[[Path, Mapping[str, Channel]], AbstractContextManager[Put]]]] = {
+CONTAINERS: Final[dict[str, Callable[[Path, Mapping[str, OutputChannel]], AbstractContextManager[Put]]]] = {
     ".mcap": write_mcap,
     ".bag": write_bag1,
     "": write_bag2,

@@ -17,7 +17,7 @@ from mavnav.logs.messages.records import DecodeError
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import LATCHING, QOS, Channel, Damage, MetadataRecord, RawMessage, Schema, Topic
 from mavnav.logs.writing.mcap_writer import CHUNK_BYTES, qos_text
-from mavnav.logs.writing.mcap_writer import Channel as Written
+from mavnav.logs.writing.mcap_writer import OutputChannel as Written
 from mavnav.logs.writing.translation import Translator
 
 if TYPE_CHECKING:
@@ -122,7 +122,7 @@ class _Writing(Struct):
             self.left_out["suspect"] += 1
             return
         try:
-            channel, data = self.translator.translated(message.channel, unpack_message(message.data))
+            channel, data = self.translator.translate(message.channel, unpack_message(message.data))
         except (DecodeError, DecompressError) as error:
             self.left_out["undecodable"] += 1
             self.report.damage(f"a message does not decode ({error})", f"{message.channel.topic}, {message.log_ns} ns")

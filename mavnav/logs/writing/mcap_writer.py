@@ -33,14 +33,14 @@ _QOS: Final = """\
 """
 
 
-class Channel(Struct, frozen=True):
+class OutputChannel(Struct, frozen=True):
     """The type of a topic's messages, and whether a late subscriber gets the last one (latched, transient local)."""
 
     type: str
     latched: bool = False
 
 
-def qos_text(channel: Channel) -> str:
+def qos_text(channel: OutputChannel) -> str:
     """Return the quality of service of a channel in the format of rosbag2's metadata."""
     return _QOS.format(
         depth=1 if channel.latched else 10, durability="transient_local" if channel.latched else "volatile"
@@ -68,7 +68,7 @@ NO_EXTRAS: Final = Extras()
 
 @contextmanager
 def write_serialized(
-    path: Path, channels: Mapping[str, Channel], chunk_bytes: int = CHUNK_BYTES, extras: Extras = NO_EXTRAS
+    path: Path, channels: Mapping[str, OutputChannel], chunk_bytes: int = CHUNK_BYTES, extras: Extras = NO_EXTRAS
 ) -> Iterator[Callable[[str, int, bytes], None]]:
     """Write an MCAP file of ROS 2 messages with their definitions; yields ``put(topic, stamp_ns, message)``.
 

@@ -28,7 +28,7 @@ from mavnav.errors import OutputError, UsageError
 from mavnav.logs.formats.rosbag2 import METADATA
 from mavnav.logs.messages import definitions, ros
 from mavnav.logs.writing.containers import CONTAINERS
-from mavnav.logs.writing.mcap_writer import Channel
+from mavnav.logs.writing.mcap_writer import OutputChannel
 from mavnav.pose import Pose
 
 if TYPE_CHECKING:
@@ -39,13 +39,13 @@ if TYPE_CHECKING:
     from mavnav.scan import Attitude, Scan
 
 CHANNELS: Final = {
-    "/tf_static": Channel(definitions.TF, latched=True),
-    "/tf": Channel(definitions.TF),
-    "/odom": Channel(definitions.ODOMETRY),
-    "/ground_truth": Channel(definitions.POSE),
-    "/scan": Channel(definitions.SCAN),
+    "/tf_static": OutputChannel(definitions.TF, latched=True),
+    "/tf": OutputChannel(definitions.TF),
+    "/odom": OutputChannel(definitions.ODOMETRY),
+    "/ground_truth": OutputChannel(definitions.POSE),
+    "/scan": OutputChannel(definitions.SCAN),
 }
-ATTITUDE: Final = {"/attitude": Channel(definitions.POSE)}
+ATTITUDE: Final = {"/attitude": OutputChannel(definitions.POSE)}
 NO_RETURN_M: Final = 0.0
 WORLD, ODOM, BASE, LASER = "world", "odom", "base_link", "laser"
 

@@ -56,7 +56,7 @@ class Translator(Struct):
     report: ReadReport
     _choices: dict[Channel, _Choice] = field(default_factory=dict)
 
-    def translated(self, channel: Channel, data: bytes) -> tuple[Channel, bytes]:
+    def translate(self, channel: Channel, data: bytes) -> tuple[Channel, bytes]:
         """Return the channel to write a message to, and its bytes there; raises DecodeError."""
         choice = self._choices.get(channel)
         if choice is None:
@@ -89,51 +89,51 @@ def _translations(channel: Channel) -> Iterator[_Translation]:
     name = _ROS1_ONLY.get(channel.type, channel.type)
     known = name in ros.types_ros2().types
     if channel.encoding == ENCODING:
-        yield _Translation(_ros2(channel, channel.type), _checked(check, carmen_to_cdr(channel)))
+        yield _Translation(_ros2(channel, channel.type), _checker(check, carmen_to_cdr(channel)))
     elif channel.encoding == "ros1" and known and (check or _same_layout(channel, name)):
-        yield _Translation(_ros2(channel, name), _checked(check, lambda message: _to_cdr(message, name)))
+        yield _Translation(_ros2(channel, name), _checker(check, lambda message: _to_cdr(message, name)))
         warning = f"{channel.topic}: messages that do not fit {name} of ROS 2 are copied as they are"
-        yield _Translation(channel, _checked(check, lambda message: _read_ros1(message, name)), warning)
+        yield _Translation(channel, _checker(check, lambda message: _read_ros1(message, name)), warning)
     elif channel.encoding == "cdr" and name and not channel.schema.data:
         yield from _with_definition(channel, name, check)
     else:
-        yield _Translation(channel, _checked(check))
+        yield _Translation(channel, _checker(check))
 
 
 def _with_definition(channel: Channel, name: str, check: Callable[[bytes], Any] | None) -> Iterator[_Translation]:
     """Yield a channel without a definition with those of ROS 2's distributions that fit the bytes, the newest first."""
     if check:  # a type that has not changed
-        yield _Translation(_ros2(channel, name), _checked(check))
+        yield _Translation(_ros2(channel, name), _checker(check))
         return
     texts = set()
     for types in ros.all_types_ros2():
         text = ros.definition(name, types) if name in types.types else ""
         if text and text not in texts:
             texts.add(text)
-            yield _Translation(_written(channel, name, text), _checked(_reader(types, name)))
+            yield _Translation(_target_channel(channel, name, text), _checker(_reader(types, name)))
     warning = f"{channel.topic}: no definition of {name} fits its messages; they are copied without one"
-    yield _Translation(Channel(channel.topic, name, "cdr", Schema(name), channel.metadata), _checked(), warning)
+    yield _Translation(Channel(channel.topic, name, "cdr", Schema(name), channel.metadata), _checker(), warning)
 
 
 def _ros2(channel: Channel, name: str) -> Channel:
-    return _written(channel, name, ros.definition(name))
+    return _target_channel(channel, name, ros.definition(name))
 
 
-def _written(channel: Channel, name: str, text: str) -> Channel:
+def _target_channel(channel: Channel, name: str, text: str) -> Channel:
     return Channel(channel.topic, name, "cdr", Schema(name, "ros2msg", text.encode()), channel.metadata)
 
 
-def _checked(
+def _checker(
     check: Callable[[bytes], Any] | None = None, translate: Callable[[bytes], bytes] | None = None
 ) -> Callable[[bytes], bytes]:
     """Return a function that raises DecodeError where ``check`` does, and else translates, or returns the same."""
 
-    def checked(data: bytes) -> bytes:
+    def convert(data: bytes) -> bytes:
         if check:
             check(data)
         return translate(data) if translate else data
 
-    return checked
+    return convert
 
 
 def _reader(types: Any, name: str) -> Callable[[bytes], Any]:  # noqa: ANN401  rosbags' types are made at run time

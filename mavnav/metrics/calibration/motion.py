@@ -48,14 +48,14 @@ class Wheels(NamedTuple):
 GOOD_WHEELS: Final = Wheels()
 
 
-class Steps(Struct, frozen=True):
+class PlaneSteps(Struct, frozen=True):
     """Steps between poses: ``moved`` (n,) in the plane, complex, m, seen from the mean heading; ``turned`` (n,) rad."""
 
     moved: Complex
     turned: Array
 
     @classmethod
-    def between(cls, where: Complex, heading_rad: Array) -> Steps:
+    def between(cls, where: Complex, heading_rad: Array) -> PlaneSteps:
         """Return the steps from each of the poses (n + 1,) to the next; headings are not wrapped."""
         mean_rad = 0.5 * (heading_rad[:-1] + heading_rad[1:])
         return cls(np.diff(where) * np.exp(-1j * mean_rad), np.diff(heading_rad))
@@ -81,21 +81,21 @@ class Motions(Struct, frozen=True):
     heading_rad: Array
     linked: NDArray[np.bool_]
     odom_s: Array
-    odom: Steps
+    odom: PlaneSteps
 
-    def mirrored(self) -> Motions:
+    def mirror(self) -> Motions:
         """Return the same as seen by a laser that is turned over about its x axis."""
         return replace(self, where=self.where.conj(), heading_rad=-self.heading_rad)
 
-    def measured(self) -> Steps:
+    def laser_steps(self) -> PlaneSteps:
         """Return the steps of the laser (n - 1)."""
-        return Steps.between(self.where, self.heading_rad)
+        return PlaneSteps.between(self.where, self.heading_rad)
 
-    def predicted(self, parameters: Array) -> Steps:
+    def predicted_steps(self, parameters: Array) -> PlaneSteps:
         """Return the same as the odometry predicts them by the parameters (7,)."""
         x_m, y_m, yaw_rad, offset_s, *wheels = parameters.tolist()
         where, heading_rad = self.base(offset_s, Wheels(*wheels))
-        return Steps.between(where + complex(x_m, y_m) * np.exp(1j * heading_rad), heading_rad + yaw_rad)
+        return PlaneSteps.between(where + complex(x_m, y_m) * np.exp(1j * heading_rad), heading_rad + yaw_rad)
 
     def base(self, offset_s: float, wheels: Wheels = GOOD_WHEELS) -> tuple[Complex, Array]:
         """Return positions (n,), complex, m, and headings (n,), rad, of the base at the scans, by the odometry."""
@@ -119,15 +119,15 @@ def motions_of(map_T_laser: Trajectory, odom_T_base: Trajectory, sweep_s: float)
     laser_s, poses = laser_s[::every], poses[::every]
     where, heading_rad = _plane(poses)
     longest_s = max(LONGEST_STEP_S, 2.0 * every * float(period_s))
-    linked = _linked(laser_s, odom_s, longest_s)
-    return Motions(laser_s, where, heading_rad, linked, odom_s, Steps.between(*_plane(odom_T_base.xyyaw)))
+    linked = _without_gap(laser_s, odom_s, longest_s)
+    return Motions(laser_s, where, heading_rad, linked, odom_s, PlaneSteps.between(*_plane(odom_T_base.xyyaw)))
 
 
 def _plane(xyyaw: Array) -> tuple[Complex, Array]:
     return xyyaw[:, 0] + 1j * xyyaw[:, 1], np.unwrap(xyyaw[:, 2])
 
 
-def _linked(laser_s: Array, odom_s: Array, longest_s: float) -> NDArray[np.bool_]:
+def _without_gap(laser_s: Array, odom_s: Array, longest_s: float) -> NDArray[np.bool_]:
     """Return which steps of the laser (n - 1,) are of no gap, and in no gap of the odometry."""
     gaps = np.concatenate(((0,), np.cumsum(np.diff(odom_s) > longest_s)))
     stretch = gaps[np.clip(np.searchsorted(odom_s, laser_s), 0, len(gaps) - 1)]
@@ -135,11 +135,11 @@ def _linked(laser_s: Array, odom_s: Array, longest_s: float) -> NDArray[np.bool_
     return linked
 
 
-def corrected(odom_T_base: Trajectory, offset_s: float, wheels: Wheels) -> Trajectory:
+def apply_calibration(odom_T_base: Trajectory, offset_s: float, wheels: Wheels) -> Trajectory:
     """Return odometry with a calibration applied; it begins at the same pose."""
     if not len(odom_T_base):
         return odom_T_base
-    where, heading_rad = Steps.between(*_plane(odom_T_base.xyyaw)).path(wheels)
+    where, heading_rad = PlaneSteps.between(*_plane(odom_T_base.xyyaw)).path(wheels)
     x_m, y_m, yaw_rad = odom_T_base[0]
     where = complex(x_m, y_m) + where * np.exp(1j * yaw_rad)
     return Trajectory(

@@ -54,7 +54,7 @@ class Noise(Struct, frozen=True):
         """Return the Cholesky factor, (2, n): its diagonal, and what is below."""
         return _factor(self.diagonal, self.between)
 
-    def whitened(self, errors: Array) -> Array:
+    def whiten(self, errors: Array) -> Array:
         """Return errors (n,) or (n, k) as multiples of independent standard deviations."""
         whitened: Array = solve_banded((1, 0), self._factor(), errors)
         return whitened
@@ -83,7 +83,7 @@ class Noise(Struct, frozen=True):
         expected: Array = self.slips * self.unforeseen(errors) / self.alone()
         return expected
 
-    def clipped(self, errors: Array) -> Noise:
+    def inflate_outliers(self, errors: Array) -> Noise:
         """Return the covariance in which steps with errors (n,) out of all proportion are as uncertain as that.
 
         Such errors are taken for slips.
@@ -125,7 +125,7 @@ class NoiseModel(Struct, frozen=True):
         between = np.where(self.linked[:-1] & self.linked[1:], -of_pose[1:-1], 0.0)
         return Noise(np.where(self.linked, diagonal, APART), between, slips)
 
-    def fitted(self, errors: Array, added: Array) -> Noise:
+    def fit(self, errors: Array, added: Array) -> Noise:
         """Return the likeliest covariance for errors (n,), 0 across gaps; some steps have ``added`` (n,) variance."""
         total = float(np.square(errors[self.linked]).mean()) + LEAST
         shares = 1.0, np.square(self.speeds).mean() + LEAST, *(self.motions[self.linked].mean(axis=0) + LEAST)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from mavnav.metrics.calibration.motion import Array, Complex, Motions
     from mavnav.metrics.calibration.solve import Estimate
-    from mavnav.metrics.calibration.start import Start
+    from mavnav.metrics.calibration.start import FirstEstimate
 
 LEAST_TURN_RAD, LEAST_PATH_M = 90 * DEG, 1.0
 """Motion that a log must have for what turns show, and for what straight motion shows."""
@@ -46,7 +46,7 @@ BETTER: Final = "drive longer, more slowly, or use better odometry"
 """The advice where the log has that already."""
 
 
-class Kind(NamedTuple):
+class QuantityKind(NamedTuple):
     """A quantity: its name and unit, how many of its unit an SI unit has, and what the log takes for it (SI).
 
     Wider intervals than ``widest`` (SI) are refused, with the ``advice``.
@@ -61,18 +61,18 @@ class Kind(NamedTuple):
 
 
 KINDS: Final = (
-    Kind("x_m", "m", 1.0, 0.0, 0.1, TURN_MORE),
-    Kind("y_m", "m", 1.0, 0.0, 0.1, TURN_MORE),
-    Kind("yaw_deg", "deg", 1 / DEG, 0.0, 5 * DEG, DRIVE_MORE),
-    Kind("offset_s", "s", 1.0, 0.0, 0.1, CHANGE_MORE),
-    Kind("distance_scale", "", 1.0, 1.0, 0.05, DRIVE_MORE),
-    Kind("turn_scale", "", 1.0, 1.0, 0.05, TURN_MORE),
-    Kind("veer_deg_per_m", "deg/m", 1 / DEG, 0.0, 5 * DEG, DRIVE_MORE),
+    QuantityKind("x_m", "m", 1.0, 0.0, 0.1, TURN_MORE),
+    QuantityKind("y_m", "m", 1.0, 0.0, 0.1, TURN_MORE),
+    QuantityKind("yaw_deg", "deg", 1 / DEG, 0.0, 5 * DEG, DRIVE_MORE),
+    QuantityKind("offset_s", "s", 1.0, 0.0, 0.1, CHANGE_MORE),
+    QuantityKind("distance_scale", "", 1.0, 1.0, 0.05, DRIVE_MORE),
+    QuantityKind("turn_scale", "", 1.0, 1.0, 0.05, TURN_MORE),
+    QuantityKind("veer_deg_per_m", "deg/m", 1 / DEG, 0.0, 5 * DEG, DRIVE_MORE),
 )
 """In the order of the parameters."""
 
 
-class Motion(Struct, frozen=True):
+class Travel(Struct, frozen=True):
     """How much the laser and its base moved: m and rad along the path, over so many steps."""
 
     path_m: float
@@ -82,10 +82,10 @@ class Motion(Struct, frozen=True):
     steps: int
 
 
-class Quantity(Struct, frozen=True):
+class QuantityValue(Struct, frozen=True):
     """A quantity in its unit: value and half-width of its 95 % interval, or why it is ``refused``."""
 
-    kind: Kind
+    kind: QuantityKind
     value: float | None = None
     ci95: float | None = None
     refused: str = ""
@@ -98,8 +98,8 @@ class Calibration(Struct, frozen=True):
     way up than the log says; None where turns do not show it.
     """
 
-    quantities: tuple[Quantity, ...]
-    motion: Motion
+    quantities: tuple[QuantityValue, ...]
+    motion: Travel
     refused: str = ""
     mirrored: bool | None = None
     fit: Estimate | None = None
@@ -109,26 +109,26 @@ def calibration_of(motions: Motions) -> Calibration:
     """Estimate what the motions show, and refuse the rest."""
     motion = motion_of(motions)
     if why := _unusable(motion) or _sparse(motions):
-        return refused(why, motion)
+        return refusal(why, motion)
     turning = motion.turned_rad >= LEAST_TURN_RAD
     start = start_of(motions, turning=turning)
     if why := _contradiction(start, motion):
-        return refused(why, motion)
+        return refusal(why, motion)
     fit = estimate(motions, start)
     quantities = tuple(_quantity(k, fit, motion, start) for k in range(len(KINDS)))
     return Calibration(quantities, motion, "", fit.mirrored if turning else None, fit)
 
 
-def refused(why: str, motion: Motion) -> Calibration:
+def refusal(why: str, motion: Travel) -> Calibration:
     """Return a calibration in which nothing could be estimated."""
-    return Calibration(tuple(Quantity(kind, refused=why) for kind in KINDS), motion, why)
+    return Calibration(tuple(QuantityValue(kind, refused=why) for kind in KINDS), motion, why)
 
 
-def motion_of(motions: Motions) -> Motion:
+def motion_of(motions: Motions) -> Travel:
     """Return how much laser and base moved, and the number of steps of no gap."""
     gaps = np.concatenate(((0,), np.cumsum(~motions.linked)))
     laser, base = (motions.where, motions.heading_rad), motions.base(0.0)
-    return Motion(*_size(*laser, gaps), *_size(*base, gaps), int(motions.linked.sum()))
+    return Travel(*_size(*laser, gaps), *_size(*base, gaps), int(motions.linked.sum()))
 
 
 def _size(where: Complex, heading_rad: Array, gaps: NDArray[np.int64]) -> tuple[float, float]:
@@ -142,7 +142,7 @@ def _size(where: Complex, heading_rad: Array, gaps: NDArray[np.int64]) -> tuple[
     return path_m, turned_rad
 
 
-def _unusable(motion: Motion) -> str:
+def _unusable(motion: Travel) -> str:
     """Return why motions show nothing at all; empty where they may."""
     if motion.steps < LEAST_STEPS:
         text = f"{motion.steps} steps of {STEP_S} s have tracked scans and odometry"
@@ -163,7 +163,7 @@ def _sparse(motions: Motions) -> str:
     return f"the odometry comes every {period_s:.2g} s; record it at 10 Hz or more"
 
 
-def _contradiction(start: Start, motion: Motion) -> str:
+def _contradiction(start: FirstEstimate, motion: Travel) -> str:
     """Return why the odometry cannot be that of the laser's base; empty where it may."""
     scale = float(start.parameters[DISTANCE])
     if motion.turned_rad >= LEAST_TURN_RAD and start.correlation < ALIKE:
@@ -175,24 +175,24 @@ def _contradiction(start: Start, motion: Motion) -> str:
     return ""
 
 
-def _quantity(number: int, fit: Estimate, motion: Motion, start: Start) -> Quantity:
+def _quantity(number: int, fit: Estimate, motion: Travel, start: FirstEstimate) -> QuantityValue:
     kind, value, ci95 = KINDS[number], float(fit.values[number]), float(fit.ci95[number])
     why = _missing_motion(kind, motion)
     if not why and number == OFFSET and start.distinct < DISTINCT:
         why = f"speed and turn rate change too little, and other offsets fit as well; {CHANGE_MORE}"
     if not why and ci95 > kind.widest:
         why = f"uncertain by {ci95 * kind.per_si:.2g} {kind.unit}".rstrip() + f"; {_advice(kind, motion)}"
-    return Quantity(kind, refused=why) if why else Quantity(kind, value * kind.per_si, ci95 * kind.per_si)
+    return QuantityValue(kind, refused=why) if why else QuantityValue(kind, value * kind.per_si, ci95 * kind.per_si)
 
 
-def _advice(kind: Kind, motion: Motion) -> str:
+def _advice(kind: QuantityKind, motion: Travel) -> str:
     """Return what to record for a shorter interval."""
     turned, driven = motion.turned_rad >= ENOUGH_TURN_RAD, motion.odom_path_m >= ENOUGH_PATH_M
     enough = {TURN_MORE: turned, DRIVE_MORE: driven}.get(kind.advice, False)
     return BETTER if enough else kind.advice
 
 
-def _missing_motion(kind: Kind, motion: Motion) -> str:
+def _missing_motion(kind: QuantityKind, motion: Travel) -> str:
     if kind.advice == TURN_MORE and motion.turned_rad < LEAST_TURN_RAD:
         return f"the laser turns by {motion.turned_rad / DEG:.0f} deg in all; {TURN_MORE}"
     if kind.advice == DRIVE_MORE and motion.odom_path_m < LEAST_PATH_M:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from mavnav.metrics.calibration.motion import Motions
     from mavnav.metrics.calibration.noise import Noise
-    from mavnav.metrics.calibration.start import Start
+    from mavnav.metrics.calibration.start import FirstEstimate
 
     Array = NDArray[np.float64]
 
@@ -76,25 +76,25 @@ class _Equations(Struct, frozen=True):
         return normal
 
 
-def estimate(motions: Motions, start: Start) -> Estimate:
+def estimate(motions: Motions, start: FirstEstimate) -> Estimate:
     """Estimate all parameters from the first ones on; the motions have `LEAST_STEPS` or more."""
-    motions = motions.mirrored() if start.mirrored else motions
-    values, equations = _solved(motions, np.clip(start.parameters, LOW, HIGH))
+    motions = motions.mirror() if start.mirrored else motions
+    values, equations = _solve(motions, np.clip(start.parameters, LOW, HIGH))
     ci95, parts = _uncertainty(equations)
     linked, seconds = motions.linked, motions.laser_s[1:]
     errors = _errors(motions, values)[linked]
     return Estimate(values, ci95, parts, start.mirrored, start.correlation, seconds[linked], errors)
 
 
-def _solved(motions: Motions, values: Array) -> tuple[Array, _Equations]:
+def _solve(motions: Motions, values: Array) -> tuple[Array, _Equations]:
     """Iterate from first values (7,) to the best; the noise and the steps out of all proportion follow from the fit."""
     models, centre, added = _models(motions), _centre(values), np.zeros((3, len(motions.linked)))
     noises: list[Noise] = []
     for k in count():
         errors = _errors(motions, values)
         if k in LIKELIEST:
-            noises = [model.fitted(e, a) for model, e, a in zip(models, errors.T, added, strict=True)]
-        clipped = [noise.clipped(e) for noise, e in zip(noises, errors.T, strict=True)]
+            noises = [model.fit(e, a) for model, e, a in zip(models, errors.T, added, strict=True)]
+        clipped = [noise.inflate_outliers(e) for noise, e in zip(noises, errors.T, strict=True)]
         added = np.array([c.diagonal - noise.diagonal for c, noise in zip(clipped, noises, strict=True)])
         equations = _equations(motions, values, errors, clipped)
         score = equations.score.sum(axis=0) + (values - centre) / PRIOR**2
@@ -112,7 +112,7 @@ def _centre(start: Array) -> Array:
 
 def _models(motions: Motions) -> list[NoiseModel]:
     """Return what the noise depends on, for x, y and yaw in the laser's frame."""
-    laser, elapsed_s = motions.measured(), np.diff(motions.laser_s)
+    laser, elapsed_s = motions.laser_steps(), np.diff(motions.laser_s)
     sizes = np.column_stack((np.abs(laser.moved), np.abs(laser.turned)))
     steps = (laser.moved.real, laser.moved.imag, laser.turned)
     return [NoiseModel(_at_poses(step / elapsed_s), sizes, motions.linked) for step in steps]
@@ -126,7 +126,7 @@ def _at_poses(speeds: Array) -> Array:
 
 def _errors(motions: Motions, values: Array) -> Array:
     """Return predicted less measured steps (n, 3), m, m, rad in the laser's frame; 0 across gaps."""
-    ahead, laser = motions.predicted(values), motions.measured()
+    ahead, laser = motions.predicted_steps(values), motions.laser_steps()
     plane = ahead.moved - laser.moved
     errors = np.column_stack((plane.real, plane.imag, ahead.turned - laser.turned))
     return np.where(motions.linked[:, None], errors, 0.0)
@@ -135,15 +135,15 @@ def _errors(motions: Motions, values: Array) -> Array:
 def _equations(motions: Motions, values: Array, errors: Array, noises: list[Noise]) -> _Equations:
     of_odometry = [noise.of_odometry(error) for noise, error in zip(noises, errors.T, strict=True)]
     derivatives = _derivatives(motions, values, np.column_stack(of_odometry))
-    rows = np.array([noise.whitened(derivatives[:, c]) for c, noise in enumerate(noises)])
-    left = np.array([noise.whitened(errors[:, c]) for c, noise in enumerate(noises)])
+    rows = np.array([noise.whiten(derivatives[:, c]) for c, noise in enumerate(noises)])
+    left = np.array([noise.whiten(errors[:, c]) for c, noise in enumerate(noises)])
     return _Equations(rows, np.einsum("cni,cn->ni", rows, left))
 
 
 def _derivatives(motions: Motions, values: Array, of_odometry: Array) -> Array:
     """Return the derivatives of the errors, (n, 3, 7), for odometry without its expected errors (n, 3), m, m, rad."""
     x_m, y_m, yaw_rad, _, distance_scale, turn_scale, veer_rad_m = values.tolist()
-    ahead, arm, view = motions.predicted(values), complex(x_m, y_m), np.exp(-1j * yaw_rad)
+    ahead, arm, view = motions.predicted_steps(values), complex(x_m, y_m), np.exp(-1j * yaw_rad)
     moved = ahead.moved - of_odometry[:, 0] - 1j * of_odometry[:, 1]
     turned = ahead.turned - of_odometry[:, 2]
     lever, by_turn = 2j * np.sin(0.5 * turned), 1j * np.cos(0.5 * turned) * arm

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from mavnav.metrics.calibration.motion import LONGEST_OFFSET_S, OFFSET, Steps
+from mavnav.metrics.calibration.motion import LONGEST_OFFSET_S, OFFSET, PlaneSteps
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -24,7 +24,7 @@ LEAST: Final = 1e-6
 """No mean squared error counts as less, m2 or rad2."""
 
 
-class Start(NamedTuple):
+class FirstEstimate(NamedTuple):
     """The first estimate: parameters (7,), whether the laser is mirrored, correlation of the turns, -1 to 1.
 
     ``cost`` is twice the negative log-likelihood, up to a constant; ``distinct`` by how much other offsets have more.
@@ -42,18 +42,18 @@ class Start(NamedTuple):
         return float(self.parameters[OFFSET])
 
 
-def start_of(motions: Motions, *, turning: bool) -> Start:
+def start_of(motions: Motions, *, turning: bool) -> FirstEstimate:
     """Return the offset and the side up that fit best; without turning they fit alike: it is as the log says."""
-    sides = {False: motions, True: motions.mirrored()} if turning else {False: motions}
-    starts = [_tried(each, float(s), mirrored=side) for side, each in sides.items() for s in OFFSETS_S]
+    sides = {False: motions, True: motions.mirror()} if turning else {False: motions}
+    starts = [_start_at_offset(each, float(s), mirrored=side) for side, each in sides.items() for s in OFFSETS_S]
     best = min(starts, key=lambda start: start.cost)
     others = [start.cost for start in starts if abs(start.offset_s - best.offset_s) > ANOTHER_S]
     return best._replace(distinct=min(others) - best.cost)
 
 
-def _tried(motions: Motions, offset_s: float, *, mirrored: bool) -> Start:
+def _start_at_offset(motions: Motions, offset_s: float, *, mirrored: bool) -> FirstEstimate:
     """Solve for an offset: a step of the laser is linear in scale and yaw together, and in lever arm and yaw."""
-    laser, base = motions.measured(), Steps.between(*motions.base(offset_s))
+    laser, base = motions.laser_steps(), PlaneSteps.between(*motions.base(offset_s))
     linked = motions.linked
     turned, by_odometry = laser.turned[linked], base.turned[linked]
     turn_scale = max(float(turned @ by_odometry), 0.0) / float(by_odometry @ by_odometry + LEAST)
@@ -68,7 +68,7 @@ def _tried(motions: Motions, offset_s: float, *, mirrored: bool) -> Start:
     at = arm * np.exp(1j * yaw_rad)
     parameters = np.array((at.real, at.imag, yaw_rad, offset_s, abs(along), turn_scale, 0.0))
     cost = len(moved) * float(2.0 * np.log(plane_m2) + np.log(turns_rad2))
-    return Start(parameters, mirrored, _correlation(turned, by_odometry), cost)
+    return FirstEstimate(parameters, mirrored, _correlation(turned, by_odometry), cost)
 
 
 def _correlation(a: Array, b: Array) -> float:

@@ -34,11 +34,11 @@ def public_word(word: str) -> str:
 
 def public_line(text: str) -> str:
     """Return a text for people in which all addresses are public, also those that a path has taken a slash from."""
-    return re.sub(_IN_LINE, _public_found, text) if ":/" in text else text
+    return re.sub(_IN_LINE, _public_match, text) if ":/" in text else text
 
 
-def _public_found(found: re.Match[str]) -> str:
-    scheme, slashes, rest = found["scheme"], found["slashes"], found["rest"]
+def _public_match(match: re.Match[str]) -> str:
+    scheme, slashes, rest = match["scheme"], match["slashes"], match["rest"]
     end = rest[len(rest.rstrip(".,:;)")) :]
     whole = public_address(f"{scheme}://{rest.removesuffix(end)}")
     return f"{scheme}:{slashes}{whole.partition('://')[2]}{end}"
@@ -46,7 +46,7 @@ def _public_found(found: re.Match[str]) -> str:
 
 def public_text(text: str, address: str) -> str:
     """Return a text, such as an error of a library, that may hold ``address``, others, or the secrets of it."""
-    text = re.sub(_IN_TEXT, lambda found: public_address(found[0]), text.replace(address, public_address(address)))
+    text = re.sub(_IN_TEXT, lambda match: public_address(match[0]), text.replace(address, public_address(address)))
     for secret in _secrets(address):
         text = text.replace(secret, "***")
     return text
@@ -74,11 +74,11 @@ def _user(rest: str) -> str:
 
 def _secrets(address: str) -> list[str]:
     """Return what `public_address` leaves out, whole and in its parts, the longest first."""
-    found: set[str] = set()
+    secrets: set[str] = set()
     for part in address.split("::"):
         _, _, rest = part.partition("://")
         user, query = _user(rest).removesuffix("@"), rest.partition("?")[2]
         values = [field.partition("=")[2] for field in re.split("[&#]", query)]
-        found |= {user, query, *user.split(":", 1), *values}
-    found |= {unquote(secret) for secret in found}
-    return sorted((secret for secret in found if len(secret) >= _LEAST_SECRET), key=len, reverse=True)
+        secrets |= {user, query, *user.split(":", 1), *values}
+    secrets |= {unquote(secret) for secret in secrets}
+    return sorted((secret for secret in secrets if len(secret) >= _LEAST_SECRET), key=len, reverse=True)

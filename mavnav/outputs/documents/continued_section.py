@@ -26,7 +26,7 @@ class JoinedTo(Struct, frozen=True):
     closures: Annotated[int, number("closures with it")]
 
 
-class Evidence(Struct, frozen=True):
+class PlacementEvidence(Struct, frozen=True):
     """How a session was placed in the map of others, as merge.json has it (docs/merge.md)."""
 
     after: Annotated[str | None, text("session at whose end it was placed, null if it was found elsewhere")]
@@ -49,5 +49,5 @@ class Continued(Struct, frozen=True):
     name: Annotated[str, text("name of the new session")]
     joined: Annotated[bool, text("whether the session is in the map of the run")]
     why: Annotated[str | None, text("why it did not join, null if it did")]
-    evidence: Evidence
+    evidence: PlacementEvidence
     sessions: Annotated[list[EarlierSession], text("earlier sessions in the map")]

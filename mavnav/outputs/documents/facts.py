@@ -15,9 +15,9 @@ def facts(documents: Sequence[Mapping[str, Any]]) -> str:
     """
     if not documents:
         return ""
-    found = documents[0].get("input") or {}
-    length_s = found.get("duration_s")
-    parts = [_dates(documents), "" if length_s is None else f"log of {length_s:.1f} s", _sensor(found)]
+    log_input = documents[0].get("input") or {}
+    length_s = log_input.get("duration_s")
+    parts = [_dates(documents), "" if length_s is None else f"log of {length_s:.1f} s", _sensor(log_input)]
     return " · ".join(part for part in parts if part)
 
 
@@ -32,12 +32,12 @@ def _dates(documents: Sequence[Mapping[str, Any]]) -> str:
     return days[0] if days[0] == days[-1] else f"{days[0]} to {days[-1]}"
 
 
-def _sensor(found: Mapping[str, Any]) -> str:
-    sensor = found.get("sensor")
+def _sensor(log_input: Mapping[str, Any]) -> str:
+    sensor = log_input.get("sensor")
     if not sensor:
         return ""
     most_m, rate_hz = sensor["range_max_m"], sensor["rate_hz"]
     reach = f"from {sensor['range_min_m'] or 0.0:.3g} m" + (f" to {most_m:.3g} m" if most_m is not None else "")
     parts = [f"{sensor['beams']} beams", f"{sensor['field_of_view_deg']:.4g} deg", reach]
     parts += [f"{rate_hz:.3g} Hz"] if rate_hz is not None else []
-    return ", ".join([*parts, f"frame {found['frame_id']}"] if found.get("frame_id") else parts)
+    return ", ".join([*parts, f"frame {log_input['frame_id']}"] if log_input.get("frame_id") else parts)

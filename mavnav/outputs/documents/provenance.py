@@ -57,15 +57,15 @@ def provenance(started: str, typed: Typed, again: Sequence[str], options: Option
     """Describe a run that was ``started`` at a time; ``again`` are the words of a command line that repeats it."""
     return Provenance(
         started=started,
-        command=quoted(typed.words) if typed.words else None,
-        again=quoted(again),
+        command=shell_line(typed.words) if typed.words else None,
+        again=shell_line(again),
         folder=typed.folder,
         options=options,
         host=host(),
     )
 
 
-def quoted(words: Sequence[str]) -> str:
+def shell_line(words: Sequence[str]) -> str:
     """Return words as a line for a shell, without the secrets of addresses."""
     return shlex.join(public_word(word) for word in words)
 

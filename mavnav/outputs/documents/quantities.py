@@ -8,7 +8,7 @@ from msgspec import Struct
 
 from mavnav.errors import ExitCode, UsageError
 from mavnav.metrics.gates import find
-from mavnav.outputs.documents.schema import described
+from mavnav.outputs.documents.schema import number_schema
 from mavnav.slam.findings import HIGH
 
 if TYPE_CHECKING:
@@ -43,23 +43,23 @@ class Quantity(Struct, frozen=True):
     @property
     def title(self) -> str:
         """The heading of its column."""
-        return str(described(self.name)["title"])
+        return str(number_schema(self.name)["title"])
 
     @property
     def unit(self) -> str:
         """The unit it is written in; empty for a count or a ratio."""
-        unit = str(described(self.name).get("unit", "1")) if self.shown_unit is None else self.shown_unit
+        unit = str(number_schema(self.name).get("unit", "1")) if self.shown_unit is None else self.shown_unit
         return "" if unit == "1" else unit
 
     @property
     def better(self) -> int:
         """-1 where less is better, +1 where more is, 0 where neither."""
-        return {"lower": -1, "higher": 1}.get(described(self.name).get("better", ""), 0)
+        return {"lower": -1, "higher": 1}.get(number_schema(self.name).get("better", ""), 0)
 
     @property
     def about(self) -> str:
         """What it is."""
-        return str(described(self.name)["description"])
+        return str(number_schema(self.name)["description"])
 
     @property
     def head(self) -> str:
@@ -68,17 +68,17 @@ class Quantity(Struct, frozen=True):
 
     def of(self, run: Run | None) -> float | None:
         """Return the number of a run in the unit it is written in, None where there is none."""
-        found = number(run, self.name)
-        if found is None and self.otherwise:
-            found = number(run, self.otherwise)
-        return None if found is None else float(found) * self.factor
+        value = number(run, self.name)
+        if value is None and self.otherwise:
+            value = number(run, self.otherwise)
+        return None if value is None else float(value) * self.factor
 
     def same(self, a: float, b: float) -> bool:
         """Return whether two values, in the unit they are written in, do not differ by more than the noise."""
         a, b = round(a, self.digits), round(b, self.digits)
         return abs(a - b) <= self.noise * min(abs(a), abs(b))
 
-    def shown(self, run: Run | None) -> str:
+    def text_of(self, run: Run | None) -> str:
         """Write the number of a run, or a dash where there is none."""
         value = self.of(run)
         return "-" if value is None else f"{value:.{self.digits}f}"
@@ -144,34 +144,34 @@ def winners(quantity: Quantity, runs: Sequence[Run | None]) -> list[int]:
     Nobody is best where all are equal.
     """
     groups: dict[float, dict[int, float]] = {}
-    for k, value in competing(quantity, runs).items():
+    for k, value in ranked_values(quantity, runs).items():
         groups.setdefault(_cell_mm(runs[k]) if quantity.per_cell else 0.0, {})[k] = value
     return sorted(k for group in groups.values() for k in _best(quantity, group))
 
 
-def competing(quantity: Quantity, runs: Sequence[Run | None]) -> dict[int, float]:
+def ranked_values(quantity: Quantity, runs: Sequence[Run | None]) -> dict[int, float]:
     """Return the rounded values of the runs that are ranked by a quantity, by their index: those of meaningful maps."""
     known = {k: quantity.of(run) for k, run in enumerate(runs) if run is not None and not why_not_meaningful(run)}
-    found = {k: round(value, quantity.digits) for k, value in known.items() if value is not None}
-    return found if quantity.ranked else {}
+    values = {k: round(value, quantity.digits) for k, value in known.items() if value is not None}
+    return values if quantity.ranked else {}
 
 
-def _best(quantity: Quantity, found: dict[int, float]) -> list[int]:
-    top = max(found.values(), key=lambda value: quantity.better * value)
-    best = [k for k, value in found.items() if quantity.same(value, top)]
-    return best if len(best) < len(found) else []
+def _best(quantity: Quantity, values: dict[int, float]) -> list[int]:
+    top = max(values.values(), key=lambda value: quantity.better * value)
+    best = [k for k, value in values.items() if quantity.same(value, top)]
+    return best if len(best) < len(values) else []
 
 
 def by_cell_mm(runs: Iterable[Run | None]) -> dict[float, list[int]]:
     """Return the indices of the meaningful maps by their cell size in mm, the largest first."""
-    found: dict[float, list[int]] = {}
+    groups: dict[float, list[int]] = {}
     for k, run in enumerate(runs):
         if run is not None and not why_not_meaningful(run):
-            found.setdefault(_cell_mm(run), []).append(k)
-    return dict(sorted(found.items(), reverse=True))
+            groups.setdefault(_cell_mm(run), []).append(k)
+    return dict(sorted(groups.items(), reverse=True))
 
 
-def not_compared(runs: Iterable[Run | None]) -> str:
+def size_note(runs: Iterable[Run | None]) -> str:
     """Say that the cell sizes of the maps differ, and what is therefore not compared; empty where they do not."""
     groups = by_cell_mm(runs)
     if len(groups) < 2:

@@ -61,7 +61,7 @@ class Sensor(Struct, frozen=True):
     rate_hz: Annotated[Measured, number("scans per second, by the median period")]
 
 
-class Input(Struct, frozen=True):
+class LogInput(Struct, frozen=True):
     """The log, or the scenario of a simulated run, and what was read of it."""
 
     path: Annotated[str, text("the log as it was named, or the scenario")]
@@ -96,7 +96,7 @@ class Scans(Struct, frozen=True):
     suspect: Annotated[int, number("usable scans from where a checksum does not match, or could not be checked")]
 
 
-class Closure(Struct, frozen=True):
+class ClosedLoop(Struct, frozen=True):
     """A closed loop; times from the first scan."""
 
     from_scan: Annotated[int, number("index of the earlier scan")]
@@ -111,7 +111,7 @@ class Closure(Struct, frozen=True):
 class LoopClosure(Struct, frozen=True):
     """The loops that were closed, and whether the trajectory was corrected by them."""
 
-    closures: Annotated[list[Closure], text("closed loops")]
+    closures: Annotated[list[ClosedLoop], text("closed loops")]
     rejected: Annotated[int, number("closures that were found and not used")]
     corrected: Annotated[bool, text("whether the trajectory was corrected")]
 
@@ -274,7 +274,7 @@ class RunDocument(Struct, frozen=True, kw_only=True):
     mavnav_version: Annotated[str, text("version of mavnav")]
     python: Annotated[str, text("version of Python")]
     libraries: Annotated[dict[str, str], text("version of each library")]
-    input: Input
+    input: LogInput
     config: Config
     method: Annotated[MethodName, text("SLAM method")]
     grid: Annotated[str, text("points of the search grid in x and y")]

@@ -47,28 +47,28 @@ def run_schema() -> Schema:
     for name in CONFIGURATION:  # it is written whole, with the search grid as text
         definitions[name]["required"] = list(definitions[name]["properties"])
     definitions["Config"]["properties"]["grid"] = {"type": "string"}
-    schema = _inlined(definitions.pop("RunDocument"), definitions, "", {})
+    schema = _inline(definitions.pop("RunDocument"), definitions, "", {})
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "run.json", **schema}
 
 
-def _inlined(node: Schema, defs: dict[str, Schema], name: str, around: Schema) -> Schema:
+def _inline(node: Schema, defs: dict[str, Schema], name: str, around: Schema) -> Schema:
     """Put definitions in their places, so that each number is described by where it is.
 
     ``around`` is the key of the record or list that a number is in: its description and unit hold for the number too.
     """
     if "$ref" in node:
         key = {k: v for k, v in node.items() if k not in {"$ref", "default"}}
-        return _inlined(defs[node["$ref"].rpartition("/")[2]], defs, "", {"unit": _unit(name), **key}) | key
+        return _inline(defs[node["$ref"].rpartition("/")[2]], defs, "", {"unit": _unit(name), **key}) | key
     if _is_number(node):
-        return _described({k: v for k, v in node.items() if k != "default"}, name, around)
+        return _describe({k: v for k, v in node.items() if k != "default"}, name, around)
     node = {k: cleandoc(v) if k == "description" else v for k, v in node.items() if k not in {"title", "default"}}
     if "properties" in node:
-        node["properties"] = {k: _inlined(child, defs, k, around) for k, child in node["properties"].items()}
+        node["properties"] = {k: _inline(child, defs, k, around) for k, child in node["properties"].items()}
     if "anyOf" in node:
-        node["anyOf"] = [_inlined(option, defs, name, {}) for option in node["anyOf"]]
+        node["anyOf"] = [_inline(option, defs, name, {}) for option in node["anyOf"]]
     for part in ("items", "additionalProperties"):
         if isinstance(node.get(part), dict):
-            node[part] = _inlined(node[part], defs, name, {k: node[k] for k in ("description", "unit") if k in node})
+            node[part] = _inline(node[part], defs, name, {k: node[k] for k in ("description", "unit") if k in node})
     return node
 
 
@@ -76,7 +76,7 @@ def _is_number(node: Schema) -> bool:
     return any(option.get("type") in {"number", "integer"} for option in node.get("anyOf", [node]))
 
 
-def _described(node: Schema, name: str, around: Schema) -> Schema:
+def _describe(node: Schema, name: str, around: Schema) -> Schema:
     """Complete title, description and unit of a number by its name and by the key around it."""
     unit = node.get("unit") or _unit(name) or around.get("unit") or "1"
     bare = next((name.removesuffix(suffix) for suffix in UNITS if name.endswith(suffix)), name)
@@ -113,7 +113,7 @@ def number_names(*, reference: bool = False) -> list[str]:
     ]
 
 
-def described(name: str) -> Schema:
+def number_schema(name: str) -> Schema:
     """Return the schema of a number; that of the record around it where this has a direction, as a distribution may."""
     around = run_keys().get(name.rpartition(".")[0], {})
     return around if "better" in around else run_keys()[name]

@@ -63,15 +63,15 @@ def map_slices(slices: tuple[Slice, ...]) -> list[MapSlice]:
     return [_map_slice(each) for each in slices]
 
 
-def _map_slice(found: Slice) -> MapSlice:
-    grid, cells = found.grid, occupancy(found.grid)
+def _map_slice(layer: Slice) -> MapSlice:
+    grid, cells = layer.grid, occupancy(layer.grid)
     sections = {PAPER_MIN_HITS: wall_sections(grid.hits, grid.cell_m, PAPER_MIN_HITS)}
     published = wall_sections((cells == OCCUPIED).astype(np.uint16), grid.cell_m, 1)
     return MapSlice(
-        map=f"{slice_name(found)}.yaml",
-        middle_m=found.middle_m,
-        from_m=found.from_m,
-        to_m=found.to_m,
+        map=f"{slice_name(layer)}.yaml",
+        middle_m=layer.middle_m,
+        from_m=layer.from_m,
+        to_m=layer.to_m,
         hits=int(grid.hits.sum(dtype=np.int64)),
         occupied=int((cells == OCCUPIED).sum()),
         free=int((cells == 0).sum()),

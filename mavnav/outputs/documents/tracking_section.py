@@ -27,7 +27,7 @@ class DoubtReason(Struct, frozen=True):
     value: Annotated[float, number("strength: 1 is much", better="lower")]
 
 
-class Doubt(Struct, frozen=True):
+class DoubtSection(Struct, frozen=True):
     """Whether trajectory or map may be wrong although the scans were accepted (docs/method.md, "Doubt").
 
     The strongest reason comes first; ``tried`` is what was done because of the doubt. ``probability`` is null on line,
@@ -72,7 +72,7 @@ class Tracking(Struct, frozen=True):
     tracked_share: Annotated[float, number("part of the processed scans with a pose", better="higher")]
     opinions: Annotated[int, number("tracks compared, of which the sharpest was kept")]
     path_length_m: Annotated[float, number("length of the path of the laser, standstill noise left out", title="path")]
-    doubt: Doubt
+    doubt: DoubtSection
     frames: Annotated[dict[str, list[str]], text("parent and child frame of each trajectory file")]
     parts: Annotated[list[TrackedPart], text("stretches with maps of their own, joined or not")] = field(
         default_factory=absent

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.logs import Log
-    from mavnav.outputs.run import Run
+    from mavnav.outputs.run import RunResult
     from mavnav.slam.findings import Doubt
 
 SCHEMA_VERSION: Final = 1
@@ -43,7 +43,7 @@ MAP_PICTURE: Final = "map.png"
 OTHER_PICTURE: Final = f"{MAP_PICTURE} of a run with --outputs pictures"
 
 
-def run_document(run: Run, outputs: dict[str, str]) -> model.RunDocument:
+def run_document(run: RunResult, outputs: dict[str, str]) -> model.RunDocument:
     """Describe a run; ``outputs`` maps the files written to their SHA-256."""
     mission = run.mission
     return model.RunDocument(
@@ -86,7 +86,7 @@ def _versions() -> dict[str, str]:
     return {name: installed_version(name) for name in LIBRARIES}
 
 
-def write_metrics(run: Run, path: Path) -> None:
+def write_metrics(run: RunResult, path: Path) -> None:
     """Write metrics.json: other tracks of the log are no metric of this one."""
     document = run_document(run, {})
     document = replace(document, tracking=replace(document.tracking, attempts=ABSENT))
@@ -120,17 +120,17 @@ def plain(value: Any) -> Any:  # noqa: ANN401  any JSON value
     return value
 
 
-def _start_warnings(run: Run) -> list[str]:
+def _start_warnings(run: RunResult) -> list[str]:
     """Return the line for the user where the laser was found far from the given start pose."""
-    given, found = (run.localisation.start_pose, run.localisation.found) if run.localisation else (None, None)
-    if given is None or found is None:
+    given, pose = (run.localisation.start_pose, run.localisation.found) if run.localisation else (None, None)
+    if given is None or pose is None:
         return []
-    distance_m = hypot(found.x_m - given.x_m, found.y_m - given.y_m)
+    distance_m = hypot(pose.x_m - given.x_m, pose.y_m - given.y_m)
     if distance_m <= FAR_FROM_START_M:
         return []
     return [
-        f"the laser was found {distance_m:.1f} m from --start-pose, at x {found.x_m:z.2f} m, y {found.y_m:z.2f} m "
-        f"(scan {found.scan}); check the pose found; if it is wrong, correct --start-pose"
+        f"the laser was found {distance_m:.1f} m from --start-pose, at x {pose.x_m:z.2f} m, y {pose.y_m:z.2f} m "
+        f"(scan {pose.scan}); check the pose found; if it is wrong, correct --start-pose"
     ]
 
 
@@ -139,10 +139,10 @@ def with_picture(text: str, outputs: Collection[str]) -> str:
     return text if MAP_PICTURE in outputs else text.replace(MAP_PICTURE, OTHER_PICTURE)
 
 
-def _input(run: Run) -> model.Input:
+def _input(run: RunResult) -> model.LogInput:
     log, odometry, mounting = run.log, run.log.odometry, run.log.base_T_laser
     path, digest, size_bytes, kind = _file(run)
-    return model.Input(
+    return model.LogInput(
         path=path,
         sha256=digest,
         size_bytes=size_bytes,
@@ -169,7 +169,7 @@ def _sensor(log: Log) -> model.Sensor:
     return model.Sensor(spec.beams, spec.field_of_view_rad / DEG, spec.range_min_m, spec.range_max_m, rate_hz)
 
 
-def _file(run: Run) -> tuple[str, str, int, str]:
+def _file(run: RunResult) -> tuple[str, str, int, str]:
     """Return path, SHA-256, size in bytes and format of what the user named: a log, or a scenario."""
     if run.mission is None:
         path = public_address(run.address) if run.address else str(run.log.path)
@@ -177,7 +177,7 @@ def _file(run: Run) -> tuple[str, str, int, str]:
     return str(run.mission.path), run.mission.sha256, run.mission.size_bytes, "scenario"
 
 
-def _scans(run: Run) -> model.Scans:
+def _scans(run: RunResult) -> model.Scans:
     steps, counts = run.slam.steps, run.log.counts
     tracked = len(run.slam.trajectory)
     return model.Scans(
@@ -192,7 +192,7 @@ def _scans(run: Run) -> model.Scans:
     )
 
 
-def _tracking(run: Run) -> tracking.Tracking:
+def _tracking(run: RunResult) -> tracking.Tracking:
     slam, first_ns = run.slam, run.log.first_ns
     return tracking.Tracking(
         lost=slam.lost_for_good,
@@ -215,36 +215,36 @@ def _tracking(run: Run) -> tracking.Tracking:
     )
 
 
-def _doubt(doubt: Doubt | None, first_ns: int) -> tracking.Doubt:
+def _doubt(doubt: Doubt | None, first_ns: int) -> tracking.DoubtSection:
     if doubt is None:
-        return tracking.Doubt(np.nan, [], [])
+        return tracking.DoubtSection(np.nan, [], [])
     reasons = [
         tracking.DoubtReason(r.name, (r.start_ns - first_ns) * NS, (r.end_ns - first_ns) * NS, r.value)
         for r in doubt.reasons
     ]
-    return tracking.Doubt(doubt.probability, reasons, list(doubt.tried))
+    return tracking.DoubtSection(doubt.probability, reasons, list(doubt.tried))
 
 
-def _doubt_warnings(run: Run) -> list[str]:
+def _doubt_warnings(run: RunResult) -> list[str]:
     """Return the line for the user where the doubt is high."""
-    found = _doubt(run.slam.doubt, run.log.first_ns)
+    section = _doubt(run.slam.doubt, run.log.first_ns)
     if run.slam.doubt is None or not run.slam.doubt.high:
         return []
-    first = {reason.reason: reason for reason in reversed(found.reasons)}.values()
+    first = {reason.reason: reason for reason in reversed(section.reasons)}.values()
     why = ", ".join(f"{r.reason} (from {r.from_s:.1f} to {r.to_s:.1f} s)" for r in reversed(first))
     return [
-        f"the track may be wrong though the scans fit, with probability {found.probability:.2f}: {why}; "
+        f"the track may be wrong though the scans fit, with probability {section.probability:.2f}: {why}; "
         "compare map.png with the place before it is used"
     ]
 
 
-def _loop_closure(run: Run) -> model.LoopClosure:
+def _loop_closure(run: RunResult) -> model.LoopClosure:
     slam, first_ns = run.slam, run.log.first_ns
     scans = slam.steps.column("index")[slam.steps.column("tracked")].tolist()
     stamps_ns = slam.trajectory.stamps_ns
     return model.LoopClosure(
         closures=[
-            model.Closure(
+            model.ClosedLoop(
                 from_scan=scans[loop.start],
                 to_scan=scans[loop.end],
                 from_s=(int(stamps_ns[loop.start]) - first_ns) * NS,
@@ -260,7 +260,7 @@ def _loop_closure(run: Run) -> model.LoopClosure:
     )
 
 
-def _search(run: Run) -> model.Search:
+def _search(run: RunResult) -> model.Search:
     steps = run.slam.steps
     costs_m2 = steps.column("cost_m2")
     return model.Search(
@@ -279,7 +279,7 @@ def _spread(values: NDArray[Any]) -> model.Spread:
     return model.Spread(float(np.mean(values)), float(np.median(values)), values.min().item(), values.max().item())
 
 
-def _map(run: Run) -> model.Map:
+def _map(run: RunResult) -> model.Map:
     grid = run.known
     rows, cols = grid.hits.shape
     return model.Map(
@@ -294,7 +294,7 @@ def _map(run: Run) -> model.Map:
     )
 
 
-def _timing(run: Run) -> model.TimingReport:
+def _timing(run: RunResult) -> model.TimingReport:
     t, scans = run.timing, len(run.slam.steps)
     duration_s = (run.log.last_ns - run.log.first_ns) * NS
     work_s = max(t.wall_s, 1e-9)

@@ -10,7 +10,7 @@ from mavnav.outputs.files.gridmap import pgm_rows, yaml_text
 from mavnav.version import __version__
 
 if TYPE_CHECKING:
-    from mavnav.outputs.run import Run
+    from mavnav.outputs.run import RunResult
 
 MOST_CELLS: Final = 2_000_000
 """The picture of a larger map is not attached: ``/map`` has it, compressed."""
@@ -19,7 +19,7 @@ _CHANGING: Final = ("timing", "provenance", "outputs", "python", "libraries")
 """Sections of run.json that differ from run to run or between machines, or describe the files beside it."""
 
 
-def extras(run: Run) -> Extras:
+def extras(run: RunResult) -> Extras:
     """Return the metadata record ``mavnav``, and run.json, configuration and map files as attachments.
 
     Of run.json the sections are left out that differ from run to run, and the path of the log, or the whole file of a
@@ -41,7 +41,7 @@ def extras(run: Run) -> Extras:
     return Extras(run.log.first_ns, {"mavnav": _metadata(run)}, tuple(files))
 
 
-def _metadata(run: Run) -> dict[str, str]:
+def _metadata(run: RunResult) -> dict[str, str]:
     """Return what identifies a run; of a mission its recording has no name."""
     name = run.log.path.name.encode(errors="backslashreplace").decode()  # names of files need not be UTF-8
     log = {} if run.mission else {"log": name, "log_sha256": run.log.sha256}

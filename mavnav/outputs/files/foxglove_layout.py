@@ -10,7 +10,7 @@ from mavnav.outputs.files.replay_log import MAP_FRAME
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from mavnav.outputs.run import Run
+    from mavnav.outputs.run import RunResult
 
 MAP_PANEL: Final = "3D!map"
 PLOTS: Final = {
@@ -30,12 +30,12 @@ FIELD_OF_VIEW_DEG: Final = 40.0
 """Of the camera, whose distance shows the whole map."""
 
 
-def write(run: Run, path: Path) -> None:
+def write(run: RunResult, path: Path) -> None:
     """Write the layout as Foxglove imports it."""
     path.write_text(json.dumps(layout(run), indent=2) + "\n", encoding="ascii")
 
 
-def layout(run: Run) -> dict[str, Any]:
+def layout(run: RunResult) -> dict[str, Any]:
     """Return the layout: a map from above, and plots of the pose."""
     plots = {name: _plot(title, values) for name, (title, values) in PLOTS.items()}
     first, second = PLOTS
@@ -53,7 +53,7 @@ def layout(run: Run) -> dict[str, Any]:
     }
 
 
-def _map(run: Run) -> dict[str, Any]:
+def _map(run: RunResult) -> dict[str, Any]:
     grid = run.known
     rows, cols = grid.hits.shape
     middle = [o + 0.5 * n * grid.cell_m for o, n in zip(grid.origin_xy_m, (cols, rows), strict=True)]

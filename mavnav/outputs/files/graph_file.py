@@ -10,16 +10,16 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from mavnav.outputs.run import Run
+    from mavnav.outputs.run import RunResult
     from mavnav.slam.findings import Edge
 
 
-def write(run: Run, path: Path) -> None:
+def write(run: RunResult, path: Path) -> None:
     """Write a vertex for every key frame, numbered as its scan in trajectory.csv, at its final pose; m, rad."""
     path.write_text("".join(_lines(run)), encoding="ascii")
 
 
-def _lines(run: Run) -> Iterator[str]:
+def _lines(run: RunResult) -> Iterator[str]:
     graph = run.slam.loops.graph
     if graph is None:
         msg = "no loops were looked for"
@@ -30,10 +30,10 @@ def _lines(run: Run) -> Iterator[str]:
         yield f"VERTEX_SE2 {name} {x:z.9f} {y:z.9f} {yaw:z.9f}\n"
     yield f"FIX {names[0]}\n"
     for edge in graph.edges:
-        yield f"EDGE_SE2 {names[edge.start]} {names[edge.end]} {_measured(edge)}\n"
+        yield f"EDGE_SE2 {names[edge.start]} {names[edge.end]} {_edge_values(edge)}\n"
 
 
-def _measured(edge: Edge) -> str:
+def _edge_values(edge: Edge) -> str:
     """Return the pose of the end seen from the start, and the upper triangle of the information matrix."""
     x, y, yaw = edge.start_T_end
     information = edge.sqrt_information.T @ edge.sqrt_information

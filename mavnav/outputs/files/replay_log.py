@@ -16,9 +16,9 @@ from msgspec.structs import replace
 
 from mavnav.logs.messages import cdr, definitions
 from mavnav.logs.messages.markers import marker_array
-from mavnav.logs.writing.mcap_writer import Channel, write_serialized
+from mavnav.logs.writing.mcap_writer import OutputChannel, write_serialized
 from mavnav.mapping.occupancy_grid import UNKNOWN, show_ends
-from mavnav.mapping.tiled_arrays import pooled
+from mavnav.mapping.tiled_arrays import max_pool
 from mavnav.outputs.files.extras import extras
 from mavnav.outputs.files.result_markers import markers_of
 from mavnav.outputs.run import base_frame
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.mapping.occupancy_grid import Grid
-    from mavnav.outputs.run import Run
+    from mavnav.outputs.run import RunResult
     from mavnav.pose import Trajectory
     from mavnav.scan import Scan
 
@@ -44,17 +44,17 @@ CHUNK_BYTES: Final = 1 << 20
 """A run is complete or absent: larger chunks than a recording's, in which one map resembles the one before."""
 
 CHANNELS: Final = {
-    "/tf_static": Channel(definitions.TF, latched=True),
-    "/tf": Channel(definitions.TF),
-    "/scan": Channel(definitions.SCAN),
-    "/pose": Channel(definitions.POSE),
-    "/path": Channel(definitions.PATH, latched=True),
-    "/markers": Channel(definitions.MARKERS, latched=True),
-    "/map": Channel(definitions.MAP, latched=True),
+    "/tf_static": OutputChannel(definitions.TF, latched=True),
+    "/tf": OutputChannel(definitions.TF),
+    "/scan": OutputChannel(definitions.SCAN),
+    "/pose": OutputChannel(definitions.POSE),
+    "/path": OutputChannel(definitions.PATH, latched=True),
+    "/markers": OutputChannel(definitions.MARKERS, latched=True),
+    "/map": OutputChannel(definitions.MAP, latched=True),
 }
 
 
-def write(run: Run, path: Path) -> None:
+def write(run: RunResult, path: Path) -> None:
     """Write the run as a ROS 2 log. The scans are read from the log once more."""
     with write_serialized(path, CHANNELS, CHUNK_BYTES, extras(run)) as put:
         laser, last_ns = laser_frame(run), run.log.last_ns
@@ -81,7 +81,7 @@ def write(run: Run, path: Path) -> None:
 class _Placement:
     """The transforms that place the base, or without a mounting the laser, on the map: over ``odom`` where it is."""
 
-    def __init__(self, run: Run, body: str) -> None:
+    def __init__(self, run: RunResult, body: str) -> None:
         odometry = run.log.odometry
         self.odom_T_body = None if odometry is None or body in (ODOM_FRAME, MAP_FRAME) else odometry.odom_T_base
         self._direct = cdr.transforms(MAP_FRAME, body)
@@ -103,13 +103,13 @@ def nearest_pose(poses: Trajectory, stamp_ns: int) -> Pose:
     return poses.at(inside, max_gap_ns=int(np.iinfo(np.int64).max)) or poses[0]
 
 
-def laser_frame(run: Run) -> str:
+def laser_frame(run: RunResult) -> str:
     """Name the laser's frame as tf2 takes it; a name that cannot stand beside ``map`` is replaced."""
     name = run.log.frame_id.lstrip("/")
     return name if name not in ("", MAP_FRAME) else "laser"
 
 
-def placed_scans(run: Run) -> Iterator[tuple[Scan, Pose]]:
+def placed_scans(run: RunResult) -> Iterator[tuple[Scan, Pose]]:
     """Read the tracked scans once more: the scan and map_T_laser."""
     trajectory, row = run.slam.trajectory, 0
     stamps_ns = trajectory.stamps_ns.tolist()
@@ -131,10 +131,10 @@ class _GrowingMap:
     too large to be shown once is shown in larger cells, each the most of what it holds: occupied, free, unknown.
     """
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: RunResult) -> None:
         known = run.known
         factor = max(1, ceil(sqrt(known.hits.size / LARGEST_MAP_BYTES)))
-        self.finished = pooled(run.cells, factor, fill=UNKNOWN) if factor > 1 else run.cells
+        self.finished = max_pool(run.cells, factor, fill=UNKNOWN) if factor > 1 else run.cells
         self.grid = replace(known, cell_m=known.cell_m * factor)
         self.cells: NDArray[np.int8] = np.full(self.finished.shape, UNKNOWN, np.int8)
         maps = min(MAX_MAPS, MAX_MAP_BYTES // self.cells.size)

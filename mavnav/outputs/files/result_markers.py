@@ -15,18 +15,18 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.metrics.ghost_walls import GhostWall
-    from mavnav.outputs.run import Run
+    from mavnav.outputs.run import RunResult
 
 RED, ORANGE, MAGENTA = (0.84, 0.15, 0.16, 1.0), (0.9, 0.6, 0.0, 1.0), (0.8, 0.47, 0.65, 1.0)
 WIDTH_M, LETTERS_M = 0.04, 0.2
 
 
-def markers_of(run: Run) -> list[Marker]:
+def markers_of(run: RunResult) -> list[Marker]:
     """Return the markers of a run, in the map frame."""
     ghosts = run.measured.quality.ghost_walls.places
     return [
         *(m for k, ghost in enumerate(ghosts) for m in _ghost(k, ghost)),
-        *_lost(run),
+        *_lost_markers(run),
         *(Marker("doubtful", k, LINE_STRIP, xy, WIDTH_M, ORANGE) for k, xy in enumerate(doubtful_parts(run.slam))),
     ]
 
@@ -43,7 +43,7 @@ def _ghost(number: int, ghost: GhostWall) -> tuple[Marker, Marker]:
     )
 
 
-def _lost(run: Run) -> list[Marker]:
+def _lost_markers(run: RunResult) -> list[Marker]:
     """Mark where the track was lost, from the last pose before to the first one after, and for how long."""
     markers, trajectory = [], run.slam.trajectory
     for number, lost in enumerate(run.slam.lost if len(trajectory) else ()):

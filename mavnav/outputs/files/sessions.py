@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.logs.messages import cdr, definitions
-from mavnav.logs.writing.mcap_writer import Channel, write_serialized
-from mavnav.outputs.documents.continued_section import Evidence, JoinedTo
+from mavnav.logs.writing.mcap_writer import OutputChannel, write_serialized
+from mavnav.outputs.documents.continued_section import JoinedTo, PlacementEvidence
 from mavnav.outputs.files.trajectory import tum_lines
 from mavnav.units import DEG, MM
 
@@ -41,15 +41,15 @@ def write_poses(map_T_laser: Trajectory, path: Path) -> None:
 def write_scans(scans: Iterable[Scan], path: Path) -> None:
     """Write scans as a log with nothing else in it."""
     message = cdr.scans(FRAME)
-    with write_serialized(path, {"/scan": Channel(definitions.SCAN)}) as put:
+    with write_serialized(path, {"/scan": OutputChannel(definitions.SCAN)}) as put:
         for scan in scans:
             put("/scan", scan.stamp_ns, message(scan))
 
 
-def evidence(join: Join) -> Evidence:
+def evidence(join: Join) -> PlacementEvidence:
     """Describe what a session was joined by; of the one that others joined there is none."""
     known = bool(join.closures)
-    return Evidence(
+    return PlacementEvidence(
         after=join.after or None,
         searched=join.searched,
         found=join.found,

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.mapping.slices import Slice
-    from mavnav.outputs.run import Run
+    from mavnav.outputs.run import RunResult
 
 
 class _DrawnSlice(Struct, frozen=True):
@@ -35,7 +35,7 @@ def slice_files(layers: Iterable[Slice]) -> list[str]:
     return [f"{slice_name(layer)}.{suffix}" for layer in layers for suffix in ("pgm", "yaml")]
 
 
-def write_slice(run: Run, path: Path) -> None:
+def write_slice(run: RunResult, path: Path) -> None:
     """Write one of the `slice_files` of a run that has slices: map_server's picture, or its description."""
     layers = run.slices.layers if run.slices else ()
     drawn = next(_DrawnSlice(layer.grid) for layer in layers if slice_name(layer) == path.stem)

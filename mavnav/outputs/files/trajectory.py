@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from mavnav.outputs.run import Run, Walls
+    from mavnav.outputs.run import RunResult, Walls
     from mavnav.pose import Trajectory
 
 COLUMNS = (
@@ -30,12 +30,12 @@ UNKNOWN: Final = (nan,) * 6
 TRUE_WALLS_FILE: Final = "true_walls.json"
 
 
-def write_tum(run: Run, path: Path) -> None:
+def write_tum(run: RunResult, path: Path) -> None:
     """Write map_T_laser of every tracked scan as ``t x y z qx qy qz qw`` (seconds, metres, unit quaternion)."""
     path.write_text("".join(tum_lines(run.slam.trajectory)), encoding="ascii")
 
 
-def write_base_tum(run: Run, path: Path) -> None:
+def write_base_tum(run: RunResult, path: Path) -> None:
     """Write map_T_base in the same format; the run must know the mounting."""
     trajectory = run.map_T_base
     if trajectory is None:
@@ -44,7 +44,7 @@ def write_base_tum(run: Run, path: Path) -> None:
     path.write_text("".join(tum_lines(trajectory)), encoding="ascii")
 
 
-def write_truth_tum(run: Run, path: Path) -> None:
+def write_truth_tum(run: RunResult, path: Path) -> None:
     """Write the true map_T_laser of every scan in the same format; the run must be a mission."""
     if run.truth is None:
         msg = "the truth is not known"
@@ -52,7 +52,7 @@ def write_truth_tum(run: Run, path: Path) -> None:
     path.write_text("".join(tum_lines(run.truth.map_T_laser)), encoding="ascii")
 
 
-def write_true_walls(run: Run, path: Path) -> None:
+def write_true_walls(run: RunResult, path: Path) -> None:
     """Write the true walls in the map frame, m and rad, as `Truth` holds them, and of a mission the goal."""
     true = run.true_walls
     if true is None:
@@ -83,7 +83,7 @@ def seconds(stamp_ns: int) -> str:
     return f"{sign}{whole}.{rest:09d}"
 
 
-def write_csv(run: Run, path: Path) -> None:
+def write_csv(run: RunResult, path: Path) -> None:
     """Write a row for every scan that was matched; one that was not tracked has no pose.
 
     ``doubtful`` is 1 for scans of a reason to doubt the track, if the doubt is high. The covariance of the pose is in
@@ -106,7 +106,7 @@ def write_csv(run: Run, path: Path) -> None:
         rows.writerows((*_csv_row(row, poses.get(row[1])), *next(tilts)) for row in zip(*columns, strict=True))
 
 
-def _attitudes(run: Run) -> Iterator[tuple[str, ...]]:
+def _attitudes(run: RunResult) -> Iterator[tuple[str, ...]]:
     """Yield the fields of a scan's attitude for each scan; none where the log has none."""
     attitude, stamps_ns = run.log.attitude, run.slam.steps.column("stamp_ns")
     if attitude is None:

@@ -14,13 +14,13 @@ from mavnav.units import DEG, MM
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from mavnav.outputs.run import Run
+    from mavnav.outputs.run import RunResult
 
 WALLS_FILE: Final = "walls.csv"
 COLUMNS: Final = ("x_m", "y_m", "direction_deg", "width_mm", "length_m")
 
 
-def write(run: Run, path: Path) -> None:
+def write(run: RunResult, path: Path) -> None:
     """Write a row for each place where the scans saw a wall; the width is empty where the map has none to measure."""
     cuts = run.measured.cuts
     columns = () if cuts is None else (cuts.xy_m, cuts.direction_rad, cuts.width_m, cuts.length_m)

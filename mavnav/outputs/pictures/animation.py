@@ -13,11 +13,11 @@ from PIL import Image, ImageDraw, ImageFont
 
 from mavnav.atomic_files import beside, is_stream
 from mavnav.errors import OutputError, UsageError
-from mavnav.mapping.occupancy_grid import known_part
+from mavnav.mapping.occupancy_grid import known_area
 from mavnav.metrics.journey import spread
 from mavnav.outputs.files.replay_log import placed_scans
-from mavnav.outputs.pictures.map_picture import framed
-from mavnav.outputs.pictures.viewport import GOAL_RED, POSE_MAGENTA, START_BLUE, Window, wall_lines, window_of
+from mavnav.outputs.pictures.map_picture import points_to_show
+from mavnav.outputs.pictures.viewport import GOAL_RED, POSE_MAGENTA, START_BLUE, Viewport, wall_lines, window_of
 from mavnav.pose import transform_points
 from mavnav.units import DEG, NS
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.outputs.run import Run, Truth
+    from mavnav.outputs.run import RunResult, Truth
     from mavnav.pose import Pose
 
 MAX_FRAMES: Final = 150
@@ -54,7 +54,7 @@ def check_animation(path: Path, *, force: bool) -> None:
         raise OutputError(f"{path} exists; choose another name for the animation, or --force to replace the file")
 
 
-def animate(run: Run, path: Path, *, force: bool = False) -> None:
+def animate(run: RunResult, path: Path, *, force: bool = False) -> None:
     """Write the animation of a run; scans are read once more. Raises OutputError where it cannot be written."""
     check_animation(path, force=force)
     try:
@@ -67,7 +67,7 @@ def animate(run: Run, path: Path, *, force: bool = False) -> None:
         raise OutputError(f"{path} cannot be written: {reason}; make room or choose another place") from error
 
 
-def _write(run: Run, path: Path) -> None:
+def _write(run: RunResult, path: Path) -> None:
     frames = list(_frames(run))
     durations = [FRAME_MS] * (len(frames) - 1) + [LAST_FRAME_MS]
     frames[0].save(
@@ -76,10 +76,10 @@ def _write(run: Run, path: Path) -> None:
 
 
 @dataclass(slots=True)
-class _Canvas:
+class _Raster:
     """A raster over a window of the map: pixel (column, row) with row 0 on top, and the hits that fell on each."""
 
-    window: Window
+    window: Viewport
     pixel_m: float
     hits: NDArray[np.int32] = field(init=False)
 
@@ -121,10 +121,10 @@ class _Canvas:
         return Image.fromarray(np.pad(indices, ((0, CAPTION_PIXELS), (0, right)), constant_values=_WHITE))
 
 
-def _frames(run: Run) -> Iterator[Image.Image]:
+def _frames(run: RunResult) -> Iterator[Image.Image]:
     """Draw a frame at up to `MAX_FRAMES` of the tracked scans, evenly spread; the last one is the end."""
-    window = window_of(known_part(run.slam.grid), framed(run))
-    canvas = _Canvas(window, max(window.size_m) / LONGEST_PIXELS)
+    window = window_of(known_area(run.slam.grid), points_to_show(run))
+    canvas = _Raster(window, max(window.size_m) / LONGEST_PIXELS)
     count = len(run.slam.trajectory)
     shown = set(spread(count, MAX_FRAMES).tolist())
     poses: list[tuple[int, Pose]] = []
@@ -137,7 +137,7 @@ def _frames(run: Run) -> Iterator[Image.Image]:
         yield _frame(run, canvas, poses)
 
 
-def _frame(run: Run, canvas: _Canvas, poses: list[tuple[int, Pose]]) -> Image.Image:
+def _frame(run: RunResult, canvas: _Raster, poses: list[tuple[int, Pose]]) -> Image.Image:
     image = canvas.image()
     image.putpalette(bytes(int(colour[k : k + 2], 16) for colour in _PALETTE for k in (1, 3, 5)))
     draw = ImageDraw.Draw(image)
@@ -151,7 +151,7 @@ def _frame(run: Run, canvas: _Canvas, poses: list[tuple[int, Pose]]) -> Image.Im
     return image
 
 
-def _attitude(run: Run, poses: list[tuple[int, Pose]]) -> str:
+def _attitude(run: RunResult, poses: list[tuple[int, Pose]]) -> str:
     """Return the attitude of the last scan for the caption; nothing where the log has none."""
     if run.log.attitude is None or not poses:
         return ""
@@ -161,7 +161,7 @@ def _attitude(run: Run, poses: list[tuple[int, Pose]]) -> str:
     return f"   roll {roll_rad / DEG:+.0f}, pitch {pitch_rad / DEG:+.0f} deg{height}"
 
 
-def _draw_truth(draw: ImageDraw.ImageDraw, canvas: _Canvas, truth: Truth, now_ns: int) -> None:
+def _draw_truth(draw: ImageDraw.ImageDraw, canvas: _Raster, truth: Truth, now_ns: int) -> None:
     """Draw the true walls thinly, the goal, and the true path so far with an x at its end."""
     for line in wall_lines(truth):
         canvas.line(draw, line, _WALL)
@@ -174,7 +174,7 @@ def _draw_truth(draw: ImageDraw.ImageDraw, canvas: _Canvas, truth: Truth, now_ns
         canvas.cross(draw, xy_m[-1], _TRUE_POSE, radius=5)
 
 
-def _draw_path(draw: ImageDraw.ImageDraw, canvas: _Canvas, poses: list[Pose]) -> None:
+def _draw_path(draw: ImageDraw.ImageDraw, canvas: _Raster, poses: list[Pose]) -> None:
     """Draw the estimated path, the start, and the present pose as a circle with its heading."""
     if not poses:
         return

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from mavnav.outputs.pictures.canvas import Canvas, stroke
-from mavnav.outputs.pictures.plot import Axes, Line, labelled, legend, legend_width, ticks
+from mavnav.outputs.pictures.plot import Axes, Style, label_ticks, legend, legend_width, ticks
 from mavnav.outputs.pictures.viewport import INK, MEASURED_BLUE, TRUE_ORANGE
 from mavnav.units import DEG, MM
 
@@ -27,17 +27,17 @@ TOPS: Final = (90, 450, 740)
 HEIGHTS: Final = (310, 220, 220)
 
 _pen = partial(stroke, width_pt=1.0)
-LASER, ODOMETRY = Line(MEASURED_BLUE, "laser", _pen), Line(TRUE_ORANGE, "odometry, calibrated", _pen)
-FORWARD, LATERAL, YAW = Line("#009e73", "x", _pen), Line("#cc79a7", "y", _pen), Line("#666666", "yaw", _pen)
+LASER, ODOMETRY = Style(MEASURED_BLUE, "laser", _pen), Style(TRUE_ORANGE, "odometry, calibrated", _pen)
+FORWARD, LATERAL, YAW = Style("#009e73", "x", _pen), Style("#cc79a7", "y", _pen), Style("#666666", "yaw", _pen)
 
 
 def write(motions: Motions, fit: Estimate, title: str, path: Path) -> None:
     """Draw the turn rates and the errors of the steps; the file is a PNG."""
-    motions = motions.mirrored() if fit.mirrored else motions
+    motions = motions.mirror() if fit.mirrored else motions
     seconds, elapsed_s = fit.seconds, np.diff(motions.laser_s)
     laser, odometry = (
         steps.turned[motions.linked] / elapsed_s[motions.linked] / DEG
-        for steps in (motions.measured(), motions.predicted(fit.values))
+        for steps in (motions.laser_steps(), motions.predicted_steps(fit.values))
     )
     errors = fit.errors / (MM, MM, DEG)
     canvas = Canvas.of(WIDTH, HEIGHT)
@@ -50,7 +50,7 @@ def write(motions: Motions, fit: Estimate, title: str, path: Path) -> None:
     canvas.save(path)
 
 
-def _chart(canvas: Canvas, row: int, seconds: Array, lines: dict[Line, Array], name: str) -> None:
+def _chart(canvas: Canvas, row: int, seconds: Array, lines: dict[Style, Array], name: str) -> None:
     """Draw lines over time in a row of the picture."""
     values = np.concatenate(list(lines.values()))
     low, high = float(values.min()), float(values.max())
@@ -60,5 +60,5 @@ def _chart(canvas: Canvas, row: int, seconds: Array, lines: dict[Line, Array], n
     for line, data in lines.items():
         axes.lines(line, [np.column_stack((seconds, data))])
     axes.borders()
-    axes.ticks(labelled(ticks(*limits[:2])), labelled(ticks(*limits[2:], most=6)))
+    axes.ticks(label_ticks(ticks(*limits[:2])), label_ticks(ticks(*limits[2:], most=6)))
     axes.names("time [s]" if row == len(TOPS) - 1 else "", name)

@@ -120,7 +120,7 @@ def stroke(on: Any, points: Points, width_pt: float, opacity: float = 1.0) -> No
             on.ellipse((x - half, y - half, x + half, y + half), fill=fill)
 
 
-def dashed(on: Any, points: Points, dash_pt: float = 3.6, gap_pt: float = 2.7) -> None:  # noqa: ANN401
+def draw_dashes(on: Any, points: Points, dash_pt: float = 3.6, gap_pt: float = 2.7) -> None:  # noqa: ANN401
     """Draw a line of dashes on a mask."""
     xy = np.array(points)
     along = np.concatenate(([0.0], np.hypot(*np.diff(xy, axis=0).T).cumsum()))

@@ -42,25 +42,25 @@ NUMBERED: Final = 40
 """So many changes, the largest, have their numbers beside them."""
 
 
-def write(a: View, b: View, a_T_b: Pose, found: Difference, title: str, path: Path) -> None:
+def write(a: View, b: View, a_T_b: Pose, difference: Difference, title: str, path: Path) -> None:
     """Draw the changes in the frame of the first map."""
     layers = {
         FREE_CELL: np.concatenate([transform_points(pose, v.middles(v.known)) for v, pose in _maps(a, b, a_T_b)]),
         WALL_CELL: np.concatenate([transform_points(pose, v.middles(v.walls)) for v, pose in _maps(a, b, a_T_b)]),
-        GONE_CELL: found.gone_xy_m,
-        NEW_CELL: found.new_xy_m,
+        GONE_CELL: difference.gone_xy_m,
+        NEW_CELL: difference.new_xy_m,
     }
     window = window_around(layers[WALL_CELL], least_margin_m=5 * a.grid.cell_m)
     axes = map_axes.framed_map(window, 7.5, MARGINS, least=(700, 420))
     grid, cells = _raster(layers, max(a.grid.cell_m, b.grid.cell_m))
     map_axes.draw_cells(axes, grid, cells, lambda values: _COLOURS[values])
     for kind, mark in MARKS.items():
-        axes.mark(mark, np.array([(c.x_m, c.y_m) for c in found.changes if c.kind == kind]).reshape(-1, 2))
-    _draw_numbers(axes, found.changes[:NUMBERED])
+        axes.mark(mark, np.array([(c.x_m, c.y_m) for c in difference.changes if c.kind == kind]).reshape(-1, 2))
+    _draw_numbers(axes, difference.changes[:NUMBERED])
     map_axes.draw_axes(axes)
     axes.names("x [m]", "y [m]")
     centred_legend(axes.canvas, [*MARKS.values(), *AREAS])
-    heading(axes.canvas, title, _subtitle(found), 10.0)
+    heading(axes.canvas, title, _subtitle(difference), 10.0)
     axes.canvas.save(path)
 
 
@@ -86,7 +86,7 @@ def _draw_numbers(axes: Axes, changes: tuple[Change, ...]) -> None:
         axes.canvas.text((x + 14, y - 14), str(number), 8.0, INK)
 
 
-def _subtitle(found: Difference) -> str:
-    kinds = [change.kind for change in found.changes]
-    gone, new = (f"{kinds.count(k)} {k}, {found.m2(k):.2f} m2" for k in ("gone", "new"))
-    return f"{gone}; {new} of wall cells; {found.compared_m2:.1f} m2 compared"
+def _subtitle(difference: Difference) -> str:
+    kinds = [change.kind for change in difference.changes]
+    gone, new = (f"{kinds.count(k)} {k}, {difference.m2(k):.2f} m2" for k in ("gone", "new"))
+    return f"{gone}; {new} of wall cells; {difference.compared_m2:.1f} m2 compared"

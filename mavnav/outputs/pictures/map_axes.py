@@ -10,18 +10,18 @@ import numpy as np
 from PIL import Image
 
 from mavnav.mapping.occupancy_grid import FREE
-from mavnav.mapping.tiled_arrays import pooled, unchanged, where
-from mavnav.outputs.pictures.canvas import Canvas, dashed, ramp, rgb_of, stroke
+from mavnav.mapping.tiled_arrays import identity, max_pool, where
+from mavnav.outputs.pictures.canvas import Canvas, draw_dashes, ramp, rgb_of, stroke
 from mavnav.outputs.pictures.plot import (
     Area,
     Axes,
-    Line,
     Mark,
+    Style,
     circle,
     colour_bar,
     cross,
     crossed_circle,
-    labelled,
+    label_ticks,
     square,
     ticks,
 )
@@ -35,7 +35,7 @@ from mavnav.outputs.pictures.viewport import (
     POSE_MAGENTA,
     START_BLUE,
     TRUE_ORANGE,
-    Window,
+    Viewport,
 )
 
 if TYPE_CHECKING:
@@ -60,20 +60,20 @@ END: Final = Mark(GOAL_RED, "end", partial(square, size_pt=9.0, width_pt=1.8))
 GOAL: Final = Mark(GOAL_RED, "goal", partial(crossed_circle, size_pt=13.0, width_pt=1.4))
 POSE: Final = Mark(POSE_MAGENTA, "estimated pose", partial(circle, size_pt=4.0, width_pt=0.8))
 TRUE_POSE: Final = Mark("#000000", "true pose", partial(cross, size_pt=3.5, width_pt=0.7))
-LOOP: Final = Line(INK, "closed loop", partial(stroke, width_pt=0.72))
-DOUBTFUL: Final = Line(DOUBT_RED, "doubtful", partial(stroke, width_pt=2.4))
-TRUE_WALL: Final = Line(TRUE_ORANGE, "true wall", dashed)
+LOOP: Final = Style(INK, "closed loop", partial(stroke, width_pt=0.72))
+DOUBTFUL: Final = Style(DOUBT_RED, "doubtful", partial(stroke, width_pt=2.4))
+TRUE_WALL: Final = Style(TRUE_ORANGE, "true wall", draw_dashes)
 KNOWN: Final = (Area(FREE_GREY, "free"), Area("#ffffff", "unknown"))
-MEASURED_WALL: Final = Line(MEASURED_BLUE, "measured by hand", dashed)
+MEASURED_WALL: Final = Style(MEASURED_BLUE, "measured by hand", draw_dashes)
 
 
-def map_axes(canvas: Canvas, window: Window, box: Box) -> Axes:
+def map_axes(canvas: Canvas, window: Viewport, box: Box) -> Axes:
     """Show a window of the map in a box of its shape; a metre is as long in x as in y."""
     per_m = (box[2] - box[0]) / window.size_m[0]
     return Axes(canvas, box, (window.x0_m, window.x1_m, window.y0_m, window.y1_m), (per_m, per_m))
 
 
-def framed_map(window: Window, longest_in: float, margins: Box, least: tuple[int, int] = (0, 0)) -> Axes:
+def framed_map(window: Viewport, longest_in: float, margins: Box, least: tuple[int, int] = (0, 0)) -> Axes:
     """Begin a picture of ``least`` width and height with the map in the middle of what the margins leave."""
     left, top, right, bottom = margins
     width, height = window.size_pixels(longest_in)
@@ -87,16 +87,16 @@ def draw_cells(
     grid: Grid,
     cells: NDArray[Any],
     colour_of: Callable[[NDArray[Any]], NDArray[np.uint8]],
-    value_of: CellFunction = unchanged,
+    value_of: CellFunction = identity,
 ) -> None:
     """Show an array of the grid's shape; zeros are transparent, ``colour_of`` gives (n, 3) or (3,) for the others.
 
     Where cells are smaller than pixels, the largest ``value_of`` several cells is shown.
     """
-    window = Window(*axes.limits)
+    window = Viewport(*axes.limits)
     first_col, end_col, first_row, end_row = window.cells_of(grid)
     factor = max(1, ceil(max(window.size_m) / grid.cell_m / MAX_CELLS))
-    shown = pooled(cells[first_row:end_row, first_col:end_col], factor, value_of=value_of)[::-1]
+    shown = max_pool(cells[first_row:end_row, first_col:end_col], factor, value_of=value_of)[::-1]
     some = shown > 0
     colours = colour_of(shown[some])
     x0_m = grid.origin_xy_m[0] + first_col * grid.cell_m
@@ -105,7 +105,7 @@ def draw_cells(
     corners = np.array([[x0_m, y0_m + rows * factor * grid.cell_m], [x0_m + cols * factor * grid.cell_m, y0_m]])
     (x0, y0), (x1, y1) = np.round(axes.to_canvas(corners)).astype(int).tolist()
     size = max(x1 - x0, 1), max(y1 - y0, 1)
-    _paste_inside(axes, _enlarged(some, size), x0, y0, _ink(some, colours, size))
+    _paste_inside(axes, _enlarge(some, size), x0, y0, _ink(some, colours, size))
 
 
 def _ink(some: NDArray[np.bool_], colours: NDArray[np.uint8], size: tuple[int, int]) -> Image.Image | tuple[int, ...]:
@@ -114,10 +114,10 @@ def _ink(some: NDArray[np.bool_], colours: NDArray[np.uint8], size: tuple[int, i
         return tuple(colours.tolist())
     pixels = np.zeros((*some.shape, 3), np.uint8)
     pixels[some] = colours
-    return _enlarged(pixels, size)
+    return _enlarge(pixels, size)
 
 
-def _enlarged(pixels: NDArray[Any], size: tuple[int, int]) -> Image.Image:
+def _enlarge(pixels: NDArray[Any], size: tuple[int, int]) -> Image.Image:
     return Image.fromarray(pixels).resize(size, Image.Resampling.NEAREST)
 
 
@@ -170,4 +170,4 @@ def draw_axes(axes: Axes, most: tuple[int, int] = (9, 9)) -> None:
     """Draw border and ticks, at most so many in x and y."""
     x0, x1, y0, y1 = axes.limits
     axes.canvas.draw.rectangle(axes.box, outline=FRAME_GREY)
-    axes.ticks(labelled(ticks(x0, x1, most[0])), labelled(ticks(y0, y1, most[1])))
+    axes.ticks(label_ticks(ticks(x0, x1, most[0])), label_ticks(ticks(y0, y1, most[1])))

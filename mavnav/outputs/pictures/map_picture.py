@@ -14,7 +14,7 @@ import numpy as np
 
 from mavnav.outputs.pictures import map_axes
 from mavnav.outputs.pictures.canvas import stroke
-from mavnav.outputs.pictures.plot import Line, centred_legend, heading, legend_room
+from mavnav.outputs.pictures.plot import Style, centred_legend, heading, legend_room
 from mavnav.outputs.pictures.viewport import wall_lines, window_of
 from mavnav.slam.result import doubtful_parts, parts_of_path
 from mavnav.units import MM
@@ -26,20 +26,20 @@ if TYPE_CHECKING:
 
     from mavnav.metrics.wall_spread import WallSpread
     from mavnav.outputs.pictures.plot import Axes, Mark, Sign
-    from mavnav.outputs.run import Run, Truth
+    from mavnav.outputs.run import RunResult, Truth
     from mavnav.pose import Trajectory
 
 CIRCLE_SPACING: Final = 0.018
 """Between two circles along the path, of the picture's longer side: so that they touch at most."""
 
-PATH: Final = Line(map_axes.POSE.colour, "", partial(stroke, width_pt=0.72, opacity=150 / 255))
+PATH: Final = Style(map_axes.POSE.colour, "", partial(stroke, width_pt=0.72, opacity=150 / 255))
 
 
-def write(run: Run, path: Path) -> None:
+def write(run: RunResult, path: Path) -> None:
     """Draw the map of a run."""
     trajectory = run.slam.trajectory
-    window = window_of(run.known, framed(run))
-    some = thinned(trajectory.xyyaw[:, :2], CIRCLE_SPACING * max(window.size_m))
+    window = window_of(run.known, points_to_show(run))
+    some = thin_path(trajectory.xyyaw[:, :2], CIRCLE_SPACING * max(window.size_m))
     marks = [*path_marks(trajectory, some), *_ends(run, trajectory.stamps_ns[some].tolist())]
     shown = (run.slam.loops.closed, run.true_walls, doubtful_parts(run.slam))
     lines = compress((map_axes.LOOP, map_axes.TRUE_WALL, map_axes.DOUBTFUL), shown)
@@ -56,7 +56,7 @@ def write(run: Run, path: Path) -> None:
     axes.canvas.save(path)
 
 
-def framed(run: Run) -> NDArray[np.float64]:
+def points_to_show(run: RunResult) -> NDArray[np.float64]:
     """Return the points (n, 2) that the picture has to show besides the map."""
     xy_m, truth = run.slam.trajectory.xyyaw[:, :2], run.truth
     walls = wall_lines(run.true_walls) if run.true_walls else []
@@ -64,7 +64,7 @@ def framed(run: Run) -> NDArray[np.float64]:
     return np.vstack((xy_m, *mission, *walls))
 
 
-def _draw_lines(axes: Axes, run: Run) -> None:
+def _draw_lines(axes: Axes, run: RunResult) -> None:
     """Draw the path, fainter than its circles, the closed loops and the true walls."""
     xy_m = run.slam.trajectory.xyyaw[:, :2]
     axes.lines(PATH, parts_of_path(run.slam))
@@ -79,7 +79,7 @@ def path_marks(trajectory: Trajectory, some: NDArray[np.intp]) -> list[tuple[Mar
     return [(map_axes.POSE, trajectory.xyyaw[some, :2])] if len(trajectory) else []
 
 
-def _ends(run: Run, stamps_ns: list[int]) -> list[tuple[Mark, NDArray[np.float64]]]:
+def _ends(run: RunResult, stamps_ns: list[int]) -> list[tuple[Mark, NDArray[np.float64]]]:
     """Mark start and end; where the truth is known the true poses at the stamps of the circles, start and goal."""
     xy_m = run.slam.trajectory.xyyaw[:, :2]
     if run.truth is not None:
@@ -98,7 +98,7 @@ def truth_marks(truth: Truth, stamps_ns: list[int]) -> list[tuple[Mark, NDArray[
     ]
 
 
-def thinned(xy_m: NDArray[np.float64], spacing_m: float) -> NDArray[np.intp]:
+def thin_path(xy_m: NDArray[np.float64], spacing_m: float) -> NDArray[np.intp]:
     """Choose points of a path (n, 2), evenly spread along its length; the first and the last are among them."""
     if not len(xy_m):
         return np.empty(0, np.intp)
@@ -107,7 +107,7 @@ def thinned(xy_m: NDArray[np.float64], spacing_m: float) -> NDArray[np.intp]:
     return np.unique(np.searchsorted(along, np.linspace(0.0, along[-1], circles)))
 
 
-def _subtitle(run: Run) -> str:
+def _subtitle(run: RunResult) -> str:
     config, slam = run.config, run.slam
     scans = f"{len(slam.trajectory)} of {len(slam.steps)} scans accepted ({100 * slam.tracked_share:.0f} %)"
     lost = "   LOST before the end" if run.slam.lost_for_good else ""

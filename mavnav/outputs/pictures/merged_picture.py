@@ -9,9 +9,9 @@ import numpy as np
 
 from mavnav.outputs.pictures import map_axes
 from mavnav.outputs.pictures.canvas import stroke
-from mavnav.outputs.pictures.plot import Line, centred_legend, heading
+from mavnav.outputs.pictures.plot import Style, centred_legend, heading
 from mavnav.outputs.pictures.viewport import window_of
-from mavnav.units import counted
+from mavnav.units import pluralize
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -29,7 +29,7 @@ def write(drawn: DrawnMap, paths: dict[str, Trajectory], path: Path) -> None:
     axes = map_axes.framed_map(window, 7.5, map_axes.MARGINS, least=(960, 420))
     map_axes.draw_counts(axes, drawn.known, drawn.cells)
     lines = [
-        Line(COLOURS[number % len(COLOURS)], name, partial(stroke, width_pt=1.2)) for number, name in enumerate(paths)
+        Style(COLOURS[number % len(COLOURS)], name, partial(stroke, width_pt=1.2)) for number, name in enumerate(paths)
     ]
     for line, poses in zip(lines, paths.values(), strict=True):
         axes.lines(line, [poses.xyyaw[:, :2]])
@@ -37,5 +37,5 @@ def write(drawn: DrawnMap, paths: dict[str, Trajectory], path: Path) -> None:
     map_axes.draw_axes(axes)
     axes.names("x [m]", "y [m]")
     centred_legend(axes.canvas, [*lines[: len(COLOURS)], map_axes.START])
-    heading(axes.canvas, counted(len(paths), "session"), f"{sum(map(len, paths.values()))} scans")
+    heading(axes.canvas, pluralize(len(paths), "session"), f"{sum(map(len, paths.values()))} scans")
     axes.canvas.save(path)

@@ -9,15 +9,15 @@ import numpy as np
 
 from mavnav.outputs.pictures import map_axes
 from mavnav.outputs.pictures.canvas import stroke
-from mavnav.outputs.pictures.plot import Line, Mark, arrow, centred_legend, circle, legend_room
-from mavnav.outputs.pictures.viewport import INK, MUTED, PATH_GREY, POSE_MAGENTA, Window, wall_lines, window_around
+from mavnav.outputs.pictures.plot import Mark, Style, arrow, centred_legend, circle, legend_room
+from mavnav.outputs.pictures.viewport import INK, MUTED, PATH_GREY, POSE_MAGENTA, Viewport, wall_lines, window_around
 from mavnav.pose import transform_points
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from mavnav.outputs.pictures.plot import Axes, Sign
-    from mavnav.outputs.run import Run, Truth
+    from mavnav.outputs.run import RunResult, Truth
 
 MARGINS: Final = (100, 90, 50, 120)
 """Left, top, right and bottom of the map in the picture, in pixels."""
@@ -26,14 +26,14 @@ LEAST_SHARE: Final = 0.4
 ARROW_SHARE: Final = 0.07
 """Length of the heading's arrow, of the picture's longer side."""
 
-WALL: Final = Line(INK, "wall", partial(stroke, width_pt=1.8))
-PATH: Final = Line(PATH_GREY, "", partial(stroke, width_pt=0.9))
-HEADING: Final = Line(POSE_MAGENTA, "", partial(stroke, width_pt=1.8))
+WALL: Final = Style(INK, "wall", partial(stroke, width_pt=1.8))
+PATH: Final = Style(PATH_GREY, "", partial(stroke, width_pt=0.9))
+HEADING: Final = Style(POSE_MAGENTA, "", partial(stroke, width_pt=1.8))
 FIRST_HEADING: Final = Mark(POSE_MAGENTA, "heading at the start", partial(arrow, size_pt=15.0, width_pt=1.8))
 TRUE_POSE: Final = Mark(PATH_GREY, "true path", partial(circle, size_pt=2.4, width_pt=1.2))
 
 
-def write(run: Run, path: Path) -> None:
+def write(run: RunResult, path: Path) -> None:
     """Draw the truth of a mission; the run must have one."""
     if run.truth is None:
         msg = "the truth is not known"
@@ -51,9 +51,9 @@ def write(run: Run, path: Path) -> None:
     axes.canvas.save(path)
 
 
-def _window(truth: Truth) -> Window:
+def _window(truth: Truth) -> Viewport:
     points = np.vstack((truth.map_T_laser.xyyaw[:, :2], [truth.goal_xy_map_m], *wall_lines(truth)))
-    return window_around(points, least_margin_m=0.1).widened(LEAST_SHARE)
+    return window_around(points, least_margin_m=0.1).widen(LEAST_SHARE)
 
 
 def _draw(axes: Axes, truth: Truth) -> None:

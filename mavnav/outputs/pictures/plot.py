@@ -65,7 +65,7 @@ class Axes(Struct, frozen=True):
         on_mask_xy = (self.to_canvas(xy) - box[:2]) * SMOOTH
         return [(x, y) for x, y in on_mask_xy.tolist()]
 
-    def _inked(self, parts: list[XY]) -> Box | None:
+    def _ink_box(self, parts: list[XY]) -> Box | None:
         """Return the part of the box that lines or marks at points (n, 2) may reach; None where there is nothing."""
         xy = self.to_canvas(np.concatenate([np.zeros((0, 2)), *parts]))
         if not len(xy):
@@ -75,10 +75,10 @@ class Axes(Struct, frozen=True):
         x1, y1 = min(self.box[2], ceil(right)), min(self.box[3], ceil(bottom))
         return (x0, y0, x1, y1) if x0 < x1 and y0 < y1 else None
 
-    def lines(self, line: Line, lines: Iterable[XY]) -> None:
+    def lines(self, line: Style, lines: Iterable[XY]) -> None:
         """Draw lines (n, 2); they are broken where a value is NaN."""
         parts = [part for xy in lines for part in _finite(xy) if len(part) > 1]
-        if box := self._inked(parts):
+        if box := self._ink_box(parts):
             masked = [self.to_mask(part, box) for part in parts]
             self.canvas.smooth(box, line.colour, lambda on: [line.pen(on, part) for part in masked])
 
@@ -89,9 +89,9 @@ class Axes(Struct, frozen=True):
             if top < self.box[3]:
                 self.canvas.draw.rectangle((x0, top, x1, self.box[3]), fill=colour)
 
-    def mark(self, mark: Mark | Line, xy: XY) -> None:
+    def mark(self, mark: Mark | Style, xy: XY) -> None:
         """Draw a mark at points (n, 2)."""
-        if box := self._inked([xy]):
+        if box := self._ink_box([xy]):
             places = self.to_mask(xy, box)
             self.canvas.smooth(box, mark.colour, lambda on: [mark.draw(on, x, y) for x, y in places])
 
@@ -148,7 +148,7 @@ class Mark(Struct, frozen=True):
     draw: Callable[[Any, float, float], object]
 
 
-class Line(Struct, frozen=True):
+class Style(Struct, frozen=True):
     """A style of lines: colour, name in the legend, and how a line is drawn on a mask."""
 
     colour: str
@@ -168,7 +168,7 @@ class Area(Struct, frozen=True):
     name: str
 
 
-Sign = Mark | Line | Area
+Sign = Mark | Style | Area
 
 
 def cross(on: Any, x: float, y: float, size_pt: float, width_pt: float) -> None:  # noqa: ANN401
@@ -203,7 +203,7 @@ def crossed_circle(on: Any, x: float, y: float, size_pt: float, width_pt: float)
     cross(on, x, y, size_pt * 0.7, width_pt)
 
 
-def stamp(canvas: Canvas, mark: Mark | Line, x: int, y: int) -> None:
+def stamp(canvas: Canvas, mark: Mark | Style, x: int, y: int) -> None:
     """Draw a mark at a pixel."""
     box = (x - MARK_HALF, y - MARK_HALF, x + MARK_HALF, y + MARK_HALF)
     Axes(canvas, box, (-1.0, 1.0, -1.0, 1.0), (MARK_HALF, MARK_HALF)).mark(mark, np.zeros((1, 2)))
@@ -252,6 +252,6 @@ def ticks(low: float, high: float, most: int = 9) -> list[float]:
     return [round(k * step, 10) + 0.0 for k in range(ceil(low / step), floor(high / step) + 1)]
 
 
-def labelled(values: Iterable[float]) -> list[tuple[float, str]]:
+def label_ticks(values: Iterable[float]) -> list[tuple[float, str]]:
     """Label ticks with their values."""
     return [(value, f"{value:g}") for value in values]

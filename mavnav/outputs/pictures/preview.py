@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from mavnav.mapping.occupancy_grid import OCCUPIED, occupancy
-from mavnav.mapping.tiled_arrays import pooled
+from mavnav.mapping.tiled_arrays import max_pool
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -24,10 +24,10 @@ def preview(grid: Grid, columns: int = 76, lines: int = 24, *, braille: bool = T
     A dot stands for a square of cells and is set where one of them is occupied. Without ``braille``, every character
     that has a dot is a hash.
     """
-    walls = _cropped(occupancy(grid) == OCCUPIED)[::-1]
+    walls = _crop(occupancy(grid) == OCCUPIED)[::-1]
     rows, cols = walls.shape
     step = max(-(-cols // (2 * columns)), -(-rows // (4 * lines)), 1)
-    dots = pooled(walls, step)
+    dots = max_pool(walls, step)
     height, width = -(-dots.shape[0] // 4), -(-dots.shape[1] // 2)
     padded = np.zeros((4 * height, 2 * width), np.uint32)
     padded[: dots.shape[0], : dots.shape[1]] = dots
@@ -35,7 +35,7 @@ def preview(grid: Grid, columns: int = 76, lines: int = 24, *, braille: bool = T
     return ["".join(_character(code, braille=braille) for code in line).rstrip() for line in codes.tolist()]
 
 
-def _cropped(walls: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _crop(walls: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Leave out empty rows and columns around the walls."""
     if not walls.any():
         return np.zeros((1, 1), np.bool_)

@@ -14,7 +14,7 @@ from mavnav.outputs.files.gridmap import yaml_text
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from mavnav.outputs.run import Run
+    from mavnav.outputs.run import RunResult
 
 PICTURE: Final = "map_scale.png"
 FREE_SHARE: Final = 0.002
@@ -23,7 +23,7 @@ FREE_SHARE: Final = 0.002
 HALF_A_SHADE: Final = 0.5 / 255.0
 
 
-def write(run: Run, path: Path) -> None:
+def write(run: RunResult, path: Path) -> None:
     """Write the picture or its description, by the name of the file.
 
     A pixel is darker the larger the share of the beams that ended in the cell, of those that reached it; black for all.
@@ -40,7 +40,7 @@ def write(run: Run, path: Path) -> None:
     Image.fromarray(pixels[::-1]).save(path, format="PNG")
 
 
-def _description(run: Run) -> str:
+def _description(run: RunResult) -> str:
     """Return map.yaml's text with another picture, mode and thresholds."""
     changed = {
         "image": PICTURE,

@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, occupancy
 from mavnav.outputs.pictures.canvas import Canvas, ramp, rgb_of, stroke
 from mavnav.outputs.pictures.map_axes import END, START
-from mavnav.outputs.pictures.plot import Line, centred_legend, heading, stamp
+from mavnav.outputs.pictures.plot import Style, centred_legend, heading, stamp
 from mavnav.outputs.pictures.viewport import FREE_GREY, INK, MUTED, POSE_MAGENTA
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.mapping.slices import Slices
-    from mavnav.outputs.run import Run
+    from mavnav.outputs.run import RunResult
 
     Floats = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ MOST_BLOCKS: Final = 160
 """Columns along the longer side of the map at most: cells are pooled."""
 
 SIDE_SHADE, FRONT_SHADE = 0.62, 0.8
-PATH: Final = Line(POSE_MAGENTA, "path of the laser", partial(stroke, width_pt=1.0))
+PATH: Final = Style(POSE_MAGENTA, "path of the laser", partial(stroke, width_pt=1.0))
 
 
 class _Blocks(Struct, frozen=True):
@@ -54,7 +54,7 @@ class _Blocks(Struct, frozen=True):
     levels_m: Floats
 
 
-class _View(Struct, frozen=True):
+class _Projection(Struct, frozen=True):
     """From metres in space to pixels on the enlarged picture."""
 
     per_m: float
@@ -63,23 +63,23 @@ class _View(Struct, frozen=True):
 
     def __call__(self, xyz_m: Floats) -> Floats:
         """Project points (..., 3)."""
-        u, v = _projected(xyz_m)
+        u, v = _project(xyz_m)
         return np.stack(((u - self.left) * self.per_m, (self.top - v) * self.per_m), axis=-1)
 
 
-def _projected(xyz_m: Floats) -> tuple[Floats, Floats]:
+def _project(xyz_m: Floats) -> tuple[Floats, Floats]:
     x, y, z = np.moveaxis(xyz_m, -1, 0)
     across = x * cos(TURN_RAD) - y * sin(TURN_RAD)
     away = x * sin(TURN_RAD) + y * cos(TURN_RAD)
     return across, away * sin(ABOVE_RAD) + z * cos(ABOVE_RAD)
 
 
-def write(run: Run, path: Path) -> None:
+def write(run: RunResult, path: Path) -> None:
     """Draw the slices of a run that has some."""
     if run.slices is None:
         raise ValueError(run.name)
     blocks = _blocks(run.slices)
-    view, size = _framed(blocks)
+    view, size = _fit_view(blocks)
     image = Image.new("RGB", size, "white")
     draw = ImageDraw.Draw(image)
     _draw_floor(draw, view, blocks)
@@ -106,16 +106,16 @@ def _blocks(slices: Slices) -> _Blocks:
     thick_m = layers[0].to_m - layers[0].from_m
     first, last = (round(layer.middle_m / thick_m) for layer in (layers[0], layers[-1]))
     factor = max(-(-max(grid.hits.shape) // MOST_BLOCKS), 1)
-    walls, free = (np.zeros((last - first + 1, *_pooled(grid.hits > 0, factor).shape), np.bool_) for _ in range(2))
+    walls, free = (np.zeros((last - first + 1, *_pool(grid.hits > 0, factor).shape), np.bool_) for _ in range(2))
     for layer in layers:
         k, cells = round(layer.middle_m / thick_m) - first, occupancy(layer.grid)
-        walls[k] = _pooled((cells == OCCUPIED) & (layer.grid.hits >= LEAST_HITS), factor)
-        free[k] = _pooled(cells == FREE, factor)
+        walls[k] = _pool((cells == OCCUPIED) & (layer.grid.hits >= LEAST_HITS), factor)
+        free[k] = _pool(cells == FREE, factor)
     levels_m = np.arange(first - 0.5, last + 1.0) * thick_m
     return _Blocks(walls, np.asarray(free.any(axis=0)), grid.origin_xy_m, grid.cell_m * factor, levels_m)
 
 
-def _pooled(cells: NDArray[np.bool_], factor: int) -> NDArray[np.bool_]:
+def _pool(cells: NDArray[np.bool_], factor: int) -> NDArray[np.bool_]:
     """Return which blocks of cells hold one."""
     rows, cols = (-(-n // factor) for n in cells.shape)
     padded = np.zeros((rows * factor, cols * factor), np.bool_)
@@ -129,7 +129,7 @@ def _corners(blocks: _Blocks) -> tuple[Floats, Floats]:
     return tuple(c + blocks.edge_m * np.arange(n + 1) for c, n in zip(blocks.corner_m, (cols, rows), strict=True))  # type: ignore[return-value]
 
 
-def _framed(blocks: _Blocks) -> tuple[_View, tuple[int, int]]:
+def _fit_view(blocks: _Blocks) -> tuple[_Projection, tuple[int, int]]:
     """Fit what is known into the enlarged picture; return its size too."""
     (x, y), (row, col) = _corners(blocks), np.nonzero(blocks.free | blocks.walls.any(axis=0))
     ends = [
@@ -138,13 +138,13 @@ def _framed(blocks: _Blocks) -> tuple[_View, tuple[int, int]]:
         for b in (0, 1)
         for z in (0.0, blocks.levels_m[-1])
     ]
-    u, v = _projected(np.concatenate([np.column_stack(end) for end in ends]))
+    u, v = _project(np.concatenate([np.column_stack(end) for end in ends]))
     per_m = SMOOTH * LONGEST_PIXELS / max(float(np.ptp(u)), float(np.ptp(v)))
     width, height = (int(np.ptp(w) * per_m) // SMOOTH * SMOOTH + SMOOTH for w in (u, v))
-    return _View(per_m, float(u.min()), float(v.max())), (width, height)
+    return _Projection(per_m, float(u.min()), float(v.max())), (width, height)
 
 
-def _draw_floor(draw: Any, view: _View, blocks: _Blocks) -> None:  # noqa: ANN401  Pillow's
+def _draw_floor(draw: Any, view: _Projection, blocks: _Blocks) -> None:  # noqa: ANN401  Pillow's
     """Draw what was seen free in any slice, and lines every meter."""
     x, y = _corners(blocks)
     for row, free in enumerate(blocks.free):
@@ -173,22 +173,20 @@ def _meter_lines(x: Floats, y: Floats, free: NDArray[np.bool_]) -> Iterator[tupl
             yield (x[cols[0]], at, 0.0), (x[cols[-1] + 1], at, 0.0)
 
 
-def _draw_columns(draw: Any, view: _View, blocks: _Blocks) -> None:  # noqa: ANN401  Pillow's
+def _draw_columns(draw: Any, view: _Projection, blocks: _Blocks) -> None:  # noqa: ANN401  Pillow's
     """Draw the faces of the blocks that are seen, the farthest block first and from below."""
     (x, y), z, walls = _corners(blocks), blocks.levels_m, np.pad(blocks.walls, 1)
     colours = _colours(len(z) - 1).astype(float)
-    found = np.argwhere(blocks.walls)
-    for k, row, col in found[np.lexsort((found[:, 0], found[:, 2], -found[:, 1]))].tolist():
+    filled = np.argwhere(blocks.walls)
+    for k, row, col in filled[np.lexsort((filled[:, 0], filled[:, 2], -filled[:, 1]))].tolist():
         x0, x1, y0, y1, z0, z1 = x[col], x[col + 1], y[row], y[row + 1], z[k], z[k + 1]
         at = (k + 1, row + 1, col + 1)
         if not walls[at[0], at[1], at[2] + 1]:
-            _area(draw, view, [(x1, y0, z0), (x1, y1, z0), (x1, y1, z1), (x1, y0, z1)], _shaded(colours[k], SIDE_SHADE))
+            _area(draw, view, [(x1, y0, z0), (x1, y1, z0), (x1, y1, z1), (x1, y0, z1)], _shade(colours[k], SIDE_SHADE))
         if not walls[at[0], at[1] - 1, at[2]]:
-            _area(
-                draw, view, [(x0, y0, z0), (x1, y0, z0), (x1, y0, z1), (x0, y0, z1)], _shaded(colours[k], FRONT_SHADE)
-            )
+            _area(draw, view, [(x0, y0, z0), (x1, y0, z0), (x1, y0, z1), (x0, y0, z1)], _shade(colours[k], FRONT_SHADE))
         if not walls[at[0] + 1, at[1], at[2]]:
-            _area(draw, view, [(x0, y0, z1), (x1, y0, z1), (x1, y1, z1), (x0, y1, z1)], _shaded(colours[k], 1.0))
+            _area(draw, view, [(x0, y0, z1), (x1, y0, z1), (x1, y1, z1), (x0, y1, z1)], _shade(colours[k], 1.0))
 
 
 def _colours(levels: int) -> NDArray[np.uint8]:
@@ -197,15 +195,15 @@ def _colours(levels: int) -> NDArray[np.uint8]:
     return colours
 
 
-def _shaded(colour: Floats, shade: float) -> tuple[int, ...]:
+def _shade(colour: Floats, shade: float) -> tuple[int, ...]:
     return tuple((colour * shade).round().astype(int).tolist())
 
 
-def _area(draw: Any, view: _View, corners: list[tuple[float, float, float]], colour: tuple[int, ...]) -> None:  # noqa: ANN401
+def _area(draw: Any, view: _Projection, corners: list[tuple[float, float, float]], colour: tuple[int, ...]) -> None:  # noqa: ANN401
     draw.polygon([tuple(p) for p in view(np.array(corners)).tolist()], fill=colour)
 
 
-def _draw_path(draw: Any, view: _View, path_m: Floats) -> None:  # noqa: ANN401  Pillow's
+def _draw_path(draw: Any, view: _Projection, path_m: Floats) -> None:  # noqa: ANN401  Pillow's
     """Draw the path at its height, with stems to the floor at its ends."""
     points = [tuple(p) for p in view(path_m).tolist()]
     for end in (path_m[0], path_m[-1]):
@@ -214,7 +212,7 @@ def _draw_path(draw: Any, view: _View, path_m: Floats) -> None:  # noqa: ANN401 
     draw.line(points, fill=rgb_of(PATH.colour), width=2 * SMOOTH, joint="curve")
 
 
-def _mark_ends(canvas: Canvas, view: _View, path_m: Floats) -> None:
+def _mark_ends(canvas: Canvas, view: _Projection, path_m: Floats) -> None:
     """Mark start and end of the path, and name them below."""
     for mark, end in ((START, path_m[0]), (END, path_m[-1])):
         x, y = (view(end) / SMOOTH).round().astype(int).tolist()

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.outputs.run import Run
+    from mavnav.outputs.run import RunResult
 
 BAR_SHARE: Final = 0.25
 """The scale bar is at most so long, of the picture's width."""
@@ -44,12 +44,12 @@ RATIO: Final = 100.0
 """A metre of the map is a centimetre of the picture."""
 
 
-def write(run: Run, path: Path) -> None:
+def write(run: RunResult, path: Path) -> None:
     """Write the known part of the map, with one unit a cell, y upwards on the screen."""
     path.write_text(svg(run), encoding="utf-8", errors="backslashreplace")
 
 
-def svg(run: Run) -> str:
+def svg(run: RunResult) -> str:
     """Return the picture."""
     grid, cells = run.known, run.cells[::-1] == OCCUPIED
     rows, cols = cells.shape
@@ -88,10 +88,10 @@ def _by_row(
     row: NDArray[np.intp], start: NDArray[np.intp], end: NDArray[np.intp], rows: int
 ) -> list[dict[tuple[int, int], None]]:
     """Return the runs of each row, in order."""
-    found: list[dict[tuple[int, int], None]] = [{} for _ in range(rows)]
+    runs: list[dict[tuple[int, int], None]] = [{} for _ in range(rows)]
     for y, run in zip(row.tolist(), zip(start.tolist(), end.tolist(), strict=True), strict=True):
-        found[y][run] = None
-    return found
+        runs[y][run] = None
+    return runs
 
 
 def scale_bar(most_cells: float, cell_m: float) -> tuple[float, str]:
@@ -102,7 +102,7 @@ def scale_bar(most_cells: float, cell_m: float) -> tuple[float, str]:
     return float(length_m / cell_m), f"{length_m:g} m"
 
 
-def _on_picture(xy_m: NDArray[np.float64], run: Run) -> NDArray[np.float64]:
+def _on_picture(xy_m: NDArray[np.float64], run: RunResult) -> NDArray[np.float64]:
     """Bring points (n, 2) of the map frame, m, to cells from the upper left corner."""
     off = (xy_m - np.array(run.known.origin_xy_m)) / run.known.cell_m
     return np.column_stack((off[:, 0], run.known.hits.shape[0] - off[:, 1]))

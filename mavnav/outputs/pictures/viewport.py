@@ -28,7 +28,7 @@ DOUBT_RED = "#d62728"
 INK, MUTED, FREE_GREY, WALL_GREY, PATH_GREY = "#222222", "#666666", "#eef1f4", "#b9bec4", "#8a929a"
 
 
-class Window(Struct, frozen=True):
+class Viewport(Struct, frozen=True):
     """A rectangle of the map in metres: what a picture shows."""
 
     x0_m: float
@@ -58,14 +58,14 @@ class Window(Struct, frozen=True):
         scale = longest_in / max(width, height)
         return round(width * scale * DPI), round(height * scale * DPI)
 
-    def widened(self, least_share: float) -> Window:
+    def widen(self, least_share: float) -> Viewport:
         """Return it with the shorter side at least this share of the longer, about the same middle."""
         width, height = self.size_m
         dx, dy = (max(0.0, least_share * max(width, height) - side) / 2 for side in (width, height))
-        return Window(self.x0_m - dx, self.x1_m + dx, self.y0_m - dy, self.y1_m + dy)
+        return Viewport(self.x0_m - dx, self.x1_m + dx, self.y0_m - dy, self.y1_m + dy)
 
 
-def window_of(grid: Grid, xy_m: NDArray[np.float64]) -> Window:
+def window_of(grid: Grid, xy_m: NDArray[np.float64]) -> Viewport:
     """Frame the hit cells and the points ``xy_m`` (n, 2), with a margin.
 
     On each side the outermost `STRAY_SHARE` of the cells may fall outside: single far returns through a window
@@ -80,11 +80,11 @@ def window_of(grid: Grid, xy_m: NDArray[np.float64]) -> Window:
     return window_around(np.vstack(corners), least_margin_m=5 * grid.cell_m)
 
 
-def window_around(xy_m: NDArray[np.float64], least_margin_m: float) -> Window:
+def window_around(xy_m: NDArray[np.float64], least_margin_m: float) -> Viewport:
     """Frame points (n, 2), with a margin."""
     (x0, y0), (x1, y1) = xy_m.min(axis=0), xy_m.max(axis=0)
     margin = max(0.04 * max(x1 - x0, y1 - y0), least_margin_m)
-    return Window(float(x0 - margin), float(x1 + margin), float(y0 - margin), float(y1 + margin))
+    return Viewport(float(x0 - margin), float(x1 + margin), float(y0 - margin), float(y1 + margin))
 
 
 def wall_lines(walls: Walls) -> list[NDArray[np.float64]]:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from mavnav.metrics.wall_spread import WallCuts, WallSpread
     from mavnav.metrics.wall_thickness import Sections, WallThickness
     from mavnav.outputs.pictures.canvas import Box
-    from mavnav.outputs.run import Run
+    from mavnav.outputs.run import RunResult
 
 BAR_COLOUR: Final = "#5b8db8"
 P95_COLOUR: Final = "#c0392b"
@@ -39,7 +39,7 @@ EDGE: Final = 30
 """Free space on the right of the histograms and their titles, in pixels."""
 
 
-def write(run: Run, path: Path) -> None:
+def write(run: RunResult, path: Path) -> None:
     """Draw the cuts across the walls on the map, a histogram of their widths, and one for every hit threshold."""
     window = window_of(run.known, np.empty((0, 2)))
     width, height = window.size_pixels(longest_in=6.5)
@@ -64,7 +64,7 @@ def _chart_room(charts: list[_Chart]) -> int:
     return max(HISTOGRAM[0], longest) + EDGE
 
 
-def _draw_map(axes: Axes, run: Run) -> None:
+def _draw_map(axes: Axes, run: RunResult) -> None:
     draw_free(axes, run.known, run.cells)
     grey = np.array(rgb_of(WALL_GREY), np.uint8)
     draw_cells(axes, run.known, run.known.hits, lambda _: grey)
@@ -118,13 +118,13 @@ class _Chart(Struct, frozen=True):
     p95: float
 
 
-def _charts(run: Run) -> list[_Chart]:
+def _charts(run: RunResult) -> list[_Chart]:
     """Return the histogram of the widths, and below it those of the cells at each hit threshold, on one scale."""
     cell_m, walls = run.slam.grid.cell_m, {1: run.walls.hits_1, 2: run.walls.hits_2, 5: run.walls.hits_5}
     sections = dict(sorted(run.measured.sections.items()))
     most = ceil(max((s.thickness_cells.max() for s in sections.values() if len(s.row)), default=3.0)) + 1
     charts = [_width_chart(run.measured.cuts, run.walls.spread)] if run.measured.cuts is not None else []
-    return [*charts, *(_cells_chart(hits, found, walls[hits], most, cell_m) for hits, found in sections.items())]
+    return [*charts, *(_cells_chart(hits, cut, walls[hits], most, cell_m) for hits, cut in sections.items())]
 
 
 def _width_chart(cuts: WallCuts, spread: WallSpread) -> _Chart:
@@ -141,9 +141,9 @@ def _width_chart(cuts: WallCuts, spread: WallSpread) -> _Chart:
     return _Chart(title, "thickness [mm]", metres, WIDTH_BIN_MM, spread.p95_mm)
 
 
-def _cells_chart(hits: int, found: Sections, t: WallThickness, most: int, cell_m: float) -> _Chart:
-    bins = np.round(found.thickness_cells).astype(int)
-    metres = np.bincount(bins, found.length_m, minlength=most + 1)[: most + 1].astype(np.float64)
+def _cells_chart(hits: int, sections: Sections, t: WallThickness, most: int, cell_m: float) -> _Chart:
+    bins = np.round(sections.thickness_cells).astype(int)
+    metres = np.bincount(bins, sections.length_m, minlength=most + 1)[: most + 1].astype(np.float64)
     numbers = "no straight wall"
     if t.sections:
         numbers = (

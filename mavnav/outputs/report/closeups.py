@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt, uniform_filter
 
 from mavnav.mapping.occupancy_grid import cell_centres
-from mavnav.outputs.pictures.viewport import Window
+from mavnav.outputs.pictures.viewport import Viewport
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -32,7 +32,7 @@ MIN_CELLS: Final = 6.0
 """Minimum sum of the displacements in a close-up, in cells; smaller sums are noise."""
 
 
-def differing_places(grids: Sequence[Grid], window: Window) -> list[Window]:
+def differing_places(grids: Sequence[Grid], window: Viewport) -> list[Viewport]:
     """Return squares where the walls of maps in one frame differ most, the worst first; none for a single map.
 
     The difference at a wall cell is the largest distance, over all maps, to the map's nearest wall, minus a tolerance.
@@ -52,7 +52,7 @@ def differing_places(grids: Sequence[Grid], window: Window) -> list[Window]:
     return []
 
 
-def wall_cells(grid: Grid, window: Window, cell_m: float) -> NDArray[np.bool_]:
+def wall_cells(grid: Grid, window: Viewport, cell_m: float) -> NDArray[np.bool_]:
     """Return which cells (rows, cols) of a grid over the window contain a wall of the map; row 0 at the minimum y."""
     cols, rows = (max(1, int(np.ceil(length / cell_m))) for length in window.size_m)
     middle = cell_centres(grid, *np.nonzero(grid.hits >= MIN_HITS))
@@ -65,23 +65,23 @@ def wall_cells(grid: Grid, window: Window, cell_m: float) -> NDArray[np.bool_]:
 
 def peaks(difference: NDArray[np.float64], side_cells: int) -> list[tuple[int, int]]:
     """Return the centers (row, col) of up to `MAX_CLOSEUPS` squares with the largest sums, without overlap."""
-    left, found = difference.copy(), []
+    left, centers = difference.copy(), []
     for _ in range(MAX_CLOSEUPS):
         content = uniform_filter(left, side_cells, mode="constant") * side_cells**2
         best = divmod(int(np.argmax(content)), content.shape[1])
         if content[best] < MIN_CELLS:
             break
-        row, col = _centred(left, best, side_cells)
-        found.append((row, col))
+        row, col = _center(left, best, side_cells)
+        centers.append((row, col))
         left[_around(row, side_cells), _around(col, side_cells)] = 0.0
-    return found
+    return centers
 
 
 def _around(middle: int, reach: int) -> slice:
     return slice(max(middle - reach, 0), middle + reach + 1)
 
 
-def _centred(difference: NDArray[np.float64], at: tuple[int, int], side_cells: int) -> tuple[int, int]:
+def _center(difference: NDArray[np.float64], at: tuple[int, int], side_cells: int) -> tuple[int, int]:
     """Center a square on the weighted mean of its differences, because many squares have the same sum."""
     rows, cols = (_around(k, side_cells // 2) for k in at)
     content = difference[rows, cols]
@@ -89,7 +89,7 @@ def _centred(difference: NDArray[np.float64], at: tuple[int, int], side_cells: i
     return round(rows.start + float(middle[0])), round(cols.start + float(middle[1]))
 
 
-def _square(row: int, col: int, side_m: float, window: Window, cell_m: float) -> Window:
+def _square(row: int, col: int, side_m: float, window: Viewport, cell_m: float) -> Viewport:
     """Return the square around a cell, moved into the window if it fits."""
     ends = ((window.x0_m, window.x1_m, col), (window.y0_m, window.y1_m, row))
     half = side_m / 2
@@ -97,4 +97,4 @@ def _square(row: int, col: int, side_m: float, window: Window, cell_m: float) ->
         float(np.clip(a + (k + 0.5) * cell_m, min(a + half, (a + b) / 2), max(b - half, (a + b) / 2)))
         for a, b, k in ends
     )
-    return Window(x - half, x + half, y - half, y + half)
+    return Viewport(x - half, x + half, y - half, y + half)

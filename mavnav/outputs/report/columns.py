@@ -10,8 +10,8 @@ from mavnav.outputs.documents.quantities import (
     DOUBT,
     QUANTITIES,
     Quantity,
-    not_compared,
     number,
+    size_note,
     why_not_meaningful,
     winners,
 )
@@ -33,7 +33,7 @@ class Field(Struct, frozen=True):
     best: bool
 
 
-class Row(Struct, frozen=True):
+class RunRow(Struct, frozen=True):
     """A run in the table; ``relative_costs`` are its evaluations and CPU time over those of the coarsest grid, or None.
 
     ``why_not`` is the reason why its map is not compared, empty if it is.
@@ -45,24 +45,24 @@ class Row(Struct, frozen=True):
     why_not: str
 
 
-class Table(Struct, frozen=True):
+class RunTable(Struct, frozen=True):
     """The runs of one log, with the columns for which any of them has a value.
 
     ``not_compared`` says which of them are not compared between all runs, empty if all are.
     """
 
     columns: tuple[Quantity, ...]
-    rows: tuple[Row, ...]
+    rows: tuple[RunRow, ...]
     not_compared: str
 
 
-def table(entries: Sequence[Entry]) -> Table:
+def table(entries: Sequence[Entry]) -> RunTable:
     """Return the table of the runs of one log."""
     runs = [e.document for e in entries]
     columns = tuple(c for c in COLUMNS if any(c.of(run) is not None for run in runs))
     best = {c: winners(c, runs) for c in columns}
     rows = tuple(
-        Row(
+        RunRow(
             e.name,
             tuple(Field(text(c.of(e.document), c.digits), k in best[c]) for c in columns),
             (relative_cost(entries, e), relative_cost(entries, e, "timing.cpu_s")),
@@ -70,7 +70,7 @@ def table(entries: Sequence[Entry]) -> Table:
         )
         for k, e in enumerate(entries)
     )
-    return Table(columns, rows, not_compared(runs))
+    return RunTable(columns, rows, size_note(runs))
 
 
 MISSING: Final = "\u2013"

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from mavnav.outputs.pictures.canvas import dashed, stroke
-from mavnav.outputs.pictures.plot import Axes, Line, Mark, cross, labelled, legend, ticks
+from mavnav.outputs.pictures.canvas import draw_dashes, stroke
+from mavnav.outputs.pictures.plot import Axes, Mark, Style, cross, label_ticks, legend, ticks
 from mavnav.outputs.pictures.viewport import GOAL_RED, MUTED
 from mavnav.outputs.report.panels import CHART, CHART_MARGINS, FONT_PT, panel
 
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 LEGEND_PT: Final = 7.0
 LEGEND_ROW: Final = 28
 """Height of the row between title and axes, in pixels; the legend there covers no data."""
-COST: Final = Line("#2f6690", "cost", partial(stroke, width_pt=1.0))
+COST: Final = Style("#2f6690", "cost", partial(stroke, width_pt=1.0))
 REJECTED: Final = Mark(GOAL_RED, "rejected scan", partial(cross, size_pt=4.0, width_pt=1.0))
-THRESHOLD: Final = Line(MUTED, "acceptance threshold", dashed)
-LOST: Final = Line("#f2c4c0", "track lost", lambda on, points: on.line(points, fill=255, width=34))
+THRESHOLD: Final = Style(MUTED, "acceptance threshold", draw_dashes)
+LOST: Final = Style("#f2c4c0", "track lost", lambda on, points: on.line(points, fill=255, width=34))
 MIN_COST_MM2: Final = 0.1
 """Minimum drawn cost, in mm2: the first scan of a map has cost 0, which a logarithmic scale cannot show."""
 BELOW_SCALE_SHARE: Final = 0.02
@@ -51,10 +51,10 @@ def cost_panels(entries: Sequence[Entry]) -> list[Image]:
 
 def caption(entries: Sequence[Entry]) -> str:
     """Say what the signs in the panels mean, as far as there are some."""
-    matched = [rejected(e) & np.isfinite(e.scans.cost_mm2) for e in entries]
-    unmatched = any((rejected(e) & ~found).any() for e, found in zip(entries, matched, strict=True))
+    matched = [rejected_scans(e) & np.isfinite(e.scans.cost_mm2) for e in entries]
+    unmatched = any((rejected_scans(e) & ~mask).any() for e, mask in zip(entries, matched, strict=True))
     sentences = {
-        "Crosses: rejected scans that were matched.": any(found.any() for found in matched),
+        "Crosses: rejected scans that were matched.": any(mask.any() for mask in matched),
         "Rejected scans without a match are not drawn.": unmatched,
         "Shaded: stretches where the track was lost.": any(map(_intervals, entries)),
         "Costs compare within a method only.": len({e.document.get("method") for e in entries}) > 1,
@@ -70,15 +70,15 @@ def _panel(entry: Entry, limits: tuple[float, float], end_s: float) -> Image:
     cost = np.maximum(entry.scans.cost_mm2, MIN_COST_MM2)
     marks = _draw_scans(axes, entry, cost)
     axes.borders()
-    axes.ticks(labelled(ticks(0.0, end_s)), [(log10(value), label) for value, label in named_costs(*limits)])
+    axes.ticks(label_ticks(ticks(0.0, end_s)), [(log10(value), label) for value, label in named_costs(*limits)])
     axes.ticks(y=[(log10(value), "") for value in between_powers(*limits)], length=3)
     legend(canvas, marks, top + LEGEND_ROW // 2 - 3, left, LEGEND_PT)
     return canvas.image
 
 
-def _draw_scans(axes: Axes, entry: Entry, cost: NDArray[np.float64]) -> list[Mark | Line]:
+def _draw_scans(axes: Axes, entry: Entry, cost: NDArray[np.float64]) -> list[Mark | Style]:
     """Draw costs, rejected scans, acceptance thresholds and lost intervals; return the marks of the legend."""
-    scans, shown = entry.scans, rejected(entry) & np.isfinite(cost)
+    scans, shown = entry.scans, rejected_scans(entry) & np.isfinite(cost)
     points = np.column_stack((scans.time_s, np.log10(cost)))
     lost = _draw_lost(axes, entry)
     axes.lines(COST, [points])
@@ -113,7 +113,7 @@ def _intervals(entry: Entry) -> list[dict[str, Any]]:
     return (entry.document.get("tracking") or {}).get("intervals") or []
 
 
-def rejected(entry: Entry) -> NDArray[np.bool_]:
+def rejected_scans(entry: Entry) -> NDArray[np.bool_]:
     """Return which scans (n,) have no pose, without those in intervals of lost tracking."""
     scans = entry.scans
     lost = np.zeros(len(scans.time_s), np.bool_)

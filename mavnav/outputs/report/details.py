@@ -42,9 +42,9 @@ def settings(entries: Sequence[Entry]) -> Settings:
 
 def inputs(entries: Sequence[Entry]) -> list[tuple[str, str]]:
     """Return names and values of the log that the runs have in common, from the first of them."""
-    found = entries[0].document.get("input") or {}
+    log_input = entries[0].document.get("input") or {}
     wanted = ("path", "format", "topic", "frame_id", "duration_s", "size_bytes", "sha256")
-    return [(key, str(found[key])) for key in wanted if found.get(key) is not None]
+    return [(key, str(log_input[key])) for key in wanted if log_input.get(key) is not None]
 
 
 def versions(entries: Sequence[Entry]) -> list[tuple[str, str]]:
@@ -61,17 +61,17 @@ def _made_by(document: dict[str, Any]) -> dict[str, Any]:
 
 def commands(entries: Sequence[Entry]) -> list[tuple[str, str]]:
     """Return pairs of a run and the command line that repeats it, for the runs that have one."""
-    found = [(entry.name, (entry.document.get("provenance") or {}).get("again")) for entry in entries]
-    return [(name, str(line)) for name, line in found if line]
+    lines = [(entry.name, (entry.document.get("provenance") or {}).get("again")) for entry in entries]
+    return [(name, str(line)) for name, line in lines if line]
 
 
 def notes(entries: Sequence[Entry]) -> list[tuple[str, str]]:
     """Return pairs of runs and the text of a warning or damage; equal texts of several runs are merged."""
-    found: dict[str, list[str]] = {}
+    by_line: dict[str, list[str]] = {}
     for entry in entries:
         for line in _lines(entry.document):
-            found.setdefault(line, []).append(entry.name)
-    return [("all runs" if 1 < len(runs) == len(entries) else ", ".join(runs), line) for line, runs in found.items()]
+            by_line.setdefault(line, []).append(entry.name)
+    return [("all runs" if 1 < len(runs) == len(entries) else ", ".join(runs), line) for line, runs in by_line.items()]
 
 
 def _lines(document: dict[str, Any]) -> Iterator[str]:
@@ -83,14 +83,14 @@ def _lines(document: dict[str, Any]) -> Iterator[str]:
 def slice_rows(entries: Sequence[Entry]) -> list[tuple[str, ...]]:
     """Return run, heights, occupied cells, and median and p95 of the wall thickness of each slice, and its length."""
     return [
-        (entry.name, f"{found['from_m']:.2f} to {found['to_m']:.2f}", text(found["occupied"], 0), *_thickness(found))
+        (entry.name, f"{layer['from_m']:.2f} to {layer['to_m']:.2f}", text(layer["occupied"], 0), *_thickness(layer))
         for entry in entries
-        for found in entry.document.get("slices") or []
+        for layer in entry.document.get("slices") or []
     ]
 
 
-def _thickness(found: dict[str, Any]) -> list[str]:
-    walls = found["wall_thickness"].get("2") or {}
+def _thickness(layer: dict[str, Any]) -> list[str]:
+    walls = layer["wall_thickness"].get("2") or {}
     return [text(walls.get(key), digits) for key, digits in (("median_mm", 0), ("p95_mm", 0), ("length_m", 1))]
 
 

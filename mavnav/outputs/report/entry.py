@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 FAILED: Final = "failed"
 
 
-class Scans(Struct, frozen=True):
+class ScanColumns(Struct, frozen=True):
     """The scans of a run in their order; arrays of shape (n,), unless stated; ``xy_m`` is (n, 2).
 
     ``time_s`` counts from the first scan. ``cost_mm2`` is the cost of the match, and ``threshold_mm2`` its acceptance
@@ -62,7 +62,7 @@ class Entry(Struct, frozen=True):
     name: str
     document: dict[str, Any]
     grid: Grid
-    scans: Scans
+    scans: ScanColumns
     cuts: WallCuts
     true_walls: list[NDArray[np.float64]]
     goal_xy_m: NDArray[np.float64]
@@ -105,11 +105,11 @@ def load(cell: dict[str, Any], base: Path) -> Entry | Failure:
         return Failure(log, name, f"its run directory {cell['directory']} cannot be read ({type(error).__name__})")
 
 
-def _scans(path: Path) -> Scans:
+def _scans(path: Path) -> ScanColumns:
     with path.open(encoding="ascii", newline="") as file:
         rows = list(DictReader(file))
     stamps_s = _column(rows, "stamp")
-    return Scans(
+    return ScanColumns(
         time_s=stamps_s - stamps_s[:1],
         cost_mm2=_column(rows, "cost_m2") * 1e6,
         threshold_mm2=_column(rows, "threshold_m2") * 1e6,

@@ -10,9 +10,9 @@ from mavnav.outputs.documents.quantities import (
     QUANTITIES,
     by_cell_mm,
     comparable,
-    not_compared,
     number,
     probably_wrong,
+    size_note,
     why_not_meaningful,
     winners,
 )
@@ -50,19 +50,19 @@ def headline(entries: Sequence[Entry]) -> str:
 
 def _doubts(sound: Sequence[Entry]) -> str:
     """Return the sentence on the runs whose track is probably wrong; empty if there are none."""
-    found = [e for e in sound if probably_wrong(e.document)]
-    if not found:
+    doubtful = [e for e in sound if probably_wrong(e.document)]
+    if not doubtful:
         return ""
-    of = _list([e.name for e in found])
-    if len(found) == 1:
-        return f" The track of {of} is {_wrong(found)}."
-    return f" The tracks of {of} are {_wrong(found)}."
+    of = _list([e.name for e in doubtful])
+    if len(doubtful) == 1:
+        return f" The track of {of} is {_wrong(doubtful)}."
+    return f" The tracks of {of} are {_wrong(doubtful)}."
 
 
-def _wrong(found: Sequence[Entry]) -> str:
+def _wrong(doubtful: Sequence[Entry]) -> str:
     """Return the probability that tracks are wrong, its range if it is that of several, and the reasons."""
-    shown = sorted({DOUBT.shown(e.document) for e in found})
-    reasons = dict.fromkeys(r["reason"] for e in found for r in e.document["tracking"]["doubt"].get("reasons") or [])
+    shown = sorted({DOUBT.text_of(e.document) for e in doubtful})
+    reasons = dict.fromkeys(r["reason"] for e in doubtful for r in e.document["tracking"]["doubt"].get("reasons") or [])
     why = f": {', '.join(reasons)}" if reasons else ""
     return f"probably wrong (probability {' to '.join(dict.fromkeys((shown[0], shown[-1])))}){why}"
 
@@ -105,19 +105,19 @@ def _of_many(sound: Sequence[Entry]) -> str:
     """Return the sentences for several maps, of which those of one cell size are compared by more metrics."""
     groups = by_cell_mm(e.document for e in sound)
     if len(groups) < 2:
-        return _ranked(sound, QUALITY, "measure here")
+        return _ranking(sound, QUALITY, "measure here")
     everywhere = tuple(q for q in QUALITY if not q.per_cell)
-    why = not_compared(e.document for e in sound)
+    why = size_note(e.document for e in sound)
     within = (
-        f"Cells of {cell_mm:g} mm: {_ranked([sound[k] for k in group], QUALITY, 'measure here')}"
+        f"Cells of {cell_mm:g} mm: {_ranking([sound[k] for k in group], QUALITY, 'measure here')}"
         for cell_mm, group in groups.items()
         if len(group) > 1
     )
-    overall = _ranked(sound, everywhere, "measure that does not depend on the cell size")
+    overall = _ranking(sound, everywhere, "measure that does not depend on the cell size")
     return " ".join((overall, f"{why[0].upper()}{why[1:]}.", *within))
 
 
-def _ranked(sound: Sequence[Entry], quality: Sequence[Quantity], measure: str) -> str:
+def _ranking(sound: Sequence[Entry], quality: Sequence[Quantity], measure: str) -> str:
     """Return the sentence for several maps: the run that is best by most metrics, if there is one."""
     won = {q.title: winners(q, [e.document for e in sound]) for q in quality}
     contested = [title for title, best in won.items() if best]

@@ -32,7 +32,7 @@ def environment(*packages: str) -> Environment:
     return templates
 
 
-def inlined(templates: Environment, *names: str) -> Inlined:
+def inline(templates: Environment, *names: str) -> Inlined:
     """Return files of ours one after the other, as they stand."""
     text = "".join(templates.loader.get_source(templates, name)[0] for name in names)  # type: ignore[union-attr]
     digest = b64encode(sha256(text.encode()).digest()).decode()

@@ -12,8 +12,8 @@ import numpy as np
 from mavnav.mapping.occupancy_grid import occupancy
 from mavnav.outputs.pictures import map_axes
 from mavnav.outputs.pictures.canvas import stroke
-from mavnav.outputs.pictures.plot import Axes, Line, Mark, circle, legend
-from mavnav.outputs.pictures.viewport import GOAL_RED, INK, MUTED, POSE_MAGENTA, Window, window_of
+from mavnav.outputs.pictures.plot import Axes, Mark, Style, circle, legend
+from mavnav.outputs.pictures.viewport import GOAL_RED, INK, MUTED, POSE_MAGENTA, Viewport, window_of
 from mavnav.outputs.report.panels import FONT_PT, MAP_MARGINS, panel
 from mavnav.pose import Pose, transform_points
 from mavnav.units import DEG, MM
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
     from mavnav.outputs.report.entry import Entry
 
-PATH: Final = Line(POSE_MAGENTA, "path of the laser", partial(stroke, width_pt=1.0, opacity=0.75))
-RING: Final = Line(GOAL_RED, "", partial(stroke, width_pt=1.6))
+PATH: Final = Style(POSE_MAGENTA, "path of the laser", partial(stroke, width_pt=1.0, opacity=0.75))
+RING: Final = Style(GOAL_RED, "", partial(stroke, width_pt=1.6))
 GHOST: Final = Mark(GOAL_RED, "ghost wall", partial(circle, size_pt=11.0, width_pt=1.6))
 MIN_RING_SHARE: Final = 0.05
 """Minimum length of the ring around a ghost wall, as a share of the window's longer side, so that it is visible."""
@@ -41,10 +41,10 @@ WIDE, TALL = 2.2, 1.4
 """Ratio of width to height above which a map is wide, and of height to width above which it is tall."""
 
 
-def common_window(entries: Sequence[Entry]) -> Window:
+def common_window(entries: Sequence[Entry]) -> Viewport:
     """Return the window that contains the maps of all runs, their paths and the true walls."""
-    windows = [window_of(e.grid, _framed(e)) for e in entries]
-    return Window(
+    windows = [window_of(e.grid, _points_to_show(e)) for e in entries]
+    return Viewport(
         min(w.x0_m for w in windows),
         max(w.x1_m for w in windows),
         min(w.y0_m for w in windows),
@@ -52,35 +52,35 @@ def common_window(entries: Sequence[Entry]) -> Window:
     )
 
 
-def _framed(entry: Entry) -> Any:  # noqa: ANN401  numpy's stack of arrays
+def _points_to_show(entry: Entry) -> Any:  # noqa: ANN401  numpy's stack of arrays
     tracked = entry.scans.xy_m[np.isfinite(entry.scans.xy_m[:, 0])]
     return np.vstack((tracked, *entry.true_walls, entry.goal_xy_m))
 
 
-def shape(window: Window) -> str:
+def shape(window: Viewport) -> str:
     """Return the shape of a map for the page layout: wide, tall, or neither (empty)."""
     width, height = window.size_m
     return "wide" if width > WIDE * height else "tall" if height > TALL * width else ""
 
 
 def map_panel(
-    entry: Entry, window: Window, top_hits: float, boxes: Sequence[tuple[str, Window]], *, ends: bool
+    entry: Entry, window: Viewport, top_hits: float, boxes: Sequence[tuple[str, Viewport]], *, ends: bool
 ) -> Image:
     """Draw the map of a run with its close-ups ``boxes``, by letter; ``ends`` marks start, end and goal."""
     longest_in, max_ticks = (WIDE_IN, 16) if shape(window) == "wide" else (LONGEST_IN, 11)
-    axes = _panel(entry.name, window.widened(MIN_ASPECT), longest_in)
+    axes = _panel(entry.name, window.widen(MIN_ASPECT), longest_in)
     draw_map(axes, entry, top_hits, max_ticks, boxes, ends=ends)
     return axes.canvas.image
 
 
-def closeup_panel(entry: Entry, window: Window, top_hits: float, letter: str) -> Image:
+def closeup_panel(entry: Entry, window: Viewport, top_hits: float, letter: str) -> Image:
     """Draw a square part of the map of a run."""
     axes = _panel(f"{letter}  {entry.name}", window, CLOSEUP_IN)
     draw_map(axes, entry, top_hits, 5)
     return axes.canvas.image
 
 
-def _panel(title: str, window: Window, longest_in: float) -> Axes:
+def _panel(title: str, window: Viewport, longest_in: float) -> Axes:
     canvas, box = panel(window.size_pixels(longest_in), title)
     axes = map_axes.map_axes(canvas, window, box)
     axes.names("x [m]", "y [m]", FONT_PT, MAP_MARGINS[0] - 14)
@@ -92,7 +92,7 @@ def draw_map(
     entry: Entry,
     top_hits: float,
     max_ticks: int,
-    boxes: Sequence[tuple[str, Window]] = (),
+    boxes: Sequence[tuple[str, Viewport]] = (),
     *,
     ends: bool = False,
 ) -> None:
@@ -131,7 +131,7 @@ def _ring(place: dict[str, float], min_m: float) -> NDArray[np.float64]:
     return transform_points(Pose(place["x_m"], place["y_m"], yaw_rad), points)
 
 
-def _draw_box(axes: Axes, letter: str, box: Window) -> None:
+def _draw_box(axes: Axes, letter: str, box: Viewport) -> None:
     """Draw the outline of a close-up with its letter at the upper left corner, left of it if the close-up is small."""
     corners = axes.to_canvas(np.array([[box.x0_m, box.y1_m], [box.x1_m, box.y0_m]]))
     (left, top), (right, bottom) = np.clip(corners, axes.box[:2], axes.box[2:]).round().astype(int).tolist()
@@ -149,7 +149,7 @@ def legend_panel(top_hits: float, *, truth: bool, ghost: bool, doubtful: bool, e
     axes.ticks(map_axes.hit_ticks(top_hits), length=5)
     canvas.text((box[0], box[1] - 8), "laser hits per cell", FONT_PT, MUTED, "ls")
     named = (PATH, map_axes.DOUBTFUL, map_axes.TRUE_WALL, GHOST)
-    marks: list[Mark | Line] = list(compress(named, (True, doubtful, truth, ghost)))
+    marks: list[Mark | Style] = list(compress(named, (True, doubtful, truth, ghost)))
     first = (canvas.image.height - (len(marks) - 1) * LINE) // 2
     for k, mark in enumerate(marks):
         legend(canvas, [mark], first + k * LINE, box[2] + 24, FONT_PT)

@@ -13,7 +13,7 @@ def table_row(texts: Iterable[str]) -> str:
     return f"| {' | '.join(texts)} |"
 
 
-def escaped(text: str) -> str:
+def escape(text: str) -> str:
     """Keep Markdown from taking a log's name for its own marks, or a line's end in it for its own."""
     plain = "".join(c if c.isprintable() else "?" for c in text)
     return "".join(f"\\{c}" if c in r"\`*_{}[]<>|#" else c for c in plain)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from mavnav.outputs.pictures.canvas import Canvas, stroke
-from mavnav.outputs.pictures.plot import Axes, Line, labelled, ticks
+from mavnav.outputs.pictures.plot import Axes, Style, label_ticks, ticks
 from mavnav.outputs.report.panels import CHART, CHART_MARGINS, FONT_PT
 from mavnav.units import DEG, MM
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 HEIGHT, GAP = 120, 28
 """Height of the axes of each curve, and gap between two of them, in pixels."""
 
-CURVE: Final = Line("#2f6690", "", partial(stroke, width_pt=1.0))
+CURVE: Final = Style("#2f6690", "", partial(stroke, width_pt=1.0))
 MAX_PERIODS: Final = 2.5
 """Maximum time between poses for which a speed is computed, in scan periods."""
 
@@ -41,7 +41,7 @@ def curves(entry: Entry) -> list[Curve]:
     known = np.isfinite(scans.yaw_rad)
     yaw = scans.yaw_rad.copy()
     yaw[known] = np.unwrap(yaw[known])
-    found = [
+    always = [
         Curve("x [m]", scans.xy_m[:, 0]),
         Curve("y [m]", scans.xy_m[:, 1]),
         Curve("yaw [deg]", yaw / DEG),
@@ -54,7 +54,7 @@ def curves(entry: Entry) -> list[Curve]:
         Curve("pitch [deg]", pitch / DEG),
         Curve("height [m]", height_m),
     ]
-    return found + [curve for curve in more if np.isfinite(curve.values).any()]
+    return always + [curve for curve in more if np.isfinite(curve.values).any()]
 
 
 def speeds(time_s: Floats, xy_m: Floats) -> Floats:
@@ -88,7 +88,7 @@ def _draw(axes: Axes, entry: Entry, curve: Curve, *, last: bool) -> None:
     axes.borders()
     x0, x1, y0, y1 = axes.limits
     in_x = ticks(x0, x1)
-    axes.ticks(labelled(in_x) if last else [(value, "") for value in in_x], labelled(ticks(y0, y1, 5)))
+    axes.ticks(label_ticks(in_x) if last else [(value, "") for value in in_x], label_ticks(ticks(y0, y1, 5)))
     axes.lines(CURVE, [np.column_stack((entry.scans.time_s, curve.values))])
     axes.names("time [s]" if last else "", curve.name, FONT_PT, 72)
 

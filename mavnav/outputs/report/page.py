@@ -11,10 +11,10 @@ from mavnav.atomic_files import beside
 from mavnav.errors import OutputError
 from mavnav.outputs.documents.facts import facts
 from mavnav.outputs.report import details, panels
-from mavnav.outputs.report.columns import Table, table
+from mavnav.outputs.report.columns import RunTable, table
 from mavnav.outputs.report.entry import Entry, Failure, load
 from mavnav.outputs.report.headline import headline
-from mavnav.outputs.report.html import environment, inlined
+from mavnav.outputs.report.html import environment, inline
 from mavnav.outputs.report.pictures import Pictures, draw
 from mavnav.version import __version__
 
@@ -28,7 +28,7 @@ MAX_PICTURE_BYTES: Final = 250_000
 """Maximum size of one picture of a page, in bytes."""
 
 
-class Section(Struct, frozen=True):
+class LogSection(Struct, frozen=True):
     """The section of the page on one log: its runs, failures, texts and pictures."""
 
     log: str
@@ -36,7 +36,7 @@ class Section(Struct, frozen=True):
     facts: str
     entries: list[Entry]
     failures: list[Failure]
-    table: Table
+    table: RunTable
     pictures: Pictures | None
 
 
@@ -72,14 +72,14 @@ def write_report(comparison: dict[str, Any], directory: Path, path: Path) -> Non
         raise OutputError(f"{path} cannot be written: {reason}; make room or choose another with -o") from error
 
 
-def _sections(comparison: dict[str, Any], directory: Path) -> list[Section]:
+def _sections(comparison: dict[str, Any], directory: Path) -> list[LogSection]:
     loaded = [load(cell, directory) for cell in comparison.get("cells") or []]
     return [_section(log, [e for e in loaded if e.log == log]) for log in dict.fromkeys(e.log for e in loaded)]
 
 
-def _section(log: str, loaded: list[Entry | Failure]) -> Section:
+def _section(log: str, loaded: list[Entry | Failure]) -> LogSection:
     entries = [e for e in loaded if isinstance(e, Entry)]
-    return Section(
+    return LogSection(
         log=log,
         headline=headline(entries),
         facts=facts([e.document for e in entries]),
@@ -90,16 +90,16 @@ def _section(log: str, loaded: list[Entry | Failure]) -> Section:
     )
 
 
-def _write_pictures(section: Section, folder: Path, number: str) -> None:
+def _write_pictures(section: LogSection, folder: Path, number: str) -> None:
     sheets = section.pictures.sheets() if section.pictures else {}
     for name, picture in sheets.items():
         with beside(folder / f"{name}{number}.png") as unfinished:
             unfinished.write_bytes(panels.png(picture))
 
 
-def _page(comparison: dict[str, Any], sections: list[Section]) -> str:
+def _page(comparison: dict[str, Any], sections: list[LogSection]) -> str:
     templates = environment("mavnav.outputs.report")
-    style = inlined(templates, "report.css")
+    style = inline(templates, "report.css")
     max_bytes = min(MAX_PICTURE_BYTES, MAX_TOTAL_BYTES // max(1, sum(s.pictures.count for s in sections if s.pictures)))
     return templates.get_template("report.html").render(
         title=_title(sections),
@@ -113,6 +113,6 @@ def _page(comparison: dict[str, Any], sections: list[Section]) -> str:
     )
 
 
-def _title(sections: list[Section]) -> str:
+def _title(sections: list[LogSection]) -> str:
     names = [section.log.rpartition("/")[2] or section.log for section in sections]
     return ", ".join(names) if len(names) <= 3 else f"{len(names)} logs"

@@ -68,7 +68,7 @@ def sheet(panels: Sequence[Image.Image], columns: int | None = None) -> Image.Im
     return canvas
 
 
-def stacked(sheets: Sequence[Image.Image]) -> Image.Image:
+def stack(sheets: Sequence[Image.Image]) -> Image.Image:
     """Return an image of pictures below one another."""
     canvas = Image.new("RGB", (max(s.width for s in sheets), sum(s.height for s in sheets)), "white")
     top = 0

@@ -9,7 +9,7 @@ from msgspec import Struct
 
 from mavnav.outputs.documents.quantities import why_not_meaningful
 from mavnav.outputs.pictures.map_axes import top_of_scale
-from mavnav.outputs.pictures.viewport import Window
+from mavnav.outputs.pictures.viewport import Viewport
 from mavnav.outputs.report.closeups import MIN_SIDE_M, differing_places
 from mavnav.outputs.report.cost_panel import caption, cost_panels
 from mavnav.outputs.report.map_panel import (
@@ -21,7 +21,7 @@ from mavnav.outputs.report.map_panel import (
     shape,
 )
 from mavnav.outputs.report.motion_panel import motion_panel
-from mavnav.outputs.report.panels import sheet, stacked
+from mavnav.outputs.report.panels import sheet, stack
 from mavnav.outputs.report.thickness_panel import thickness_panels
 
 if TYPE_CHECKING:
@@ -71,16 +71,16 @@ class Pictures(Struct, frozen=True):
 
     def sheets(self) -> dict[str, Image]:
         """Return the pictures that are also written as files, by name."""
-        found = {
-            "maps": stacked([sheet(self.maps, 1 if self.shape == "wide" else None), sheet([self.legend])]),
+        sheets = {
+            "maps": stack([sheet(self.maps, 1 if self.shape == "wide" else None), sheet([self.legend])]),
             "thickness": sheet(self.thickness),
             "cost": sheet(self.cost),
         }
         if self.motion:
-            found["motion"] = self.motion
+            sheets["motion"] = self.motion
         if self.closeups:
-            found["closeups"] = stacked([sheet(list(c.images.values())) for c in self.closeups])
-        return found
+            sheets["closeups"] = stack([sheet(list(c.images.values())) for c in self.closeups])
+        return sheets
 
 
 def draw(entries: Sequence[Entry]) -> Pictures:
@@ -113,14 +113,14 @@ def draw(entries: Sequence[Entry]) -> Pictures:
     )
 
 
-def _ghost_places(entries: Sequence[Entry]) -> list[Window]:
+def _ghost_places(entries: Sequence[Entry]) -> list[Viewport]:
     """Return windows around the longest ghost walls, as close-ups of runs without differences."""
     worst = sorted((place for e in entries for place in ghosts(e)), key=lambda p: -p["length_m"])[:3]
     halves = [(p, max(0.75 * p["length_m"], MIN_SIDE_M / 2)) for p in worst]
-    return [Window(p["x_m"] - h, p["x_m"] + h, p["y_m"] - h, p["y_m"] + h) for p, h in halves]
+    return [Viewport(p["x_m"] - h, p["x_m"] + h, p["y_m"] - h, p["y_m"] + h) for p, h in halves]
 
 
-def _closeup(letter: str, box: Window, entries: Sequence[Entry], top_hits: float) -> Closeup:
+def _closeup(letter: str, box: Viewport, entries: Sequence[Entry], top_hits: float) -> Closeup:
     return Closeup(
         letter=letter,
         x_m=(box.x0_m + box.x1_m) / 2,

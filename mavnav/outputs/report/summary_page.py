@@ -6,7 +6,7 @@ from base64 import b64encode
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from mavnav.atomic_files import temporary_folder
-from mavnav.units import counted
+from mavnav.units import pluralize
 from mavnav.version import __version__
 
 if TYPE_CHECKING:
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-class Table(NamedTuple):
+class PageTable(NamedTuple):
     """A table of the page: heading, names of the columns, and rows of texts; ``prose`` for sentences, not numbers."""
 
     heading: str
@@ -28,12 +28,12 @@ class Summary(NamedTuple):
 
     title: str
     headline: str
-    tables: tuple[Table, ...]
+    tables: tuple[PageTable, ...]
     picture: bytes | None = None
     lines: tuple[str, ...] = ()
 
 
-def drawn(draw: Callable[[Path], None]) -> bytes:
+def draw_png(draw: Callable[[Path], None]) -> bytes:
     """Return the PNG file that a function writes to a path."""
     with temporary_folder() as folder:
         path = folder / "picture.png"
@@ -43,13 +43,13 @@ def drawn(draw: Callable[[Path], None]) -> bytes:
 
 def write_summary(summary: Summary, path: Path) -> None:
     """Write the page as one HTML file without links to other files."""
-    from mavnav.outputs.report.html import environment, inlined  # noqa: PLC0415  jinja2 takes long to load
+    from mavnav.outputs.report.html import environment, inline  # noqa: PLC0415  jinja2 takes long to load
 
     templates = environment("mavnav.outputs.report")
     page = templates.get_template("summary.html").render(
         summary=summary,
         picture=b64encode(summary.picture).decode() if summary.picture else "",
-        style=inlined(templates, "report.css"),
+        style=inline(templates, "report.css"),
         script=None,
         version=__version__,
         profile=None,
@@ -62,9 +62,9 @@ def merge_summary(document: dict[str, Any], picture: bytes) -> Summary:
     sessions = document["sessions"]
     headline = f"{document['joined']} of {len(sessions)} sessions are in one map, with {document['scans']} scans."
     head = ("session", "input", "scans", "joined to", "key frames that agree", "residual", "tracked", "doubt", "damage")
-    table = Table("Sessions", head, tuple(_session_row(each) for each in sessions))
+    table = PageTable("Sessions", head, tuple(_session_row(each) for each in sessions))
     refused = tuple((each["name"], each["input"], each["why"]) for each in sessions if not each["joined"])
-    others = (Table("Not joined", ("session", "input", "reason"), refused, prose=True),) if refused else ()
+    others = (PageTable("Not joined", ("session", "input", "reason"), refused, prose=True),) if refused else ()
     return Summary(", ".join(each["name"] for each in sessions), headline, (table, *others), picture)
 
 
@@ -81,7 +81,7 @@ def _session_row(session: dict[str, Any]) -> tuple[str, ...]:
         f"{session['residual_mm']:.0f} mm" if to else "",
         f"{100 * tracking['tracked_share']:.1f} %" if tracking.get("tracked_share") is not None else "",
         "" if doubt is None else f"{doubt:.2f}",
-        counted(damage, "place") if damage else "none",
+        pluralize(damage, "place") if damage else "none",
     )
 
 
@@ -91,8 +91,8 @@ def diff_summary(document: dict[str, Any], picture: bytes | None) -> Summary:
     if pose is None:
         return Summary(title, "The maps cannot be aligned: too few places of one fit the other.", ())
     headline = (
-        f"{counted(document['gone'], 'place')} gone ({document['gone_m2']:.3f} m²), {document['new']} new "
-        f"({document['new_m2']:.3f} m²), {counted(document['moved'], 'object')} moved; "
+        f"{pluralize(document['gone'], 'place')} gone ({document['gone_m2']:.3f} m²), {document['new']} new "
+        f"({document['new_m2']:.3f} m²), {pluralize(document['moved'], 'object')} moved; "
         f"{document['compared_m2']:.1f} m² were compared, and "
         f"{100 * document['same_share']:.1f} % of the walls are the same."
     )
@@ -115,7 +115,7 @@ def diff_summary(document: dict[str, Any], picture: bytes | None) -> Summary:
         f"{pose['yaw_deg']:z.2f} deg",
         f"{pose['rms_mm']:.0f} mm",
     )
-    alignment = Table("Pose of the second map in the first", ("x", "y", "yaw", "RMS of the walls"), (placed,))
+    alignment = PageTable("Pose of the second map in the first", ("x", "y", "yaw", "RMS of the walls"), (placed,))
     return Summary(title, headline, (*_unless_empty("Changes", head, rows), alignment), picture)
 
 
@@ -125,11 +125,11 @@ def calibration_summary(document: dict[str, Any], title: str, picture: bytes | N
     every = [*document["quantities"], *switches]
     measured = [each for each in every if not each["refused"]]
     headline = document["refused"] or f"{len(measured)} of {len(every)} quantities are determined."
-    found = tuple(_calibrated_row(each) for each in measured)
+    rows = tuple(_calibrated_row(each) for each in measured)
     refused = tuple((_quantity_name(each)[0], each["refused"]) for each in every if each["refused"])
     head = ("quantity", "value", "95 % interval", "log or configuration", "difference")
-    missing = (Table("Not determined", ("quantity", "reason"), refused, prose=True),) if refused else ()
-    tables = _unless_empty("Quantities", head, found) + missing
+    missing = (PageTable("Not determined", ("quantity", "reason"), refused, prose=True),) if refused else ()
+    tables = _unless_empty("Quantities", head, rows) + missing
     return Summary(title, headline, tables, picture, tuple(filter(None, document["lines"].values())))
 
 
@@ -159,9 +159,9 @@ def _calibrated_row(row: dict[str, Any]) -> tuple[str, ...]:
     return f"{name}{unit}", value, f"± {within}" if within else "", in_log, difference
 
 
-def _unless_empty(heading: str, head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> tuple[Table, ...]:
-    found = tuple(rows)
-    return (Table(heading, head, found),) if found else ()
+def _unless_empty(heading: str, head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> tuple[PageTable, ...]:
+    body = tuple(rows)
+    return (PageTable(heading, head, body),) if body else ()
 
 
 def _text(value: float | None, digits: int) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from mavnav.outputs.documents.quantities import number
 from mavnav.outputs.pictures.canvas import stroke
-from mavnav.outputs.pictures.plot import Line, labelled, ticks
+from mavnav.outputs.pictures.plot import Style, label_ticks, ticks
 from mavnav.outputs.pictures.wall_picture import BAR_COLOUR, P95_COLOUR
 from mavnav.outputs.report.panels import CHART, chart
 from mavnav.units import MM
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from mavnav.outputs.pictures.plot import Axes
     from mavnav.outputs.report.entry import Entry
 
-P95: Final = Line(P95_COLOUR, "", partial(stroke, width_pt=1.6))
+P95: Final = Style(P95_COLOUR, "", partial(stroke, width_pt=1.6))
 BIN_MM: Final = 10.0
 
 
@@ -55,7 +55,7 @@ def _panel(entry: Entry, metres: NDArray[np.float64], max_m: float) -> Image:
     else:
         _mark(axes, p95_mm)
     axes.borders()
-    axes.ticks(labelled(ticks(*limits[:2])), labelled(ticks(*limits[2:], 6)))
+    axes.ticks(label_ticks(ticks(*limits[:2])), label_ticks(ticks(*limits[2:], 6)))
     return axes.canvas.image
 
 

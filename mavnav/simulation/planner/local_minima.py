@@ -111,13 +111,13 @@ def unit(vector: XY) -> XY:
 # ---- techniques against local minima ---------------------------------------------------------------------------------
 
 
-def _stalled(scene: Scene, memory: Memory) -> bool:
+def _is_stalled(scene: Scene, memory: Memory) -> bool:
     return memory.idle_steps >= scene.config.stall_steps
 
 
 def _field(scene: Scene, memory: Memory) -> Drive:
     """Drive by the paper's plain field; gives up where it stalls."""
-    reason = "the forces are in balance" if _stalled(scene, memory) else ""
+    reason = "the forces are in balance" if _is_stalled(scene, memory) else ""
     return Drive(scene.attraction + scene.repulsion, memory, reason)
 
 
@@ -130,7 +130,7 @@ def _wavefront(scene: Scene, memory: Memory) -> Drive:
     push = scene.repulsion
     push = push - min(0.0, float(push @ towards)) * towards
     push *= min(1.0, scene.config.attraction_gain / max(1e-9, float(np.hypot(*push))))
-    reason = "no step leads on" if _stalled(scene, memory) else ""
+    reason = "no step leads on" if _is_stalled(scene, memory) else ""
     return Drive(scene.config.attraction_gain * towards + push, replace(memory, looks=0), reason, squeezes=True)
 
 
@@ -143,14 +143,14 @@ def _look_round(scene: Scene, memory: Memory) -> Drive:
 def _virtual_obstacles(scene: Scene, memory: Memory) -> Drive:
     """Drive by the field, and by an obstacle at every place where it stalled: they fill a trap up."""
     if memory.idle_steps >= scene.config.stall_steps // 2:
-        dropped = _dropped(scene, memory)
+        dropped = _virtual_obstacle(scene, memory)
         if _near(dropped, memory, _SAME_PLACE_M) >= _MOST_AT_A_PLACE:
             return Drive(None, memory, "virtual obstacles fill every way")
         memory = replace(memory, virtual_map_m=(*memory.virtual_map_m, dropped), idle_steps=0)
     return Drive(scene.attraction + scene.repulsion + _virtual_push(scene, memory), memory)
 
 
-def _dropped(scene: Scene, memory: Memory) -> tuple[float, float, float]:
+def _virtual_obstacle(scene: Scene, memory: Memory) -> tuple[float, float, float]:
     """Return x, y and range of a new virtual obstacle: ahead and a little aside, the larger the more are near by."""
     ahead = unit(scene.goal_xy_map_m - scene.xy_map_m)
     x, y = scene.xy_map_m + _VIRTUAL_AHEAD_M * (ahead + 0.5 * _left(ahead))
@@ -181,11 +181,11 @@ def _wall_following(scene: Scene, memory: Memory) -> Drive:
     following = memory.following
     if following is not None and (scene.goal_m < following.goal_m - _NEARER_M or len(scene.near_xy_map_m) == 0):
         memory, following = replace(memory, following=None, idle_steps=0), None
-    if following is None and not (_stalled(scene, memory) and len(scene.near_xy_map_m)):
+    if following is None and not (_is_stalled(scene, memory) and len(scene.near_xy_map_m)):
         return _field(scene, memory)
     if following is None:
         memory = replace(memory, idle_steps=0)
-    reason = "no step leads along the wall" if _stalled(scene, memory) else ""
+    reason = "no step leads along the wall" if _is_stalled(scene, memory) else ""
     return _along_wall(scene, memory, reason)
 
 

@@ -37,7 +37,7 @@ _BACKING_OFF = 0.25  # of a step, where nothing is seen
 _TAPER_RAD = 30 * DEG  # below ``view_deg`` steps are shortened over this range
 
 
-class Command(Struct, frozen=True):
+class MotionCommand(Struct, frozen=True):
     """One step in the body (laser) frame at its beginning: m, m, rad."""
 
     dx_m: float = 0.0
@@ -52,7 +52,7 @@ class Plan(Struct, frozen=True):
     ``reason`` is why the planner is stuck; the command is then no motion.
     """
 
-    command: Command
+    command: MotionCommand
     clearance_m: float
     reason: str = ""
 
@@ -73,29 +73,29 @@ class Planner:
     def plan(self, grid: GridBuilder, map_T_laser: Pose, goal_xy_map_m: tuple[float, float]) -> Plan:
         """Return the next command with its evidence, and remember what the next call needs."""
         scene = _scene(self.config, grid, map_T_laser, goal_xy_map_m)
-        drive = TECHNIQUES[self.config.technique](scene, _noted(self.memory, scene))
+        drive = TECHNIQUES[self.config.technique](scene, _update_memory(self.memory, scene))
         step = np.zeros(2)
         turn_rad = 0.0 if drive.reason else self.config.max_turn_rad
         if drive.force is not None and not drive.reason:
-            velocity = _accelerated(self.config, drive.memory.velocity_m, drive.force)
+            velocity = _accelerate(self.config, drive.memory.velocity_m, drive.force)
             bearing_rad = wrap_angle(atan2(velocity[1], velocity[0]) - map_T_laser.yaw_rad)
             turn_rad = _turn_rad(self.config, velocity, bearing_rad)
             step = _clear_step(
-                scene, _seen_share(scene, bearing_rad) * _limited(scene, velocity), squeezes=drive.squeezes
+                scene, _seen_share(scene, bearing_rad) * _limit_step(scene, velocity), squeezes=drive.squeezes
             )
         self.memory = replace(drive.memory, velocity_m=step)
         return Plan(_in_body(step, turn_rad, map_T_laser), _clearance_m(scene, step), drive.reason)
 
 
 def _scene(config: PlannerConfig, grid: GridBuilder, map_T_laser: Pose, goal_xy_map_m: tuple[float, float]) -> Scene:
-    walls = potential.occupied(grid.hits, grid.passes, grid.lattice, config.min_hits, config.min_share)
+    walls = potential.wall_centres(grid.hits, grid.passes, grid.lattice, config.min_hits, config.min_share)
     xy = map_T_laser.as_array()[:2]
     reach_m = max(_LOOK_M, config.safety_m + config.max_step_m)
     near = np.ascontiguousarray(walls[np.hypot(*(walls - xy).T) < reach_m])
     return Scene(config, grid.cell_m, walls, near, xy, np.array(goal_xy_map_m, np.float64))
 
 
-def _noted(memory: Memory | None, scene: Scene) -> Memory:
+def _update_memory(memory: Memory | None, scene: Scene) -> Memory:
     """Note where the vehicle is now; a new goal begins a new memory."""
     here = scene.xy_map_m
     if memory is None or not np.array_equal(memory.goal_xy_map_m, scene.goal_xy_map_m):
@@ -109,12 +109,12 @@ def _noted(memory: Memory | None, scene: Scene) -> Memory:
     return replace(memory, idle_steps=memory.idle_steps + 1)
 
 
-def _accelerated(config: PlannerConfig, velocity_m: XY, force: XY) -> XY:
+def _accelerate(config: PlannerConfig, velocity_m: XY, force: XY) -> XY:
     """Move the virtual mass by one step of time: F - v = m a, with v in longest steps; implicit, so always stable."""
     return np.asarray((velocity_m + force * config.max_step_mm * MM / config.mass_kg) / (1.0 + 1.0 / config.mass_kg))
 
 
-def _limited(scene: Scene, velocity_m: XY) -> XY:
+def _limit_step(scene: Scene, velocity_m: XY) -> XY:
     """Bound a step by the longest one and by the distance to the goal."""
     longest_m = min(scene.config.max_step_m, scene.goal_m)
     return velocity_m * min(1.0, longest_m / max(1e-9, float(np.hypot(*velocity_m))))
@@ -180,6 +180,6 @@ def _clearance_m(scene: Scene, step_m: XY) -> float:
     return float(potential.clearance(scene.near_xy_map_m, (scene.xy_map_m + step_m)[None])[0])
 
 
-def _in_body(step_m: XY, turn_rad: float, map_T_laser: Pose) -> Command:
+def _in_body(step_m: XY, turn_rad: float, map_T_laser: Pose) -> MotionCommand:
     c, s = cos(map_T_laser.yaw_rad), sin(map_T_laser.yaw_rad)
-    return Command(float(c * step_m[0] + s * step_m[1]), float(c * step_m[1] - s * step_m[0]), turn_rad)
+    return MotionCommand(float(c * step_m[0] + s * step_m[1]), float(c * step_m[1] - s * step_m[0]), turn_rad)

@@ -57,7 +57,7 @@ class LaserModel(Struct, frozen=True):
         Every scan draws the same number of random numbers, whatever it sees.
         """
         gauss, edge, mix, odd, faint = rng.standard_normal(len(ranges_m)), *rng.random((4, len(ranges_m)))
-        read = np.where(edge < self.mixed_pixels, _mixed(ranges_m, mix), ranges_m)
+        read = np.where(edge < self.mixed_pixels, _mix_edges(ranges_m, mix), ranges_m)
         read *= (1.0 + self.bias) * (1.0 + self.noise * gauss)
         read[odd < self.min_readings] = self.spec.range_min_m
         read[odd > 1.0 - self.max_readings] = self.spec.range_max_m
@@ -70,7 +70,7 @@ class LaserModel(Struct, frozen=True):
         return np.clip((np.nan_to_num(incidence_rad) - self.incidence_sure_rad) / ramp, 0.0, 1.0)
 
 
-def _mixed(ranges_m: Array, share: Array) -> Array:
+def _mix_edges(ranges_m: Array, share: Array) -> Array:
     """Return ranges between a beam's own and its neighbour's across the nearest edge, its own where there is none."""
     padded = np.concatenate((ranges_m[:1], ranges_m, ranges_m[-1:]))
     with np.errstate(invalid="ignore"):  # inf - inf: two beams that meet nothing

@@ -105,7 +105,7 @@ def _problems(scenario: Scenario) -> Iterator[tuple[Key, str]]:
     places: dict[Key, XY] = {("start",): (scenario.start.x_m, scenario.start.y_m), ("goal_m",): scenario.goal_m}
     places |= {("via_m", str(k)): xy_m for k, xy_m in enumerate(scenario.via_m)}
     for key, xy_m in places.items():
-        problem = _misplaced(scenario, xy_m)
+        problem = _placement_problem(scenario, xy_m)
         if problem:
             yield key, f"[{xy_m[0]:g}, {xy_m[1]:g}] {problem}"
 
@@ -138,7 +138,7 @@ def _height_problems(scenario: Scenario) -> Iterator[tuple[Key, str]]:
         yield ("flight",), f"reaches from {low_m:g} to {high_m:g} m, into {within}; change height_m or slice_mm"
 
 
-def _misplaced(scenario: Scenario, xy_m: XY) -> str:
+def _placement_problem(scenario: Scenario, xy_m: XY) -> str:
     """Return what is wrong with a position; empty where the vehicle fits.
 
     The closed polyline around everything, if there is one, is the world's outline; every other closed shape is solid.

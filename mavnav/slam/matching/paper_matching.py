@@ -41,7 +41,7 @@ def match_polar(
     if not worth_it or paper.expert.refine_factor == 1:
         return match
     k = paper.expert.refine_factor
-    fine = search(config.grid.refined(k), config.azimuth * k)
+    fine = search(config.grid.refine(k), config.azimuth * k)
     best = fine if fine.cost_m2 < match.cost_m2 else match
     return with_effort(best, match, fine)
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.kernels.scans.observability import observability
-from mavnav.kernels.scans.points import placed, scan_points
+from mavnav.kernels.scans.points import place_points, scan_points
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose
 from mavnav.profiling import timed
@@ -297,7 +297,7 @@ class Robust:
         """Return every valid point (n, 2) of the de-skewed scan, m, map frame, and their extent."""
         points = self._points(scan, motion)[0]
         xy_map_m = np.empty_like(points)
-        return xy_map_m, placed(points, map_T_laser.as_array(), xy_map_m)
+        return xy_map_m, place_points(points, map_T_laser.as_array(), xy_map_m)
 
     def remove_dynamic_cells(self) -> None:
         """Remove the hits of people and other moving things from grid and lines."""

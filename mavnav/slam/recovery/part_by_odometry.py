@@ -15,7 +15,7 @@ from mavnav.slam.loop_closure.drift import drift_bound
 from mavnav.slam.matching.scan_matching import no_match
 from mavnav.slam.matching.steps import tracked_trajectory
 from mavnav.slam.retries.odometry import errors_m, most_moving, size
-from mavnav.units import NS, counted
+from mavnav.units import NS, pluralize
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -97,6 +97,6 @@ def placed_warning(part: Sequence[Step], first_ns: int, error_m: float) -> str:
     """Return the warning of a part that was placed by odometry."""
     from_s, to_s = ((step.stamp_ns - first_ns) * NS for step in (part[0], part[-1]))
     return (
-        f"{counted(len(part), 'scan')} from {from_s:.1f} to {to_s:.1f} s do not match the map of the others and are "
+        f"{pluralize(len(part), 'scan')} from {from_s:.1f} to {to_s:.1f} s do not match the map of the others and are "
         f"placed by odometry alone, to about {max(error_m, 0.1):.1f} m; check the map there"
     )

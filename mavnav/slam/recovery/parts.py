@@ -21,7 +21,7 @@ from mavnav.slam.matching.steps import LOST_SCANS, Step, Steps, lost_intervals
 from mavnav.slam.methods.pauses import first_found_late, highest_speed, is_too_far, pauses
 from mavnav.slam.recovery.part_by_odometry import neighbours, placed_warning, pose_by_odometry
 from mavnav.slam.retries.beginning import count_accepted, until_missing
-from mavnav.units import NS, counted
+from mavnav.units import NS, pluralize
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -276,7 +276,7 @@ def part_warnings(parts: Sequence[Part], first_ns: int) -> Iterator[str]:
     """Yield a warning for every part that could not be joined."""
     for k, part in enumerate(parts):
         from_s, to_s = ((stamp - first_ns) * NS for stamp in (part.start_ns, part.end_ns))
-        what = f"{counted(part.scans, 'scan')} from {from_s:.1f} to {to_s:.1f} s"
+        what = f"{pluralize(part.scans, 'scan')} from {from_s:.1f} to {to_s:.1f} s"
         if not part.joined and k == 0:
             yield f"{what} do not match the later ones and are left out; the map begins after them"
         elif not part.joined:

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from mavnav.slam.matching.scan_matching import no_match
 from mavnav.slam.matching.steps import LOST_SCANS, Steps, jumps, lost_intervals, tracked_trajectory
 from mavnav.slam.methods.registry import make_method
-from mavnav.units import NS, counted
+from mavnav.units import NS, pluralize
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -103,4 +103,4 @@ def _scans(steps: Steps, parts: list[NDArray[np.intp]]) -> str:
     first_ns, count = steps[0].stamp_ns, sum(map(len, parts))
     times_s = [[(steps[int(part[k])].stamp_ns - first_ns) * NS for k in (0, -1)] for part in parts]
     when = ", ".join(f"{start_s:.1f} to {end_s:.1f} s" for start_s, end_s in times_s[:3])
-    return f"{counted(count, 'scan')} ({when}{f' and {len(times_s) - 3} more' if len(times_s) > 3 else ''})"
+    return f"{pluralize(count, 'scan')} ({when}{f' and {len(times_s) - 3} more' if len(times_s) > 3 else ''})"

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from mavnav.kernels.line_search import search as line_search
 from mavnav.kernels.line_search.search import HOPELESS
 from mavnav.kernels.maps.layout import FAR, NEAR, REACH_CELLS
-from mavnav.kernels.scans.points import extent, placed, scan_points
+from mavnav.kernels.scans.points import extent, place_points, scan_points
 from mavnav.mapping import line_map as line_map_module
 from mavnav.mapping.line_map import LineMap
 from mavnav.pose import Pose, transform_points
@@ -224,7 +224,7 @@ def test_extent_is_its_twin() -> None:
 
 def test_placed_points_are_their_twins_and_told_their_extent() -> None:
     points, pose, out = np.random.default_rng(4).normal(0, 5, (50, 2)), Pose(1.0, -2.0, 0.7), np.empty((50, 2))
-    extent_m = placed(points, pose.as_array(), out)
+    extent_m = place_points(points, pose.as_array(), out)
     np.testing.assert_allclose(out, transform_points(pose, points), rtol=1e-14, atol=1e-14)
     assert extent_m == naive.extent(out)
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from mavnav.kernels.machine.cache import VERSIONS_KEPT, cache_key
-from mavnav.kernels.scans.points import extent, placed
+from mavnav.kernels.scans.points import extent, place_points
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -57,7 +57,7 @@ def test_arrays_that_a_kernel_writes_must_be_writable() -> None:
     out = np.ones((3, 2))
     out.flags.writeable = False
     with pytest.raises(TypeError, match="placed takes other arguments"):
-        placed(np.ones((3, 2)), np.zeros(3), out)
+        place_points(np.ones((3, 2)), np.zeros(3), out)
 
 
 def test_kernels_are_plain_functions_where_nothing_is_compiled() -> None:

@@ -25,7 +25,7 @@ def test_occupied_is_its_twin(seed: int, min_hits: int, min_share: float) -> Non
     rng = np.random.default_rng(seed)
     hits = np.where(rng.random((20, 31)) < 0.15, rng.integers(1, 5, (20, 31)), 0).astype(np.int32)
     passes = rng.integers(0, 30, hits.shape).astype(np.int32)
-    fast = potential.occupied(*stored(hits, passes), LATTICE, min_hits, min_share)
+    fast = potential.wall_centres(*stored(hits, passes), LATTICE, min_hits, min_share)
     np.testing.assert_allclose(fast, naive.occupied(hits, passes, LATTICE, min_hits, min_share), atol=1e-12)
 
 
@@ -34,7 +34,7 @@ def test_a_stray_hit_and_a_cell_that_most_beams_passed_are_no_wall() -> None:
     hits[3, 3] = 1  # a stray
     hits[10, 10:12] = 1  # two side by side
     hits[16, 16], passes[16, 16] = 3, 100  # someone who walked by
-    walls = potential.occupied(*stored(hits, passes), np.array([0.0, 0.0, 1.0]), 2, 0.1)
+    walls = potential.wall_centres(*stored(hits, passes), np.array([0.0, 0.0, 1.0]), 2, 0.1)
     np.testing.assert_array_equal(walls, [(10.5, 10.5), (11.5, 10.5)])
 
 

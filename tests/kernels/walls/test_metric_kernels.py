@@ -9,9 +9,9 @@ from scipy import ndimage
 from mavnav.kernels.maps.regions import region_sizes
 from mavnav.kernels.walls.overlap import scan_distances
 from mavnav.kernels.walls.profiles import wall_profiles
-from mavnav.kernels.walls.smoothing import smoothed
+from mavnav.kernels.walls.smoothing import smooth_image
 from mavnav.kernels.walls.straight_beams import straight_beams
-from mavnav.metrics.lines import linked
+from mavnav.metrics.lines import link
 from mavnav.metrics.shape import gaussian, highest
 from mavnav.pose import Pose
 from support import naive_metrics as naive
@@ -73,8 +73,10 @@ def test_smoothing_and_slopes(shape) -> None:
     wide, steep = gaussian(3.75), gaussian(1.5)
     slope = np.arange(len(steep)) * steep
     for arguments in ((wide, wide, 1.0, 1.0), (slope, steep, -1.0, 1.0), (steep, slope, 1.0, -1.0)):
-        np.testing.assert_array_equal(smoothed(image, *arguments), naive.smoothed(image, *arguments))
-    np.testing.assert_allclose(smoothed(image, wide, wide, 1.0, 1.0), ndimage.gaussian_filter(image, 3.75), atol=1e-6)
+        np.testing.assert_array_equal(smooth_image(image, *arguments), naive.smoothed(image, *arguments))
+    np.testing.assert_allclose(
+        smooth_image(image, wide, wide, 1.0, 1.0), ndimage.gaussian_filter(image, 3.75), atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("reach", [1, 2, 7])
@@ -87,7 +89,7 @@ def test_highest_within_reach(reach) -> None:
 def test_groups_of_linked_points(n) -> None:
     rng = np.random.default_rng(4)
     xy_m, angles = rng.uniform(-1.0, 1.0, (n, 2)), rng.uniform(-4.0, 4.0, n)
-    found = linked(xy_m, angles, reach_m=0.2, across_m=0.1, turn_rad=0.5)
+    found = link(xy_m, angles, reach_m=0.2, across_m=0.1, turn_rad=0.5)
     directions = np.column_stack((np.cos(angles), np.sin(angles)))
     np.testing.assert_array_equal(found, naive.link_groups(xy_m, directions, 0.2, 0.1, np.sin(0.5)))
     assert n < 3 or 1 < found.max() < n - 1

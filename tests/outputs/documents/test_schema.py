@@ -17,7 +17,7 @@ from mavnav.errors import ExitCode
 from mavnav.jobs.run_cache import SECTIONS
 from mavnav.outputs.documents.quantities import PATH, QUANTITIES, TIME
 from mavnav.outputs.documents.run_json import METRICS, RunDocument
-from mavnav.outputs.documents.schema import described, run_keys, run_schema
+from mavnav.outputs.documents.schema import number_schema, run_keys, run_schema
 from mavnav.outputs.files.document import plain, run_document, to_json
 from mavnav.slam.matching.steps import LostInterval
 
@@ -142,7 +142,7 @@ def test_names_that_others_repeat_are_those_of_the_model() -> None:
 
 
 def test_directions_come_from_the_model() -> None:
-    assert [described(t.name)["better"] == "higher" for t in TOLERANCES] == [t.high for t in TOLERANCES]
+    assert [number_schema(t.name)["better"] == "higher" for t in TOLERANCES] == [t.high for t in TOLERANCES]
     assert {q.name for q in QUANTITIES if q.better > 0} == {"map.accepted_share"}
     assert (PATH.better, TIME.better) == (0, -1)
 

@@ -11,8 +11,8 @@ from mavnav.mapping.occupancy_grid import (
     UNKNOWN,
     Grid,
     GridBuilder,
-    known_part,
-    measured_part,
+    known_area,
+    measured_area,
     occupancy,
 )
 from mavnav.outputs.files.gridmap import write_npz, write_pgm, write_yaml
@@ -43,7 +43,7 @@ def loaded(run, tmp_path):
 
 def test_map_server_reads_the_same_three_kinds_of_cells(run, loaded):
     cells, resolution, origin = loaded
-    part = known_part(run.slam.grid)
+    part = known_area(run.slam.grid)
     np.testing.assert_array_equal(cells, occupancy(part))
     assert {-1, 0, 100} == set(np.unique(cells))
     assert resolution == part.cell_m
@@ -86,7 +86,7 @@ def test_occupied_is_what_stops_a_fifth_of_the_beams(hits, passes, expected):
 def test_the_known_part_moves_the_origin_along():
     grid = Grid(0.1, (-5.0, 2.0), np.zeros((50, 60), np.int32), np.zeros((50, 60), np.int32))
     grid.hits[20, 30], grid.passes[25, 40] = 7, 1
-    part = known_part(grid)
+    part = known_area(grid)
     row, col = np.argwhere(part.hits)[0]
     assert part.origin_xy_m[0] + col * 0.1 == pytest.approx(-5.0 + 3.0)
     assert part.origin_xy_m[1] + row * 0.1 == pytest.approx(2.0 + 2.0)
@@ -105,9 +105,9 @@ def test_an_empty_map_is_one_unknown_cell(run, shape, tmp_path):
 def test_the_measured_part_does_not_depend_on_how_far_the_grid_reaches():
     tally = GridBuilder(0.02)
     tally.insert(Pose(0.3, 0.2, 0.0), np.array([(1.5, 0.9), (-0.7, -1.9)]))
-    part = measured_part(tally.by_rows())
+    part = measured_area(tally.by_rows())
     tally._cover((-700, -500), (900, 300))
-    again = measured_part(tally.by_rows())
+    again = measured_area(tally.by_rows())
     assert again.origin_xy_m == part.origin_xy_m
     np.testing.assert_array_equal(again.hits, part.hits)
     np.testing.assert_array_equal(again.passes, part.passes)

@@ -8,7 +8,7 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from mavnav.mapping.occupancy_grid import known_part, occupancy
+from mavnav.mapping.occupancy_grid import known_area, occupancy
 from mavnav.outputs.files import replay_log
 from mavnav.outputs.files.replay_log import write
 from mavnav.pose import Pose, yaw_of_quaternion
@@ -113,7 +113,7 @@ def test_without_a_mounting_the_laser_hangs_on_the_map(run, change, tmp_path):
 
 def test_the_map_grows_and_ends_as_the_map_file(run, messages):
     *growing, final = of(messages, "/map")
-    part = known_part(run.slam.grid)
+    part = known_area(run.slam.grid)
     np.testing.assert_array_equal(final.data.reshape(final.info.height, final.info.width), occupancy(part))
     assert final.info.resolution == pytest.approx(part.cell_m)
     assert (final.info.origin.position.x, final.info.origin.position.y) == part.origin_xy_m

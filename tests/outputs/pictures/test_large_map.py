@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from mavnav.mapping.occupancy_grid import Grid
 from mavnav.metrics.map_quality import MeasuredMap, measure_map
-from mavnav.outputs.run import KEPT_CELLS, Run
+from mavnav.outputs.run import KEPT_CELLS, RunResult
 from mavnav.outputs.writers import WRITERS
 from support.memory_use import taking_less_than
 
@@ -47,7 +47,7 @@ def test_a_large_map_is_measured_in_few_masks(measured: MeasuredMap) -> None:
     [("map.pgm", 35), ("hits.npz", 15), ("map.png", 50), ("wall_thickness.png", 55), ("result.mcap", 85)],
 )
 def test_a_large_map_is_written_in_few_masks(
-    name: str, most_mb: float, run: Run, large: Grid, measured: MeasuredMap, tmp_path
+    name: str, most_mb: float, run: RunResult, large: Grid, measured: MeasuredMap, tmp_path
 ) -> None:
     WRITERS[name](run, tmp_path / name)  # what is loaded for it
     shown = replace(run, slam=replace(run.slam, grid=large), measured=measured)

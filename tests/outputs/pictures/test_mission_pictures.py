@@ -8,7 +8,7 @@ from msgspec.structs import replace
 from PIL import Image
 
 from mavnav.errors import OutputError, UsageError
-from mavnav.outputs.documents.schema import described
+from mavnav.outputs.documents.schema import number_schema
 from mavnav.outputs.files.trajectory import write_true_walls, write_truth_tum
 from mavnav.outputs.pictures import animation, map_picture, mission_picture, viewport
 from mavnav.outputs.pictures.animation import animate
@@ -92,7 +92,7 @@ def test_the_true_map_counts_the_scans_as_run_json_does(mission, tmp_path, monke
     monkeypatch.setattr(Canvas, "text", lambda _, xy, text, *args, **options: drawn.append(text))
     mission_picture.write(mission, tmp_path / "t.png")
     assert any(f" in {len(mission.truth.map_T_laser)} scans, ends " in text for text in drawn)
-    assert "scans taken" in described("mission.steps")["description"]
+    assert "scans taken" in number_schema("mission.steps")["description"]
 
 
 def test_the_map_of_a_mission_shows_the_truth_on_top(run, mission, tmp_path):

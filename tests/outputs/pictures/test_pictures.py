@@ -8,13 +8,13 @@ from msgspec.structs import replace
 from PIL import Image
 
 from mavnav.mapping.occupancy_grid import Grid
-from mavnav.mapping.tiled_arrays import pooled
+from mavnav.mapping.tiled_arrays import max_pool
 from mavnav.metrics.map_quality import measure_map
 from mavnav.metrics.wall_spread import WallCuts
 from mavnav.outputs.pictures import map_axes, map_picture, merged_picture, wall_picture
 from mavnav.outputs.pictures.canvas import Canvas, font, rgb_of
 from mavnav.outputs.pictures.plot import Axes, legend_room, legend_width, ticks
-from mavnav.outputs.pictures.viewport import Window, window_of
+from mavnav.outputs.pictures.viewport import Viewport, window_of
 from mavnav.pose import Pose, Trajectory
 from mavnav.slam.findings import Doubt, Loop, Loops, Reason
 
@@ -117,7 +117,7 @@ def test_the_doubtful_part_of_the_path_is_marked(run, tmp_path):
 def test_a_wall_of_one_cell_survives_the_shrinking():
     hits = np.zeros((1000, 1003), np.int32)
     hits[500] = 3
-    small = pooled(hits, 7)
+    small = max_pool(hits, 7)
     assert small.shape == (143, 144)
     assert (small.max(axis=0) == 3).all()
 
@@ -134,7 +134,7 @@ def test_a_single_far_return_does_not_shrink_the_room(run):
 
 def test_long_paths_are_thinned_evenly_along_their_length():
     xy = np.column_stack((np.concatenate((np.zeros(500), np.linspace(0, 10, 500))), np.zeros(1000)))
-    some = map_picture.thinned(xy, 0.2)
+    some = map_picture.thin_path(xy, 0.2)
     assert 45 <= len(some) <= 51
     assert (some[0], some[-1]) == (0, 999)
     assert np.diff(xy[some, 0]).max() < 0.3
@@ -189,7 +189,7 @@ def test_cut_lines_lie_across_their_walls():
 
 def test_marks_lie_where_their_points_are_and_y_grows_upwards():
     picture = Canvas.of(300, 200)
-    axes = map_axes.map_axes(picture, Window(-1.0, 1.0, 0.0, 1.0), (50, 40, 250, 140))
+    axes = map_axes.map_axes(picture, Viewport(-1.0, 1.0, 0.0, 1.0), (50, 40, 250, 140))
     axes.mark(map_axes.START, np.array([[0.5, 0.25]]))
     pixels = np.asarray(picture.image).astype(int)
     row, col = np.argwhere(np.abs(pixels - (0x00, 0x33, 0xFF)).sum(axis=2) < 60).mean(axis=0)
@@ -201,7 +201,7 @@ def test_cells_fill_their_squares():
     hits = np.zeros((10, 20), np.int32)
     hits[9, 0] = hits[0, 19] = 1
     grid = Grid(0.1, (-1.0, 0.0), hits, np.zeros_like(hits))
-    axes = map_axes.map_axes(picture, Window(-1.0, 1.0, 0.0, 1.0), (50, 40, 250, 140))
+    axes = map_axes.map_axes(picture, Viewport(-1.0, 1.0, 0.0, 1.0), (50, 40, 250, 140))
     map_axes.draw_cells(axes, grid, hits, lambda _: np.array((0, 0, 0), np.uint8))
     dark = np.asarray(picture.image).sum(axis=2) == 0
     expected = np.zeros((200, 300), bool)

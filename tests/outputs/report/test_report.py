@@ -17,7 +17,7 @@ from mavnav.outputs.files.gridmap import write_npz
 from mavnav.outputs.files.trajectory import write_csv, write_true_walls
 from mavnav.outputs.pictures import map_axes
 from mavnav.outputs.pictures.canvas import rgb_of
-from mavnav.outputs.pictures.viewport import MUTED, Window
+from mavnav.outputs.pictures.viewport import MUTED, Viewport
 from mavnav.outputs.report import columns, cost_panel, details, motion_panel, panels, single, write_report
 from mavnav.outputs.report.closeups import differing_places
 from mavnav.outputs.report.entry import Entry, load
@@ -149,7 +149,7 @@ def test_a_scan_is_rejected_unless_it_is_lost(entries):
     scans = replace(entries[0].scans, time_s=np.arange(6.0), tracked=np.array([1, 0, 1, 0, 0, 0], bool))
     lost = {"intervals": [{"start_s": 4.0, "end_s": 5.0}]}
     entry = with_document(replace(entries[0], scans=scans), tracking=lost)
-    assert np.flatnonzero(cost_panel.rejected(entry)).tolist() == [1, 3]
+    assert np.flatnonzero(cost_panel.rejected_scans(entry)).tolist() == [1, 3]
 
 
 def test_a_short_scale_of_costs_is_named_too():
@@ -208,7 +208,7 @@ def test_the_close_up_is_where_the_maps_differ(run):
     planted = doubled(run).slam.grid
     (x0, y0), cell_m = grid.origin_xy_m, grid.cell_m
     rows, cols = grid.hits.shape
-    window = Window(x0, x0 + cols * cell_m, y0, y0 + rows * cell_m)
+    window = Viewport(x0, x0 + cols * cell_m, y0, y0 + rows * cell_m)
     first = differing_places([grid, planted, grid], window)[0]
     wall_x, wall_y = x0 + (cols // 2 + 30) * cell_m, y0 + (rows // 2 + 1) * cell_m
     assert abs((first.x0_m + first.x1_m) / 2 - wall_x) < 0.4
@@ -218,7 +218,11 @@ def test_the_close_up_is_where_the_maps_differ(run):
 
 
 def test_close_ups_do_not_overlap():
-    window, empty, walls = Window(0.0, 10.0, 0.0, 10.0), np.zeros((500, 500), np.int32), np.zeros((500, 500), np.int32)
+    window, empty, walls = (
+        Viewport(0.0, 10.0, 0.0, 10.0),
+        np.zeros((500, 500), np.int32),
+        np.zeros((500, 500), np.int32),
+    )
     walls[::50, ::2] = 5
     found = differing_places([Grid(0.02, (0.0, 0.0), h, h) for h in (walls, empty)], window)
     assert len(found) == 3

@@ -15,7 +15,7 @@ from mavnav.outputs.report.summary_page import (
     Summary,
     calibration_summary,
     diff_summary,
-    drawn,
+    draw_png,
     merge_summary,
     write_summary,
 )
@@ -133,7 +133,7 @@ def test_a_picture_is_not_longer_than_a_sheet_of_paper(tmp_path: Path) -> None:
 
 
 def test_a_picture_is_drawn_to_bytes() -> None:
-    assert drawn(lambda path: path.write_bytes(PNG) and None) == PNG
+    assert draw_png(lambda path: path.write_bytes(PNG) and None) == PNG
 
 
 def test_a_file_is_checked_before_the_work(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 from msgspec import convert
 
 from mavnav.pose import Pose
-from mavnav.scan import Attitude, levelled
+from mavnav.scan import Attitude, level_scan
 from mavnav.simulation.world import LASERS, LaserModel, load_scenario, take_scan
 from mavnav.simulation.world.flight import Body, FlightConfig
 from mavnav.simulation.world.laser import tilted_directions
@@ -107,7 +107,7 @@ def test_a_levelled_scan_shows_the_walls_in_the_plane_and_their_heights() -> Non
     tilts = np.repeat(np.array(attitude)[:, None], spec.beams, axis=1)
     room = world_of(WALLS[:1], spatial=True)
     tilted = take_scan(room, Pose(0.2, 0.1, 0.3), LaserModel(spec), np.random.default_rng(0), 0, tilts)
-    flat = levelled(tilted, *attitude)
+    flat = level_scan(tilted, *attitude)
     level = take_scan(room, Pose(0.2, 0.1, 0.3), LaserModel(spec), np.random.default_rng(0), 0)
     off = np.abs(flat.ranges_m - level.ranges_m)
     assert np.nanquantile(off, 0.98) < 1e-3  # all but the corners
