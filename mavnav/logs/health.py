@@ -154,7 +154,7 @@ def _partial(valid: NDArray[np.int64]) -> NDArray[np.intp]:
     if len(valid) <= NEIGHBOURS:
         return np.zeros(0, np.intp)
     padded = np.pad(valid, NEIGHBOURS, mode="reflect")
-    usual = float(np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBOURS + 1), axis=1))
+    usual = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBOURS + 1), axis=1)
     return np.flatnonzero(valid < PARTIAL * usual)
 
 
