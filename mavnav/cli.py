@@ -74,11 +74,10 @@ def _print_version(wanted: bool) -> None:
     if not wanted:
         return
     import platform
-    from importlib.metadata import version
 
-    from mavnav.version import __version__
+    from mavnav.version import __version__, installed_version
 
-    libraries = ", ".join(f"{name} {version(name)}" for name in LIBRARIES)
+    libraries = ", ".join(f"{name} {installed_version(name)}" for name in LIBRARIES)
     emit(f"mavnav {__version__} (Python {platform.python_version()}; {libraries})")
     raise typer.Exit
 

@@ -19,10 +19,10 @@ from mavnav.errors import ConfigError, UsageError
 from mavnav.logs import content_sha256
 from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.documents.addresses import is_address
-from mavnav.outputs.documents.provenance import Typed, installed_version
+from mavnav.outputs.documents.provenance import Typed
 from mavnav.outputs.documents.run_json import Provenance
 from mavnav.outputs.writers import REPORT_FILE
-from mavnav.version import __version__
+from mavnav.version import __version__, installed_version
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -178,17 +178,6 @@ def test_memory_does_not_grow_with_the_file(name: str, tmp_path: Path, monkeypat
     assert large < small + 300_000
 
 
-@pytest.mark.parametrize(("kept_bytes", "given_back"), [(0, 1), (1 << 20, 0)])
-def test_what_the_survey_of_a_long_log_took_is_given_back(
-    kept_bytes: int, given_back: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    calls: list[None] = []
-    monkeypatch.setattr("mavnav.logs.log.KEPT_BYTES", kept_bytes)
-    monkeypatch.setattr("mavnav.logs.opening.trim", lambda: calls.append(None))
-    open_log(write_mcap(tmp_path / "a", drive()))
-    assert len(calls) == given_back
-
-
 def test_extrinsic_takes_the_place_of_the_transforms(tmp_path: Path) -> None:
     log = open_log(write_mcap(tmp_path / "a", drive()), extrinsic=Pose(1.0, 0.0, 0.0))
     assert (log.base_T_laser, log.mounting_source) == (Pose(1.0, 0.0, 0.0), "option")

@@ -15,9 +15,10 @@ import sys
 from contextlib import suppress
 from functools import cache
 from hashlib import sha256
-from importlib.metadata import version
 from pathlib import Path
 from typing import Final, cast
+
+from mavnav.version import installed_version
 
 _IMPORT = re.compile(rb"\nfrom ([\w.]+) import ")  # an eighth of the time that ^ takes
 
@@ -39,7 +40,7 @@ def cache_key() -> str:
     chosen = [os.environ.get(f"NUMBA_{name}", "") for name in names]
     processor = [llvm.get_process_triple(), llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()]
     digest = sha256(repr([*processor, *chosen]).encode()).hexdigest()[:16]
-    return f"numba-{version('numba')}-py{sys.version_info.major}{sys.version_info.minor}-{digest}"
+    return f"numba-{installed_version('numba')}-py{sys.version_info.major}{sys.version_info.minor}-{digest}"
 
 
 def user_directory() -> Path:

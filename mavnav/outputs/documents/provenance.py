@@ -21,16 +21,6 @@ if TYPE_CHECKING:
     from mavnav.outputs.documents.options_section import Options
 
 
-def installed_version(package: str) -> str:
-    """Return the version of an installed package; "none" if there is no such package."""
-    from importlib.metadata import PackageNotFoundError, version  # noqa: PLC0415  only runs that are written need it
-
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "none"
-
-
 def _folder() -> str | None:
     """Return the current folder, None where it is gone."""
     try:

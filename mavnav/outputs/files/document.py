@@ -17,11 +17,10 @@ from mavnav.metrics.fields import ABSENT
 from mavnav.outputs.documents import run_json as model
 from mavnav.outputs.documents import tracking_section as tracking
 from mavnav.outputs.documents.addresses import public_address
-from mavnav.outputs.documents.provenance import installed_version
 from mavnav.outputs.documents.slices_section import attitude_source, map_slices
 from mavnav.outputs.run import base_frame
 from mavnav.units import DEG, MM, NS
-from mavnav.version import __version__
+from mavnav.version import __version__, installed_version
 
 if TYPE_CHECKING:
     from collections.abc import Collection
