@@ -9,7 +9,9 @@ from __future__ import annotations
 from functools import cache
 from math import ceil, floor
 from pathlib import Path
+from struct import pack
 from typing import TYPE_CHECKING, Any, Final
+from zlib import compressobj, crc32
 
 import numpy as np
 from msgspec import Struct
@@ -31,8 +33,10 @@ SMOOTH: Final = 2
 """Lines are drawn on a mask so many times as large, which is then reduced: so their edges are smooth."""
 POINT: Final = DPI / 72.0  # pixels
 
-COMPRESSION: Final = 3
-"""Level of zlib for PNG: 6 takes a third longer for files that are a fifth smaller."""
+_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
+_RGB, _FROM_ABOVE = 2, 2
+"""Colour type and filter type of the PNG specification."""
+_BAND_ROWS: Final = 64
 
 
 def rgb_of(colour: str) -> tuple[int, int, int]:
@@ -107,7 +111,27 @@ class Canvas(Struct, frozen=True):
 
     def save(self, path: Path) -> None:
         """Write a PNG; the bytes follow from the picture alone."""
-        self.image.save(path, "png", compress_level=COMPRESSION)
+        path.write_bytes(png(self.image))
+
+
+def png(image: Image.Image) -> bytes:
+    """Encode an RGB image as PNG, each row as its difference from the row above.
+
+    Pillow tries five encodings of every row, which takes four times as long for files of the same size. A band of rows
+    stays in the processor's cache: 8 ms a picture instead of 20.
+    """
+    width, height = image.size
+    stream, parts, above = compressobj(level=2), [], np.zeros(3 * width, np.uint8)
+    rows = np.full((_BAND_ROWS, 1 + 3 * width), _FROM_ABOVE, np.uint8)
+    for top in range(0, height, _BAND_ROWS):
+        band = np.asarray(image.crop((0, top, width, min(top + _BAND_ROWS, height)))).reshape(-1, 3 * width)
+        np.subtract(band[0], above, out=rows[0, 1:])
+        np.subtract(band[1:], band[:-1], out=rows[1 : len(band), 1:])
+        parts.append(stream.compress(rows[: len(band)].data))
+        above = band[-1]
+    header = pack(">IIBBBBB", width, height, 8, _RGB, 0, 0, 0)
+    chunks = ((b"IHDR", header), (b"IDAT", b"".join((*parts, stream.flush()))), (b"IEND", b""))
+    return _SIGNATURE + b"".join(pack(">I", len(d)) + name + d + pack(">I", crc32(name + d)) for name, d in chunks)
 
 
 def stroke(on: Any, points: Points, width_pt: float, opacity: float = 1.0) -> None:  # noqa: ANN401

@@ -1,9 +1,12 @@
 """Pictures: there, of a sane size, and drawn from any map."""
 
+from io import BytesIO
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from msgspec.structs import replace
 from PIL import Image
 
@@ -12,7 +15,7 @@ from mavnav.mapping.tiled_arrays import max_pool
 from mavnav.metrics.map_quality import measure_map
 from mavnav.metrics.wall_spread import WallCuts
 from mavnav.outputs.pictures import map_axes, map_picture, merged_picture, wall_picture
-from mavnav.outputs.pictures.canvas import Canvas, font, rgb_of
+from mavnav.outputs.pictures.canvas import Canvas, font, png, rgb_of
 from mavnav.outputs.pictures.plot import Axes, legend_room, legend_width, ticks
 from mavnav.outputs.pictures.viewport import Viewport, window_of
 from mavnav.pose import Pose, Trajectory
@@ -222,6 +225,12 @@ def test_pictures_repeat_to_the_byte(run, write, tmp_path):
     for name in ("a.png", "b.png"):
         write(run, tmp_path / name)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+@given(arrays(np.uint8, st.tuples(st.sampled_from([1, 2, 5, 63, 64, 65, 130]), st.integers(1, 5), st.just(3))))
+def test_a_png_holds_every_pixel(pixels):
+    with Image.open(BytesIO(png(Image.fromarray(pixels)))) as image:
+        np.testing.assert_array_equal(np.asarray(image), pixels)
 
 
 def test_a_line_is_broken_where_a_point_is_missing():
