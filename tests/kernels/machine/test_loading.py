@@ -56,7 +56,7 @@ def test_arguments_of_other_types_are_refused(wrong: Any) -> None:
 def test_arrays_that_a_kernel_writes_must_be_writable() -> None:
     out = np.ones((3, 2))
     out.flags.writeable = False
-    with pytest.raises(TypeError, match="placed takes other arguments"):
+    with pytest.raises(TypeError, match="place_points takes other arguments"):
         place_points(np.ones((3, 2)), np.zeros(3), out)
 
 
