@@ -1,6 +1,6 @@
 """Outputs: the files of a run, each by one writer, and the directory that holds them.
 
-A new file is one function ``(Run, Path) -> None`` and one line in `WRITERS`.
+A new file is one function ``(RunResult, Path) -> None`` and one line in `GROUPS`.
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
     from mavnav.outputs.run import RunResult
 
+    Writer = Callable[[RunResult, Path], None]
+
 REPORT_FILE: Final = "report.html"
 
 
@@ -39,42 +41,37 @@ def _late(module: str, run: RunResult, path: Path) -> None:
     import_module(f"mavnav.outputs.{module}").write(run, path)
 
 
-WRITERS: Final[dict[str, Callable[[RunResult, Path], None]]] = {
-    "trajectory.tum": write_tum,
-    "trajectory_base.tum": write_base_tum,
-    "trajectory.csv": write_csv,
-    "truth.tum": write_truth_tum,
-    TRUE_WALLS_FILE: write_true_walls,
-    "map.pgm": write_pgm,
-    "map.yaml": write_yaml,
-    "hits.npz": write_npz,
-    "map.svg": partial(_late, "pictures.vector_map"),
-    "map_scale.png": partial(_late, "pictures.scale_map"),
-    "map_scale.yaml": partial(_late, "pictures.scale_map"),
-    "pose_graph.g2o": partial(_late, "files.graph_file"),
-    "walls.csv": partial(_late, "files.wall_table"),
-    "wall_thickness.png": partial(_late, "pictures.wall_picture"),  # first: smaller pictures reuse its memory
-    "map.png": partial(_late, "pictures.map_picture"),
-    "true_map.png": partial(_late, "pictures.mission_picture"),
-    "map_3d.png": partial(_late, "pictures.slices_picture"),
-    "result.mcap": partial(_late, "files.replay_log"),
-    "foxglove_layout.json": partial(_late, "files.foxglove_layout"),
-    "metrics.json": write_metrics,
+GROUPS: Final[dict[str, dict[str, Writer]]] = {
+    "trajectory": {
+        "trajectory.tum": write_tum,
+        "trajectory_base.tum": write_base_tum,
+        "trajectory.csv": write_csv,
+        "truth.tum": write_truth_tum,
+        TRUE_WALLS_FILE: write_true_walls,
+    },
+    "map": {"map.pgm": write_pgm, "map.yaml": write_yaml, "hits.npz": write_npz},
+    "metrics": {"walls.csv": partial(_late, "files.wall_table"), "metrics.json": write_metrics},
+    "pictures": {
+        "wall_thickness.png": partial(_late, "pictures.wall_picture"),  # first: smaller pictures reuse its memory
+        "map.png": partial(_late, "pictures.map_picture"),
+        "true_map.png": partial(_late, "pictures.mission_picture"),
+    },
+    "mcap": {
+        "result.mcap": partial(_late, "files.replay_log"),
+        "foxglove_layout.json": partial(_late, "files.foxglove_layout"),
+    },
+    "report": {},
+    "slices": {"map_3d.png": partial(_late, "pictures.slices_picture")},
+    "svg": {"map.svg": partial(_late, "pictures.vector_map")},
+    "scale": dict.fromkeys(("map_scale.png", "map_scale.yaml"), partial(_late, "pictures.scale_map")),
+    "graph": {"pose_graph.g2o": partial(_late, "files.graph_file")},
 }
+"""The files of a run and their writers, in groups by the names of ``--outputs``; run.json is always written.
 
-GROUPS: Final[dict[str, tuple[str, ...]]] = {
-    "trajectory": ("trajectory.tum", "trajectory_base.tum", "trajectory.csv", "truth.tum", TRUE_WALLS_FILE),
-    "map": ("map.pgm", "map.yaml", "hits.npz"),
-    "metrics": ("walls.csv", "metrics.json"),
-    "pictures": ("map.png", "true_map.png", "wall_thickness.png"),
-    "mcap": ("result.mcap", "foxglove_layout.json"),
-    "report": (REPORT_FILE,),
-    "slices": ("map_3d.png",),
-    "svg": ("map.svg",),
-    "scale": ("map_scale.png", "map_scale.yaml"),
-    "graph": ("pose_graph.g2o",),
-}
-"""The files of a run by the names of ``--outputs``; run.json is always written. Those of slices are named by height."""
+The page is written last. Files of slices are named by height.
+"""
+
+WRITERS: Final[dict[str, Writer]] = {name: write for files in GROUPS.values() for name, write in files.items()}
 
 ALL: Final = "all"
 """The name of all groups."""

@@ -1,4 +1,4 @@
-"""The passes over a whole log, in order; the number beside each is its step in docs/method.md."""
+"""The passes over a whole log, as they run; the number beside each is its step in docs/method.md."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from mavnav.slam.loop_closure.remap import close_loops
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.methods.registry import make_method
 from mavnav.slam.recovery.parts import drop_late_poses, join_lost_parts
-from mavnav.slam.recovery.rematch import rematch_beginning, rematch_rejected, remove_dynamic_cells
+from mavnav.slam.recovery.rematch import rematch_beginning, rematch_rejected
 from mavnav.slam.refinement.contradicted import drop_contradicted
-from mavnav.slam.refinement.refine import match_deskewed, redraw_map, refine_against_final_map
+from mavnav.slam.refinement.refine import match_deskewed, redraw_map, refine_against_final_map, remove_dynamic_cells
 from mavnav.slam.refinement.smoothing import smooth_jitter
 from mavnav.slam.result import summarize
 from mavnav.slam.retries.attempt import try_again
@@ -88,8 +88,7 @@ def run_slam(
     config : the method, its search grids and its parameters
     period_s : the sensor's time between scans, 0 if unknown
     odom_T_laser : odometry of the laser, used as the prediction
-    on_step : called with the name of the pass ("track", "track again", "close loops", "final pass") and the number of
-        scans done
+    on_step : called with the name of the pass ("track", "close loops", "final pass", ...) and the number of scans done
     prior_map : localize in this map, which is not changed, instead of building one
     rotation : measurements of an inertial sensor: its yaw rate predicts turns where odometry does not, its tilt is
         evidence of motion that is not planar

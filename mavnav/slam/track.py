@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     LogScans = Callable[[], Iterable[Scan]]
     """Return the scans of a log; every call starts at the first scan."""
     OnStep = Callable[[str, int], None]
-    """Called with the name of the pass ("track", "track again", "close loops", "final pass") and the scans done."""
+    """Called with the name of the pass ("track", "close loops", "final pass", ...) and the scans done."""
     Pass = Callable[["Track", Refiner], "Track"]
     """Return the track after a pass with its method's refiner, unchanged where the pass does not apply."""
     Until = Callable[[Iterable[Step]], Iterator[Step]]

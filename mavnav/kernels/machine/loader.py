@@ -105,14 +105,15 @@ def _c_functions() -> dict[str, int]:
 
 
 @cache
-def _object_of(content: bytes) -> Any:  # noqa: ANN401
-    return pickle.loads(content)  # noqa: S301  a part of the machine code
+def _object_at(content: int, size: int, _digest: int) -> Any:  # noqa: ANN401
+    return pickle.loads(ctypes.string_at(content, size))  # noqa: S301  a part of the machine code
 
 
-_UNPICKLE = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.c_int, ctypes.c_void_p)(
-    lambda content, size, _digest: _object_of(ctypes.string_at(content, size))
-)
-"""What machine code calls for the type of an array that it returns; numba's own function imports numba for it."""
+_UNPICKLE = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.c_int, ctypes.c_void_p)(_object_at)
+"""What machine code calls for the type of an array that it returns; numba's own function imports numba for it.
+
+After the first call the cache answers in C: a signal handler of Python, which may raise, cannot run in between.
+"""
 
 
 def _address_of(function: Any) -> int:  # noqa: ANN401

@@ -93,7 +93,7 @@ def _search_polar(
         about_laser=paper.expert.pivot == "laser",
         either=paper.expert.converged == "either",
     )
-    beams = len(points) if paper.expert.min_beams_of == "valid" else spec.beams
+    all_beams = len(points) if paper.expert.min_beams_of == "valid" else spec.beams
     limits = polar_cost.Limits(
         first_rad=spec.angle_min_rad,
         step_rad=spec.angle_step_rad,
@@ -101,9 +101,7 @@ def _search_polar(
         far_m=paper.far_m,
         occlusion_m=paper.expert.occlusion_m,
         edge_m=paper.expert.mixed_pixel_m,
-        fewest_beams=max(
-            3.0, paper.expert.min_beams_share * (len(points) if paper.expert.min_beams_of == "valid" else spec.beams)
-        ),
+        fewest_beams=max(3.0, paper.expert.min_beams_share * all_beams),
         counted=paper.expert.occluded == "counted",
     )
     x, y, yaw, cost, used, evaluations, iterations, converged = polar_search.search(

@@ -102,9 +102,3 @@ def rematch(
         return step
     track.method.insert(scan, match.map_T_laser, here)
     return step._replace(match=with_effort(match, step.match, match), tracked=True)
-
-
-def remove_dynamic_cells(track: Track, refiner: Refiner) -> Track:
-    """Remove the hits of people and other moving things from the map."""
-    refiner.remove_dynamic_cells()
-    return track

@@ -37,6 +37,12 @@ BATCH_SCANS = 16
 """Number of scans for which each operation runs in turn: its code and data stay in the processor's caches."""
 
 
+def remove_dynamic_cells(track: Track, refiner: Refiner) -> Track:
+    """Remove the hits of people and other moving things from the map."""
+    refiner.remove_dynamic_cells()
+    return track
+
+
 def refine_against_final_map(track: Track, refiner: Refiner) -> Track:
     """Match every tracked scan against the finished map; without odometry, warn where its geometry is degenerate.
 

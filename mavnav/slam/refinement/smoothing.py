@@ -10,6 +10,7 @@ import numpy as np
 
 from mavnav.kernels.scans.rts_smoother import smooth
 from mavnav.profiling import timed
+from mavnav.slam.matching.motion_model import LONGEST_S
 from mavnav.slam.matching.steps import jumps, tracked_trajectory
 from mavnav.units import NS
 
@@ -30,9 +31,6 @@ STIFFNESSES = 2.0 ** np.arange(-6, 32, 0.5)
 
 UNCERTAIN_SHARE = 1 / 7
 """Position error of one match as a share of its RMS point-to-line distance (about 1/sqrt(50))."""
-
-LONGEST_S = 1.2
-"""Longest gap within a stretch, s."""
 
 
 def smooth_jitter(track: Track, _refiner: Refiner) -> Track:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from hashlib import sha256
@@ -278,3 +279,35 @@ def test_machine_code_for_another_processor_has_another_key(monkeypatch: pytest.
     key = cache_key.__wrapped__()
     monkeypatch.setattr(llvm, "get_host_cpu_name", lambda: "another")
     assert cache_key.__wrapped__() != key
+
+
+STORM = """
+import signal
+import numpy as np
+from mavnav.kernels.planning.potential import clearance
+
+class Stop(Exception):
+    pass
+
+def stop(*_):
+    raise Stop
+
+def call_until_stopped():
+    while True:
+        clearance(walls, points)
+
+walls, points = np.ones((4, 2)), np.ones((3, 2))
+clearance(walls, points)
+signal.signal(signal.SIGALRM, stop)
+for _ in range(2000):
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.0002)
+        call_until_stopped()
+    except Stop:
+        pass
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers here")
+def test_a_signal_handler_that_raises_never_ends_the_process() -> None:
+    subprocess.run([sys.executable, "-c", STORM], check=True, capture_output=True)
