@@ -176,6 +176,9 @@ def read_model(model: type[Model], layer: Layer, name: str = "configuration") ->
         return convert(layer.tree(), model)
     except ValidationError as error:
         raise ConfigError(_error_message(model, str(error), layer, name)) from error
+    except UnicodeEncodeError as error:  # half of a surrogate pair, where a word of a list is expected
+        key = next((key for key, value in layer.values.items() if value == error.object), ())
+        raise ConfigError(f"{origin(layer, key, name)}: {error.object!r} is no text; write plain characters") from error
 
 
 def origin(layer: Layer, key: Key, name: str = "configuration") -> str:

@@ -112,7 +112,7 @@ def _collect(node: yaml.MappingNode, key: Key, name: str, layer: Layer) -> None:
     """Add the values of a mapping and their lines to ``layer``, recursively; an empty mapping is a value."""
     for key_node, value_node in node.value:
         line = _line(key_node.start_mark)
-        if not isinstance(key_node, yaml.ScalarNode):
+        if not (isinstance(key_node, yaml.ScalarNode) and key_node.value.isprintable()):
             raise ConfigError(f"{name}:{line}: a key is no plain word; write 'key: value' lines")
         child = (*key, str(key_node.value))
         if child in layer.origins:
