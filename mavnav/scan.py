@@ -144,11 +144,7 @@ class Scan(Struct, frozen=True):
 
 
 def level_scan(
-    scan: Scan,
-    roll_rad: Floats | float,
-    pitch_rad: Floats | float,
-    height_m: Floats | float,
-    ceiling_m: float = inf,
+    scan: Scan, roll_rad: Floats | float, pitch_rad: Floats | float, height_m: Floats | float, ceiling_m: float = inf
 ) -> Scan:
     """Return a scan of a tilted laser projected to the horizontal plane, on the same even bearings.
 

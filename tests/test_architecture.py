@@ -237,11 +237,7 @@ def test_only_the_command_line_prints_and_exits() -> None:
     assert wrong == []
 
 
-@pytest.mark.parametrize(
-    "args",
-    [["--help"], *([name, "--help"] for name in COMMANDS)],
-    ids=" ".join,
-)
+@pytest.mark.parametrize("args", [["--help"], *([name, "--help"] for name in COMMANDS)], ids=" ".join)
 def test_help_imports_no_heavy_library(args: list[str]) -> None:
     code = (
         "import sys\nfrom mavnav.cli import run\nassert run(sys.argv[1:]) == 0\n"

@@ -68,22 +68,17 @@ def batch(
     *,
     schema: Annotated[bool, schema_option(help="Print the JSON Schema of manifests.")] = False,
     methods: Methods = None,
-    grids: Annotated[
-        list[str] | None,
-        shared_option("grid", help="Search grid; repeatable (default 10x10)."),
-    ] = None,
+    grids: Annotated[list[str] | None, shared_option("grid", help="Search grid; repeatable (default 10x10).")] = None,
     azimuths: Azimuths = None,
     config: ConfigFile = None,
     sets: Sets = None,
     directory: Annotated[
-        Path | None,
-        directory_option(help="Output directory (default runs/batch, or runs/batch-MANIFEST)."),
+        Path | None, directory_option(help="Output directory (default runs/batch, or runs/batch-MANIFEST).")
     ] = None,
     force: RunAgain = False,
     pages: Annotated[bool, output_option("--report", help="Also write a page for every run.")] = False,
     json: Annotated[
-        bool,
-        output_option("--json", help="Print one line of JSON for each run, then one for all."),
+        bool, output_option("--json", help="Print one line of JSON for each run, then one for all.")
     ] = False,
     junit: Annotated[Path | None, output_option(metavar="FILE", help="Write JUnit XML for CI.")] = None,
     summary: Annotated[
@@ -93,8 +88,7 @@ def batch(
         ),
     ] = None,
     annotations: Annotated[
-        bool,
-        output_option("--annotations", help="Print GitHub annotations on stderr (default on GitHub)."),
+        bool, output_option("--annotations", help="Print GitHub annotations on stderr (default on GitHub).")
     ] = False,
     quiet: Quiet = False,
     gates: Gates = None,
@@ -110,8 +104,7 @@ def batch(
         ),
     ] = None,
     update_baseline: Annotated[
-        bool,
-        check_option("--update-baseline", help="Overwrite the baseline file with this batch."),
+        bool, check_option("--update-baseline", help="Overwrite the baseline file with this batch.")
     ] = False,
     jobs: Jobs = None,
     timeout: Annotated[
@@ -124,8 +117,7 @@ def batch(
         ),
     ] = None,
     tries: Annotated[
-        int | None,
-        resource_option(min=1, metavar="N", help="Attempts if the process of a run is killed (default 3)."),
+        int | None, resource_option(min=1, metavar="N", help="Attempts if the process of a run is killed (default 3).")
     ] = None,
     scheduler: Annotated[
         str | None,
@@ -135,8 +127,7 @@ def batch(
         ),
     ] = None,
     part: Annotated[
-        str | None,
-        resource_option(metavar="I/N", help="Run part I of N (default all); all parts share --output."),
+        str | None, resource_option(metavar="I/N", help="Run part I of N (default all); all parts share --output.")
     ] = None,
     **given: object,
 ) -> None:

@@ -64,10 +64,7 @@ def compare(
     azimuths: Azimuths = None,
     config: ConfigFile = None,
     sets: Sets = None,
-    directory: Annotated[
-        Path | None,
-        directory_option(help="Output directory (default runs/compare-LOG)."),
-    ] = None,
+    directory: Annotated[Path | None, directory_option(help="Output directory (default runs/compare-LOG).")] = None,
     force: RunAgain = False,
     jobs: Jobs = None,
     preview: Preview = False,

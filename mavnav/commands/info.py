@@ -198,11 +198,7 @@ def _odometry(log: Log) -> dict[str, Any] | None:
 def _mounting(log: Log) -> dict[str, Any] | None:
     if log.base_T_laser is None:
         return None
-    return {
-        "source": log.mounting_source,
-        "base_frame": log.base_frame,
-        **log.base_T_laser._asdict(),
-    }
+    return {"source": log.mounting_source, "base_frame": log.base_frame, **log.base_T_laser._asdict()}
 
 
 def _print_result(document: dict[str, Any], *, json: bool) -> None:

@@ -145,8 +145,7 @@ RunAgain = Annotated[bool, output_option("--force", help="Ignore finished runs a
 Json = Annotated[bool, output_option("--json", help="Print one JSON document on stdout and nothing else.")]
 Quiet = Annotated[bool, output_option("--quiet", "-q", help="Show no progress.")]
 Jobs = Annotated[
-    int | None,
-    resource_option("--jobs", "-j", min=1, metavar="N", help="Parallel runs (default one a core)."),
+    int | None, resource_option("--jobs", "-j", min=1, metavar="N", help="Parallel runs (default one a core).")
 ]
 
 

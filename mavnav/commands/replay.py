@@ -32,13 +32,7 @@ from mavnav.commands.options import (
     with_options,
 )
 from mavnav.commands.progress import REPLAY, loading_modules, reporting
-from mavnav.commands.quality_rows import (
-    closing_rows,
-    doubt_rows,
-    quality_rows,
-    reference_rows,
-    wall_rows,
-)
+from mavnav.commands.quality_rows import closing_rows, doubt_rows, quality_rows, reference_rows, wall_rows
 from mavnav.commands.terminal import emit, emit_json, note, print_table
 from mavnav.config.options import OPTIONS, REFERENCES, read_options, settings_of
 from mavnav.errors import ExitCode, UsageError
@@ -74,8 +68,7 @@ def replay(
     config: ConfigFile = None,
     sets: Sets = None,
     directory: Annotated[
-        Path | None,
-        directory_option(help="Run directory (default runs/LOG-METHOD-YAW-GRID)."),
+        Path | None, directory_option(help="Run directory (default runs/LOG-METHOD-YAW-GRID).")
     ] = None,
     force: Force = False,
     report: WriteReport = False,

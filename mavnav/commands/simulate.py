@@ -101,12 +101,10 @@ def simulate(
     config: ConfigFile = None,
     sets: ScenarioSets = None,
     directory: Annotated[
-        Path | None,
-        directory_option(help="Run directory (default runs/SCENARIO-METHOD-YAW-GRID)."),
+        Path | None, directory_option(help="Run directory (default runs/SCENARIO-METHOD-YAW-GRID).")
     ] = None,
     record: Annotated[
-        Path | None,
-        output_option(metavar="FILE", help="Record the mission: .mcap, .bag, or a ROS 2 folder."),
+        Path | None, output_option(metavar="FILE", help="Record the mission: .mcap, .bag, or a ROS 2 folder.")
     ] = None,
     animate: Annotated[Path | None, output_option(metavar="FILE.gif", help="Also write an animation.")] = None,
     force: Force = False,

@@ -81,11 +81,7 @@ class LineMap(Struct):
         return FAR + 1 - 1e-9 - (distance_m / self.cell_m) ** 2
 
     def costs(
-        self,
-        points: NDArray[np.float64],
-        xy_m: NDArray[np.float64],
-        yaws_rad: NDArray[np.float64],
-        truncate_m: float,
+        self, points: NDArray[np.float64], xy_m: NDArray[np.float64], yaws_rad: NDArray[np.float64], truncate_m: float
     ) -> NDArray[np.float64]:
         """Return the costs (q, p) of points (n, 2), m, laser frame, at positions (p, 2), m, and yaws (q,), rad; m2."""
         return pose_costs(points, xy_m, yaws_rad, truncate_m, self.nearest, self.lines, self.geometry)

@@ -24,12 +24,7 @@ class Line(Struct, frozen=True):
 
 
 def link(
-    xy_m: NDArray[np.float64],
-    direction_rad: NDArray[np.float64],
-    *,
-    reach_m: float,
-    across_m: float,
-    turn_rad: float,
+    xy_m: NDArray[np.float64], direction_rad: NDArray[np.float64], *, reach_m: float, across_m: float, turn_rad: float
 ) -> NDArray[np.int32]:
     """Return the group number of each point (n,); points (n, 2) are linked along their direction.
 

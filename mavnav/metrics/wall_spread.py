@@ -217,11 +217,7 @@ def _ridges(halves: Array, bin_m: float) -> tuple[Array, Array, Array]:
     count = hits.sum(axis=1)
     middle = (hits @ np.arange(bins)) / np.maximum(count, 1e-12) - bins // 2
     ended = (first > 0) & (last < bins - 1) & (smooth[0][rows, peak] > 0.0)
-    return (
-        np.where(count > 0.0, middle, 0.0) * bin_m,
-        np.where(ended, (high - low) * bin_m, np.inf),
-        0.5 * count,
-    )
+    return (np.where(count > 0.0, middle, 0.0) * bin_m, np.where(ended, (high - low) * bin_m, np.inf), 0.5 * count)
 
 
 def _smooth(profile: Array) -> Array:

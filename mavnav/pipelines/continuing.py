@@ -110,11 +110,7 @@ def continue_run(
     placed = trajectories(group)
     total = sum(map(len, placed))
     grid, poses = merged_map(
-        group.sessions,
-        placed,
-        config,
-        range(len(earlier)),
-        lambda phase, done: progress(f"both: {phase}", done, total),
+        group.sessions, placed, config, range(len(earlier)), lambda phase, done: progress(f"both: {phase}", done, total)
     )
     moved = [replace(member, map_T_laser=path) for member, path in zip(group.sessions, poses, strict=True)]
     return Continuation(in_map(outcome, moved[-1], grid), section(run, join, moved[:-1]), tuple(moved[:-1]))

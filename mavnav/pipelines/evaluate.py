@@ -84,11 +84,7 @@ def evaluate(paths: list[Path], references: References, progress: Progress) -> d
     for number, (path, what) in enumerate(zip(paths, subjects, strict=True)):
         progress("measuring", number, len(paths))
         documents.append(_document(path, what, references))
-    return {
-        "schema_version": SCHEMA_VERSION,
-        "mavnav_version": __version__,
-        "maps": documents,
-    }
+    return {"schema_version": SCHEMA_VERSION, "mavnav_version": __version__, "maps": documents}
 
 
 def subject(path: Path) -> Subject:

@@ -192,12 +192,7 @@ def _start_pose(options: ReplayOptions[Path]) -> Pose | None:
 
 
 def _track_and_write(
-    request: ReplayRequest,
-    log: Log,
-    given: Given,
-    progress: Progress,
-    stop: Stop,
-    began: Timing,
+    request: ReplayRequest, log: Log, given: Given, progress: Progress, stop: Stop, began: Timing
 ) -> tuple[RunResult, dict[str, Any]]:
     """Track, measure and write; ``began`` holds the clocks as they stood at the start."""
     outcome = _track(log, request.config, given.known, progress, stop)

@@ -47,12 +47,7 @@ class Session(Struct, frozen=True):
 
 
 def make_session(
-    name: str,
-    scans: Callable[[], Iterable[Scan]],
-    map_T_laser: Trajectory,
-    config: Config,
-    *,
-    doubtful: bool = False,
+    name: str, scans: Callable[[], Iterable[Scan]], map_T_laser: Trajectory, config: Config, *, doubtful: bool = False
 ) -> Session:
     """Choose the key frames of a session; raises ValueError where the scans are not those of the trajectory."""
     path_of, method, keys = key_paths_m(map_T_laser.xyyaw), Robust(config), list[KeyFrame]()

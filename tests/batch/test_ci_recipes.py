@@ -92,11 +92,7 @@ def test_make(recorder: Path, recipes: list[tuple[str, str]]) -> None:
 def test_slurm(recorder: Path, recipes: list[tuple[str, str]]) -> None:
     task, submit = (block(recipes, "bash", words) for words in ("#SBATCH", "--wrap"))
     for number in (1, 2):
-        slurm = {
-            "SLURM_ARRAY_TASK_ID": str(number),
-            "SLURM_ARRAY_TASK_COUNT": "2",
-            "SLURM_CPUS_PER_TASK": "1",
-        }
+        slurm = {"SLURM_ARRAY_TASK_ID": str(number), "SLURM_ARRAY_TASK_COUNT": "2", "SLURM_CPUS_PER_TASK": "1"}
         subprocess.run(["bash", "-eu", "-c", task], check=True, capture_output=True, env={**os.environ, **slurm})
     subprocess.run(["bash", "-eu", "-c", submit], check=True)
     assert [run([*line.split(), "-q"]) for line in calls(recorder, "mavnav")] == [0, 0]

@@ -71,10 +71,7 @@ def test_outcomes_come_in_order_and_events_as_they_happen(cluster: Cluster, tmp_
     outcomes = outcomes_of(cluster, jobs, events.append)
     assert [outcome.status for outcome in outcomes] == [Status.DONE, Status.FAILED, Status.FAILED, Status.DONE]
     assert outcomes[0].value == 49
-    assert (outcomes[1].exit_code, outcomes[1].error) == (
-        ExitCode.NO_SCANS,
-        "empty.bag: no scans; choose another",
-    )
+    assert (outcomes[1].exit_code, outcomes[1].error) == (ExitCode.NO_SCANS, "empty.bag: no scans; choose another")
     assert outcomes[2].exit_code == ExitCode.BUG
     assert outcomes[3].value == str(tmp_path)
     for kind in (Started, Ended):
@@ -202,10 +199,7 @@ def test_where_something_else_answers(tmp_path: Path, monkeypatch: pytest.Monkey
 
 def test_without_dask(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with (
-        pytest.raises(UsageError, match=r"install mavnav\[cluster\]"),
-        connect(LOCAL, tmp_path, 1, None, 1),
-    ):
+    with pytest.raises(UsageError, match=r"install mavnav\[cluster\]"), connect(LOCAL, tmp_path, 1, None, 1):
         pass
 
 

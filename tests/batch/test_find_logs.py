@@ -133,10 +133,7 @@ def test_a_folder_that_cannot_be_read(logs: Path, monkeypatch: pytest.MonkeyPatc
 
 @pytest.mark.parametrize(
     ("pattern", "error", "said"),
-    [
-        ("empty", NoScansError, "empty: no logs in this folder"),
-        ("*.mcapp", UsageError, "nothing fits this pattern"),
-    ],
+    [("empty", NoScansError, "empty: no logs in this folder"), ("*.mcapp", UsageError, "nothing fits this pattern")],
 )
 def test_what_stands_for_no_log_says_so(logs: Path, pattern: str, error: type, said: str) -> None:
     (logs / "empty").mkdir()

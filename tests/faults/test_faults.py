@@ -11,15 +11,7 @@ from mavnav import atomic_files
 from mavnav.atomic_files import beside
 from support.faults import Disk, failing, faults_of, make_trial, spread, tree, trials
 
-FAULTS = {
-    "config": 1,
-    "convert": 9,
-    "replay --force": 2,
-    "check": 1,
-    "metrics": 1,
-    "simulate": 1,
-    "batch": 2,
-}
+FAULTS = {"config": 1, "convert": 9, "replay --force": 2, "check": 1, "metrics": 1, "simulate": 1, "batch": 2}
 """How many operations fail per command; benchmarks/fuzz_faults.py lets all of them fail."""
 
 

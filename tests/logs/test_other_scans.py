@@ -109,8 +109,7 @@ def truth(add_m: float | np.ndarray = 0.0) -> list[np.ndarray]:
 
 
 @pytest.mark.parametrize(
-    ("part", "add_m"),
-    [("", 0.0), ("/first", 0.0), ("/last", 0.5), ("/strongest", 0.5 * (np.arange(SPEC.beams) % 2))],
+    ("part", "add_m"), [("", 0.0), ("/first", 0.0), ("/last", 0.5), ("/strongest", 0.5 * (np.arange(SPEC.beams) % 2))]
 )
 def test_echoes(part: str, add_m: float | np.ndarray, tmp_path: Path) -> None:
     path = written(tmp_path / "a.mcap", echoes=echoes, scan=laser)

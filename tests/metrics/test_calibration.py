@@ -22,12 +22,7 @@ from support.robots import Robot, odometry_of, path_of, perfect_track
 from support.synthetic import DEG
 
 CROOKED = Robot(
-    Pose(0.12, -0.05, 2.5),
-    offset_s=0.21,
-    distance_scale=1.06,
-    turn_scale=0.95,
-    veer_rad_m=1.5 * DEG,
-    speed_m_s=0.6,
+    Pose(0.12, -0.05, 2.5), offset_s=0.21, distance_scale=1.06, turn_scale=0.95, veer_rad_m=1.5 * DEG, speed_m_s=0.6
 )
 
 

@@ -341,12 +341,7 @@ def test_sweeps_are_straightened() -> None:
     """Without other errors: ATE 2 to 3 mm, and 10 to 12 mm where sweeps are taken as if at rest (three seeds)."""
     errors = {}
     for deskew in ("on", "off"):
-        settings = {
-            **CLEAN,
-            "laser.moving": True,
-            "slam.robust.deskew": deskew,
-            "slam.final_pass": False,
-        }
+        settings = {**CLEAN, "laser.moving": True, "slam.robust.deskew": deskew, "slam.final_pass": False}
         flight = flown("complex", settings)
         assert flight.mission.reached
         assert flight.scans[0].spec.time_increment_s > 0

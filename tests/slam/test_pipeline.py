@@ -24,17 +24,7 @@ from mavnav.slam.methods.registry import METHODS, RARE_KERNELS
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.result import SlamResult, jump_warnings
 from mavnav.slam.retries.odometry import EARLY_STEPS
-from support.synthetic import (
-    LDS_01,
-    TOUR,
-    Recording,
-    along,
-    drifting_odometry,
-    furnished_rooms,
-    record,
-    room,
-    scan_at,
-)
+from support.synthetic import LDS_01, TOUR, Recording, along, drifting_odometry, furnished_rooms, record, room, scan_at
 
 PERIOD_S = 0.1
 

@@ -124,11 +124,7 @@ def turn_sums(
 
 @helper
 def least_turn(
-    points: NDArray[np.float64],
-    middle: Middle,
-    window: SearchWindow,
-    turns: NDArray[np.float64],
-    line_map: Lines,
+    points: NDArray[np.float64], middle: Middle, window: SearchWindow, turns: NDArray[np.float64], line_map: Lines
 ) -> int:
     """Return the index of the yaw sample of least cost, with the lines found separately for every candidate."""
     azimuths, half_rad, pruned = turns.shape[1], window.half_rad, window.prune

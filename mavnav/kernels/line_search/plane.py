@@ -95,11 +95,7 @@ def _nodes(middle_m: float, half_m: float, count: int) -> tuple[NDArray[np.float
 
 @helper
 def shift_sums(
-    points: NDArray[np.float64],
-    middle: Middle,
-    window: SearchWindow,
-    sums: NDArray[np.float64],
-    line_map: Lines,
+    points: NDArray[np.float64], middle: Middle, window: SearchWindow, sums: NDArray[np.float64], line_map: Lines
 ) -> None:
     """Add the costs of all shifts of the rotated points to ``sums`` (ny, nx), exact except for rounding.
 
@@ -164,12 +160,7 @@ def shift_sums(
 
 @helper
 def least_shift(
-    points: NDArray[np.float64],
-    middle: Middle,
-    window: SearchWindow,
-    nx: int,
-    ny: int,
-    line_map: Lines,
+    points: NDArray[np.float64], middle: Middle, window: SearchWindow, nx: int, ny: int, line_map: Lines
 ) -> int:
     """Return the index j nx + i of the shift of least cost, with the lines found separately for every candidate."""
     n, pruned, truncate_m2 = points.shape[1], window.prune, window.truncate_m2

@@ -63,10 +63,7 @@ def show_ends(
 
 @helper
 def _mark_near(
-    ends: NDArray[np.float64],
-    passes: NDArray[np.uint16],
-    shielded: NDArray[np.int16],
-    cells: NDArray[np.int64],
+    ends: NDArray[np.float64], passes: NDArray[np.uint16], shielded: NDArray[np.int16], cells: NDArray[np.int64]
 ) -> int:
     """List each cell near points (n, 2), in cells, once; return their number.
 

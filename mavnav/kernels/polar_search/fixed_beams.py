@@ -52,11 +52,7 @@ class Sight(NamedTuple):
 
 @helper
 def reach_of(
-    scan: Beams,
-    motion: NDArray[np.float64],
-    window: HalfWindow,
-    r: NDArray[np.float64],
-    reach: Reach,
+    scan: Beams, motion: NDArray[np.float64], window: HalfWindow, r: NDArray[np.float64], reach: Reach
 ) -> tuple[float, float]:
     """Write the largest motion of each point on the grid: in m, in beams, and in beams relative to the point before.
 
@@ -94,12 +90,7 @@ def sweep(scan: Beams, beam: NDArray[np.float64], by_beams: NDArray[np.float64],
 
 @helper
 def find_fixed(
-    scan: Beams,
-    work: Work,
-    reach: Reach,
-    swept: NDArray[np.float64],
-    sight: Sight,
-    fixed: NDArray[np.int64],
+    scan: Beams, work: Work, reach: Reach, swept: NDArray[np.float64], sight: Sight, fixed: NDArray[np.int64]
 ) -> None:
     """Write the range of each beam, and its segment everywhere on the grid: 0 for none, -1 if that may change."""
     r, beam, value, slope, first, more = work.r, work.beam, work.value, work.slope, work.first, work.more
@@ -130,14 +121,7 @@ def find_fixed(
 
 
 @helper
-def classify(
-    scan: Beams,
-    work: Work,
-    reach: Reach,
-    sight: Sight,
-    fixed: NDArray[np.int64],
-    small: bool,
-) -> None:
+def classify(scan: Beams, work: Work, reach: Reach, sight: Sight, fixed: NDArray[np.int64], small: bool) -> None:
     """Set ``fixed`` to 0 for beams that contribute nowhere on the grid, and to -1 for those that may contribute.
 
     On a grid that is not small, no other beam stays fixed.

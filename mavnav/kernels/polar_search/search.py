@@ -93,12 +93,7 @@ def _least(
 
 
 @helper
-def _turns(
-    grid: GridCentre,
-    half_rad: float,
-    motions: NDArray[np.float64],
-    offsets: NDArray[np.float64],
-) -> None:
+def _turns(grid: GridCentre, half_rad: float, motions: NDArray[np.float64], offsets: NDArray[np.float64]) -> None:
     """Write the motions of the yaw samples (minimisation, step i), and of their middle."""
     x, y, yaw, pivot_x, pivot_y = grid
     azimuths = len(offsets)
@@ -114,11 +109,7 @@ def _turns(
 
 @helper
 def _shifts(
-    grid: GridCentre,
-    half_m: float,
-    nx: int,
-    motions: NDArray[np.float64],
-    offsets: NDArray[np.float64],
+    grid: GridCentre, half_m: float, nx: int, motions: NDArray[np.float64], offsets: NDArray[np.float64]
 ) -> None:
     """Write the motions of the plane's grid (step iii), and of its middle.
 

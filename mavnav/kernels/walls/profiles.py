@@ -15,10 +15,7 @@ if TYPE_CHECKING:
 
 @kernel(float64[:, :, ::1](U16_2D_STRIDED, F64_2D, int64, int64))
 def wall_profiles(
-    counts: NDArray[np.uint16],
-    stations: NDArray[np.float64],
-    half_length: int,
-    reach: int,
+    counts: NDArray[np.uint16], stations: NDArray[np.float64], half_length: int, reach: int
 ) -> NDArray[np.float64]:
     """Return the mean count at each distance from a wall, for both halves of a stretch of it.
 

@@ -64,11 +64,7 @@ def write_bag1(path: Path, channels: Mapping[str, OutputChannel]) -> Iterator[Pu
     with writer:
         connections = {
             topic: writer.add_connection(
-                topic,
-                channel.type,
-                typestore=ros.types_ros1(),
-                callerid="/mavnav",
-                latching=int(channel.latched),
+                topic, channel.type, typestore=ros.types_ros1(), callerid="/mavnav", latching=int(channel.latched)
             )
             for topic, channel in channels.items()
         }

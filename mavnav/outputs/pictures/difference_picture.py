@@ -30,10 +30,7 @@ FREE_CELL, WALL_CELL, GONE_CELL, NEW_CELL = 1, 2, 3, 4
 _COLOURS: Final = np.array([rgb_of(c) for c in ("#ffffff", FREE_GREY, WALL, GONE, NEW)], np.uint8)
 
 _CROSS: Final = partial(cross, size_pt=6.0, width_pt=1.2)
-MARKS: Final = {
-    "gone": Mark(GONE, "gone", _CROSS),
-    "new": Mark(NEW, "new", partial(circle, size_pt=7.0, width_pt=1.2)),
-}
+MARKS: Final = {"gone": Mark(GONE, "gone", _CROSS), "new": Mark(NEW, "new", partial(circle, size_pt=7.0, width_pt=1.2))}
 AREAS: Final = (Area(WALL, "wall, no change"), Area(FREE_GREY, "free"), Area("#ffffff", "unknown"))
 MARGINS: Final = (100, 110, 60, 120)
 """Left, top, right and bottom of the map in the picture, in pixels."""

@@ -12,14 +12,7 @@ from mavnav.outputs.pictures.map_axes import top_of_scale
 from mavnav.outputs.pictures.viewport import Viewport
 from mavnav.outputs.report.closeups import MIN_SIDE_M, differing_places
 from mavnav.outputs.report.cost_panel import caption, cost_panels
-from mavnav.outputs.report.map_panel import (
-    closeup_panel,
-    common_window,
-    ghosts,
-    legend_panel,
-    map_panel,
-    shape,
-)
+from mavnav.outputs.report.map_panel import closeup_panel, common_window, ghosts, legend_panel, map_panel, shape
 from mavnav.outputs.report.motion_panel import motion_panel
 from mavnav.outputs.report.panels import sheet, stack
 from mavnav.outputs.report.thickness_panel import thickness_panels

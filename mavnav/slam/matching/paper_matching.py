@@ -105,11 +105,7 @@ def _search_polar(
         counted=paper.expert.occluded == "counted",
     )
     x, y, yaw, cost, used, evaluations, iterations, converged = polar_search.search(
-        virtual_m,
-        points,
-        np.array(samples, float),
-        np.array(schedule, float),
-        np.array(limits, float),
+        virtual_m, points, np.array(samples, float), np.array(schedule, float), np.array(limits, float)
     )
     pose = predicted @ Pose(float(x), float(y), wrap_angle(float(yaw)))
     beams = int(used) if cost < np.inf else len(points)

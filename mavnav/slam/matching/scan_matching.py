@@ -79,13 +79,7 @@ class Schedule(Struct, frozen=True):
 
     @classmethod
     def of(
-        cls,
-        config: Config,
-        line_map: LineMap,
-        window: tuple[float, float],
-        *,
-        prior: float = 0.0,
-        final: bool = False,
+        cls, config: Config, line_map: LineMap, window: tuple[float, float], *, prior: float = 0.0, final: bool = False
     ) -> Schedule:
         """Return the schedule of a search within ``window``: half-widths, m and rad.
 
@@ -123,13 +117,7 @@ def search_lines(
     The effort of ``before``, a match of the same scan that provided the start, is added to that of the search.
     """
     x, y, yaw, cost, inliers, evaluations, grids, converged = line_search.search(
-        points,
-        start.as_array(),
-        schedule.grid,
-        schedule.limits,
-        line_map.nearest,
-        line_map.lines,
-        line_map.geometry,
+        points, start.as_array(), schedule.grid, schedule.limits, line_map.nearest, line_map.lines, line_map.geometry
     )
     if before:
         evaluations, grids = evaluations + before.evaluations, grids + before.iterations

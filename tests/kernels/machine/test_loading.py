@@ -40,13 +40,7 @@ def test_machine_code_is_loaded_without_numba() -> None:
 
 @pytest.mark.parametrize(
     "wrong",
-    [
-        np.ones((3, 2), np.float32),
-        np.ones(6),
-        np.ones((3, 4))[:, ::2],
-        [[1.0, 1.0]],
-        np.ones((3, 2)).astype(">f8"),
-    ],
+    [np.ones((3, 2), np.float32), np.ones(6), np.ones((3, 4))[:, ::2], [[1.0, 1.0]], np.ones((3, 2)).astype(">f8")],
     ids=["kind", "dimensions", "order", "list", "byte order"],
 )
 def test_arguments_of_other_types_are_refused(wrong: Any) -> None:

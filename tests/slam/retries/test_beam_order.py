@@ -15,12 +15,7 @@ from mavnav.scan import Scan
 from mavnav.slam.matching.scan_matching import Match, no_match
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.retries import beam_order
-from mavnav.slam.retries.beam_order import (
-    STRETCH_SCANS,
-    cost_ratio,
-    reversed_scan,
-    turning_stretch,
-)
+from mavnav.slam.retries.beam_order import STRETCH_SCANS, cost_ratio, reversed_scan, turning_stretch
 from mavnav.slam.track import Track
 from support.synthetic import URG_04LX, along, furnished_rooms, scan_at
 
