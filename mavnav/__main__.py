@@ -13,6 +13,7 @@ from contextlib import suppress  # noqa: E402
 from typing import NoReturn  # noqa: E402
 
 gc.set_threshold(200_000, 20, 20)  # little here refers to itself: searching for cycles more often takes 20 ms
+os.environ.setdefault("NUMPY_MADVISE_HUGEPAGE", "0")  # with pages of 2 MB a log of 5000 scans takes 50 MB more
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # no matrix product here needs threads, which take 0.1 s to start
 
 from mavnav import cli  # noqa: E402
