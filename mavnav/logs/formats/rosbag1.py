@@ -13,8 +13,7 @@ from functools import partial
 from io import BytesIO
 from typing import TYPE_CHECKING
 
-from msgspec import Struct, field
-
+from mavnav.logs.formats.channels import ReaderState
 from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES, TOO_MANY, Allowance, DecompressError, decompress
 from mavnav.logs.formats.rosbag1_records import (
     RECORD_COST,
@@ -27,7 +26,6 @@ from mavnav.logs.formats.rosbag1_records import (
     sound_records,
 )
 from mavnav.logs.formats.source import BAG_MAGIC, MAGIC_WITHIN_BYTES, OLD_BAG_MAGIC, Source
-from mavnav.logs.formats.untyped import channel_of, lacks_type, with_detected_type
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import LATCHING, Channel, RawMessage, Schema, ros_type
 
@@ -39,14 +37,8 @@ if TYPE_CHECKING:
 _U32_PAIR = struct.Struct("<II")
 
 
-class _BagState(Struct):
-    report: ReadReport
-    allowance: Allowance = field(default_factory=Allowance)
-    channels: dict[int, Channel] = field(default_factory=dict)
-    spare: dict[int, Channel] = field(default_factory=dict)
+class _BagState(ReaderState):
     search: Callable[[], dict[int, Channel]] | None = None
-    undeclared: set[int] = field(default_factory=set)
-    messages: int = 0
     declared: int = 0
 
 
@@ -69,8 +61,8 @@ def read_rosbag1(path: Path, report: ReadReport) -> Iterator[RawMessage]:
             report.at(record.start)
             if record.opcode == BagOp.CHUNK and not is_flat(record):
                 yield from _chunk_messages(source, record, state)
-            else:
-                yield from _take(source, record, state)
+            elif message := _take(source, record, state):
+                yield message
     if state.declared > state.messages:
         missing = state.declared - state.messages
         report.damage(f"{missing} of the {state.declared} messages that the index counts are not there", path.name)
@@ -96,8 +88,7 @@ def _index_connections(source: Source) -> dict[int, Channel]:
     index_at = _index_pos(bag) if bag else 0
     record = parse_header(source, index_at) if len(BAG_MAGIC) < index_at < source.size else None
     while record is not None and record.opcode == BagOp.CONNECTION and record.end <= source.size:
-        for _ in _take(source, record, spare):
-            pass
+        _take(source, record, spare)
         record = parse_header(source, record.end)
     return spare.channels
 
@@ -107,8 +98,7 @@ def _all_connections(source: Source, begin: int) -> dict[int, Channel]:
     spare = _BagState(ReadReport())
     for record in sound_records(source, begin, spare.report):
         if record.opcode == BagOp.CONNECTION:
-            for _ in _take(source, record, spare):
-                pass
+            _take(source, record, spare)
     return spare.channels
 
 
@@ -133,16 +123,16 @@ def _chunk_messages(source: Source, record: BagRecord, state: _BagState) -> Iter
         if not state.allowance.spend_record(RECORD_COST):
             state.report.damage(TOO_MANY, inner.where(inner_record.start))
             return
-        for message in _take(inner, inner_record, state):
+        if message := _take(inner, inner_record, state):
             yield message._replace(suspect=message.suspect or problem is not None)
 
 
-def _take(source: Source, record: BagRecord, state: _BagState) -> Iterator[RawMessage]:
-    """Yield the message of a record; connections and counts of the index update the state."""
+def _take(source: Source, record: BagRecord, state: _BagState) -> RawMessage | None:
+    """Return the message of a record; connections and counts of the index update the state."""
     try:
         if record.opcode == BagOp.MESSAGE:
-            yield from _message(source, record, state)
-        elif record.opcode == BagOp.CONNECTION:
+            return _message(source, record, state)
+        if record.opcode == BagOp.CONNECTION:
             _declare(source, record, state)
         elif record.opcode == BagOp.BAG:
             _check_index(source, record, state)
@@ -151,6 +141,7 @@ def _take(source: Source, record: BagRecord, state: _BagState) -> Iterator[RawMe
             state.declared += sum(count for _, count in _U32_PAIR.iter_unpack(pairs[: len(pairs) // 8 * 8]))
     except (struct.error, KeyError) as error:
         state.report.damage(f"a record lacks a field ({error})", source.where(record.start))
+    return None
 
 
 def _check_index(source: Source, record: BagRecord, state: _BagState) -> None:
@@ -165,17 +156,16 @@ def _index_pos(bag: BagRecord) -> int:
     return int.from_bytes(bag.fields.get(b"index_pos", b"")[:8], "little")
 
 
-def _message(source: Source, record: BagRecord, state: _BagState) -> Iterator[RawMessage]:
+def _message(source: Source, record: BagRecord, state: _BagState) -> RawMessage | None:
     state.messages += 1
     data = source.read(record.start, min(record.end - record.start, MAX_CHUNK_BYTES))
-    channel = _old_channel(record, state) if b"topic" in record.fields else _channel(record, state)
-    if channel is not None and lacks_type(channel) and b"conn" in record.fields:
-        channel = with_detected_type(channel, data, source.where(record.start), state.report)
-        state.channels[U32.unpack(record.fields[b"conn"])[0]] = channel
-    if channel is not None:
-        yield RawMessage(channel, _time_ns(record), data, record.suspect)
-    else:
-        yield from _undeclared_message(source, record, data, state)
+    if b"topic" in record.fields:
+        return RawMessage(_old_channel(record, state), _time_ns(record), data, record.suspect)
+    (number,) = U32.unpack(record.fields[b"conn"])
+    if number not in state.channels and number not in state.spare and state.search:
+        state.spare, state.search = state.search() | state.spare, None
+    channel, declared = state.channel(number, data, "connection", source.where(record.start))
+    return None if channel is None else RawMessage(channel, _time_ns(record), data, record.suspect or not declared)
 
 
 def _time_ns(record: BagRecord) -> int:
@@ -188,29 +178,6 @@ def _old_channel(record: BagRecord, state: _BagState) -> Channel:
     """Return the channel of a message of format 1.2, whose header has topic and type."""
     topic, kind = (record.fields[name].decode(errors="replace") for name in (b"topic", b"type"))
     return state.report.declare(Channel(topic, ros_type(kind), "ros1", Schema(kind, "ros1msg")))
-
-
-def _channel(record: BagRecord, state: _BagState) -> Channel | None:
-    """Return the channel of a message's connection: as declared, else from the index or a search of the whole file."""
-    (number,) = U32.unpack(record.fields[b"conn"])
-    if number not in state.channels and number not in state.spare and state.search:
-        state.spare, state.search = state.search() | state.spare, None
-    if number not in state.channels and number in state.spare:
-        state.channels[number] = state.report.declare(state.spare[number])
-    return state.channels.get(number)
-
-
-def _undeclared_message(source: Source, record: BagRecord, data: bytes, state: _BagState) -> Iterator[RawMessage]:
-    """Yield a message of an undeclared connection, marked as suspect, if its bytes are a LaserScan."""
-    (number,) = U32.unpack(record.fields[b"conn"])
-    channel = channel_of(data, f"/connection_{number}", state.report)
-    if number not in state.undeclared:
-        state.undeclared.add(number)
-        outcome = f"scans by their bytes, and taken for {channel.topic}" if channel else "left out"
-        text = f"messages of connection {number}, which is declared nowhere before, are {outcome}"
-        state.report.damage(text, source.where(record.start))
-    if channel is not None:
-        yield RawMessage(channel, _time_ns(record), data, suspect=True)
 
 
 def _declare(source: Source, record: BagRecord, state: _BagState) -> None:

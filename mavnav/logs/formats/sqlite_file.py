@@ -17,10 +17,10 @@ from urllib.parse import quote
 from msgspec import Struct, field
 
 from mavnav.atomic_files import temporary_folder
+from mavnav.logs.formats.channels import channel_of, with_known_type
 from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES
 from mavnav.logs.formats.source import SQLITE_MAGIC, Source
 from mavnav.logs.formats.sqlite_pages import page_size, rows
-from mavnav.logs.formats.untyped import channel_of, lacks_type, with_detected_type
 from mavnav.logs.records import QOS, Channel, RawMessage, Schema, ros_type
 
 if TYPE_CHECKING:
@@ -133,13 +133,14 @@ def _declare(row: tuple[object, ...], state: _DatabaseState) -> None:
 
 
 def _message(topic_id: object, log_ns: object, data: object, state: _DatabaseState) -> Iterator[RawMessage]:
+    """Yield the message of a row; one of an undeclared topic, marked as suspect, only if its bytes are a LaserScan."""
     number = topic_id if isinstance(topic_id, int) else -1
     channel = state.channels.get(number)
     suspect = channel is None
     if isinstance(data, bytes) and channel is None:
         channel = channel_of(data, f"/topic_{topic_id}", state.report)
-    elif isinstance(data, bytes) and channel is not None and lacks_type(channel):
-        channel = state.channels[number] = with_detected_type(channel, data, state.path.name, state.report)
+    elif isinstance(data, bytes) and channel is not None:
+        channel = state.channels[number] = with_known_type(channel, data, state.path.name, state.report)
     if suspect or not isinstance(log_ns, int) or not isinstance(data, bytes):
         state.report.damage("a message row is broken, or of an undeclared topic", state.path.name)
     if channel is not None and isinstance(log_ns, int) and isinstance(data, bytes):
@@ -154,10 +155,11 @@ def _recover_messages(path: Path, state: _DatabaseState) -> Iterator[RawMessage]
         if not state.channels:
             _recover_channels(source, state)
         count, seen = 0, set()
-        for number, values in rows(source):
-            if isinstance(values[3], bytes) and number not in seen and _is_missing(number, state):
+        for number, (_, topic_id, log_ns, data, *_) in rows(source):
+            missing = any(number in gap for gap in state.missing)
+            if missing and isinstance(data, bytes) and number not in seen:
                 seen.add(number)
-                for message in _message(values[1], values[2], values[3], state):
+                for message in _message(topic_id, log_ns, data, state):
                     count += 1
                     yield message._replace(suspect=True)
     lost = sum(len(gap) for gap in state.missing if gap.stop != _NO_END) - count
@@ -165,10 +167,6 @@ def _recover_messages(path: Path, state: _DatabaseState) -> Iterator[RawMessage]
         state.report.damage(f"{count} messages were read from the pages themselves, and are suspect", state.path.name)
     elif lost > 0:
         state.report.warn(f"{state.path.name}: {lost} row numbers are not in use, as after rows were deleted")
-
-
-def _is_missing(number: int, state: _DatabaseState) -> bool:
-    return any(number in gap for gap in state.missing)
 
 
 def _recover_channels(source: Source, state: _DatabaseState) -> None:
@@ -187,9 +185,9 @@ def _readable_file(path: Path, report: ReadReport) -> Iterator[Path]:
     Rows in a write-ahead log are read from a copy as well, and an unfinished transaction is rolled back.
     """
     place = path.resolve()  # of a link, journals are beside its target
-    journals = [journal for suffix in _JOURNALS if _has_content(journal := place.with_name(place.name + suffix))]
-    sound = not journals and _needs_no_copy(path)
-    if sound:
+    beside = [place.with_name(place.name + suffix) for suffix in _JOURNALS]
+    journals = [journal for journal in beside if journal.is_file() and journal.stat().st_size > 0]
+    if not journals and _needs_no_copy(path):
         yield path
         return
     with temporary_folder() as folder:
@@ -200,10 +198,6 @@ def _readable_file(path: Path, report: ReadReport) -> Iterator[Path]:
             _apply_journal(copy, journal, report)
         _keep_whole_pages(copy, report)
         yield copy
-
-
-def _has_content(path: Path) -> bool:
-    return path.is_file() and path.stat().st_size > 0
 
 
 def _needs_no_copy(path: Path) -> bool:
