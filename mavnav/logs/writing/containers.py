@@ -10,13 +10,13 @@ import sqlite3
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
-from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag1 import Writer as Bag1Writer
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Bag2Writer
+from rosbags.rosbag2.metadata import parse_qos
 
 from mavnav.logs.messages import ros
-from mavnav.logs.writing.mcap_writer import write_serialized
+from mavnav.logs.writing.mcap_writer import qos_text, write_serialized
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -26,23 +26,6 @@ if TYPE_CHECKING:
     from mavnav.logs.writing.mcap_writer import OutputChannel
 
     Put = Callable[[str, int, Any], None]
-
-
-_FOREVER = QosTime(9223372036, 854775807)
-
-
-def _qos(channel: OutputChannel) -> Qos:
-    return Qos(
-        QosHistory.KEEP_LAST,
-        1 if channel.latched else 10,
-        QosReliability.RELIABLE,
-        QosDurability.TRANSIENT_LOCAL if channel.latched else QosDurability.VOLATILE,
-        _FOREVER,
-        _FOREVER,
-        QosLiveliness.AUTOMATIC,
-        _FOREVER,
-        avoid_ros_namespace_conventions=False,
-    )
 
 
 @contextmanager
@@ -62,17 +45,8 @@ def write_bag1(path: Path, channels: Mapping[str, OutputChannel]) -> Iterator[Pu
     writer = Bag1Writer(path)
     writer.set_compression(Bag1Writer.CompressionFormat.BZ2)
     with writer:
-        connections = {
-            topic: writer.add_connection(
-                topic, channel.type, typestore=ros.types_ros1(), callerid="/mavnav", latching=int(channel.latched)
-            )
-            for topic, channel in channels.items()
-        }
-
-        def put(topic: str, stamp_ns: int, message: Any) -> None:  # noqa: ANN401
-            writer.write(connections[topic], stamp_ns, ros.ros1(message))
-
-        yield put
+        options = {topic: {"callerid": "/mavnav", "latching": int(c.latched)} for topic, c in channels.items()}
+        yield _put(writer, channels, ros.types_ros1(), options, ros.ros1)
 
 
 @contextmanager
@@ -81,19 +55,29 @@ def write_bag2(path: Path, channels: Mapping[str, OutputChannel]) -> Iterator[Pu
     writer = Bag2Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3)
     try:
         with writer:
-            connections = {
-                topic: writer.add_connection(
-                    topic, channel.type, typestore=ros.types_ros2(), offered_qos_profiles=[_qos(channel)]
-                )
-                for topic, channel in channels.items()
-            }
-
-            def put(topic: str, stamp_ns: int, message: Any) -> None:  # noqa: ANN401
-                writer.write(connections[topic], stamp_ns, ros.cdr(message))
-
-            yield put
+            options = {topic: {"offered_qos_profiles": parse_qos(qos_text(c))} for topic, c in channels.items()}
+            yield _put(writer, channels, ros.types_ros2(), options, ros.cdr)
     except sqlite3.Error as error:
         raise OSError(f"sqlite: {error}") from error
+
+
+def _put(
+    writer: Any,  # noqa: ANN401  (rosbags is untyped here)
+    channels: Mapping[str, OutputChannel],
+    types: Any,  # noqa: ANN401
+    options: Mapping[str, Mapping[str, Any]],
+    serialize: Callable[[Any], bytes],
+) -> Put:
+    """Declare the channels to a writer of rosbags, each with its options; return the function that writes to them."""
+    connections = {
+        topic: writer.add_connection(topic, channel.type, typestore=types, **options[topic])
+        for topic, channel in channels.items()
+    }
+
+    def put(topic: str, stamp_ns: int, message: Any) -> None:  # noqa: ANN401
+        writer.write(connections[topic], stamp_ns, serialize(message))
+
+    return put
 
 
 CONTAINERS: Final[dict[str, Callable[[Path, Mapping[str, OutputChannel]], AbstractContextManager[Put]]]] = {
