@@ -30,7 +30,7 @@ from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import LATCHING, Channel, RawMessage, Schema, ros_type
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
 
 
@@ -55,8 +55,8 @@ def read_rosbag1(path: Path, report: ReadReport) -> Iterator[RawMessage]:
         begin = _begin(source, report)
         if source.size == begin:
             report.damage("the bag ends behind its magic line", source.where(source.size))
-        state.spare = _index_connections(source)
-        state.search = partial(_all_connections, source, begin)
+        state.spare = _connections(source, _index_records(source))
+        state.search = partial(_connections, source, sound_records(source, begin, ReadReport()))
         for record in sound_records(source, begin, report):
             report.at(record.start)
             if record.opcode == BagOp.CHUNK and not is_flat(record):
@@ -81,25 +81,23 @@ def _begin(source: Source, report: ReadReport) -> int:
     return head.find(b"\n", 0, len(OLD_BAG_MAGIC)) + 1
 
 
-def _index_connections(source: Source) -> dict[int, Channel]:
-    """Return the connections of the index, which are needed only if the chunk that declares them is damaged."""
-    spare = _BagState(ReadReport())
+def _index_records(source: Source) -> Iterator[BagRecord]:
+    """Yield the connections of the index, which are needed only if the chunk that declares them is damaged."""
     bag = parse_header(source, len(BAG_MAGIC))
     index_at = _index_pos(bag) if bag else 0
     record = parse_header(source, index_at) if len(BAG_MAGIC) < index_at < source.size else None
     while record is not None and record.opcode == BagOp.CONNECTION and record.end <= source.size:
-        _take(source, record, spare)
+        yield record
         record = parse_header(source, record.end)
-    return spare.channels
 
 
-def _all_connections(source: Source, begin: int) -> dict[int, Channel]:
-    """Return the connections of all records of the file, because the index may not be where the header expects it."""
-    spare = _BagState(ReadReport())
-    for record in sound_records(source, begin, spare.report):
+def _connections(source: Source, records: Iterable[BagRecord]) -> dict[int, Channel]:
+    """Return the channels that the connections among some records declare, by number."""
+    state = _BagState(ReadReport())
+    for record in records:
         if record.opcode == BagOp.CONNECTION:
-            _take(source, record, spare)
-    return spare.channels
+            _take(source, record, state)
+    return state.channels
 
 
 def _chunk_messages(source: Source, record: BagRecord, state: _BagState) -> Iterator[RawMessage]:

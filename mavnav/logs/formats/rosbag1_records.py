@@ -67,12 +67,10 @@ def sound_records(source: Source, offset: int, report: ReadReport) -> Iterator[B
         if record is None:
             next_header = _find_header(source, (pending.start if pending else offset) + 1)
             if pending and _is_whole(source, pending, next_header):
-                yield _extend_chunk(source, pending, next_header)
+                end = next_header if pending.opcode == BagOp.CHUNK else pending.end  # a chunk's length may be wrong
+                yield pending._replace(end=end, suspect=True)
             _report_loss(source, pending, offset, next_header, report)
-            pending = None
-            if next_header is None:
-                return
-            offset = next_header
+            pending, offset = None, next_header
             continue
         if pending:
             yield pending
@@ -82,29 +80,20 @@ def sound_records(source: Source, offset: int, report: ReadReport) -> Iterator[B
         yield pending
 
 
-def _extend_chunk(source: Source, pending: BagRecord, next_header: int | None) -> BagRecord:
-    """Extend a compressed chunk to the next valid header, because its length may be wrong."""
-    end = pending.end if pending.opcode != BagOp.CHUNK else source.size if next_header is None else next_header
-    return pending._replace(end=end, suspect=True)
-
-
-def _report_loss(
-    source: Source, pending: BagRecord | None, offset: int, next_header: int | None, report: ReadReport
-) -> None:
+def _report_loss(source: Source, pending: BagRecord | None, offset: int, next_header: int, report: ReadReport) -> None:
     """Report lost bytes or a wrong length; ``offset`` is where a header is expected."""
-    upto = source.size if next_header is None else next_header
-    if offset > source.size and next_header is None and pending:
+    if offset > source.size == next_header and pending:
         text, at = "the last record is cut by the end", pending.start
     elif pending and not _is_whole(source, pending, next_header):
-        text, at = f"{upto - pending.start} bytes are no record", pending.start
-    elif offset >= upto and pending:
+        text, at = f"{next_header - pending.start} bytes are no record", pending.start
+    elif offset >= next_header and pending:
         text, at = "the length of a record is wrong", pending.start
     else:
-        text, at = f"{upto - offset} bytes are no record", offset
+        text, at = f"{next_header - offset} bytes are no record", offset
     report.damage(text, source.where(at))
 
 
-def _is_whole(source: Source, pending: BagRecord, next_header: int | None) -> bool:
+def _is_whole(source: Source, pending: BagRecord, next_header: int) -> bool:
     """Return whether a record is complete, if no header follows it.
 
     It is not if the next valid header is within its declared length. A compressed chunk always counts as complete,
@@ -112,7 +101,7 @@ def _is_whole(source: Source, pending: BagRecord, next_header: int | None) -> bo
     """
     if pending.opcode == BagOp.CHUNK:
         return True
-    if next_header is not None:
+    if next_header < source.size:
         return next_header >= pending.end
     left = source.read(pending.end, 4)  # the header that follows is cut by the end, or zeros follow
     return pending.end <= source.size and (len(left) < 4 or 0 < U32.unpack(left)[0] <= _MAX_HEADER_BYTES)
@@ -150,21 +139,21 @@ def parse_fields(header: bytes) -> dict[bytes, bytes] | None:
     return fields if offset == len(header) else None
 
 
-def _find_header(source: Source, offset: int) -> int | None:
-    """Return the offset of the next valid header, found by the ``op`` field that every header has; None if none."""
+def _find_header(source: Source, offset: int) -> int:
+    """Return the offset of the next valid header, found by its ``op`` field; the size of the source if none."""
     while offset < source.size:
         block = source.read(offset, _BLOCK_BYTES)
         for at in _candidates(block):
             if not source.allowance.spend_record(RECORD_COST):
-                return None
+                return source.size
             record = parse_header(source, offset + at)
             if record is not None and _is_followed(source, record):
                 return offset + at
         if len(block) < _BLOCK_BYTES:
-            return None
+            break
         offset += len(block) - 2 * _REACH_BYTES
         offset = max(offset, source.next_data(offset) - 2 * _REACH_BYTES)
-    return None
+    return source.size
 
 
 def _is_followed(source: Source, record: BagRecord) -> bool:

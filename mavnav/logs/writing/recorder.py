@@ -73,32 +73,28 @@ class Recorder(Struct):
 
     def scan(self, scan: Scan) -> None:
         """Record a scan."""
-        self._begin(scan.stamp_ns)
-        self.put("/scan", scan.stamp_ns, ros.laser_scan(scan, LASER, NO_RETURN_M))
+        self._write("/scan", scan.stamp_ns, ros.laser_scan(scan, LASER, NO_RETURN_M))
 
     def odometry(self, stamp_ns: int, odom_T_base: Pose) -> None:
         """Record a pose of the odometry, as a message and as a transform."""
-        self._begin(stamp_ns)
         link = (stamp_ns, ODOM, BASE, odom_T_base)
-        self.put("/tf", stamp_ns, ros.transform(*link))
-        self.put("/odom", stamp_ns, ros.odometry(*link))
+        self._write("/tf", stamp_ns, ros.transform(*link))
+        self._write("/odom", stamp_ns, ros.odometry(*link))
 
     def truth(self, stamp_ns: int, world_T_base: Pose) -> None:
         """Record the true pose."""
-        self._begin(stamp_ns)
-        self.put("/ground_truth", stamp_ns, ros.pose_stamped(stamp_ns, WORLD, world_T_base))
+        self._write("/ground_truth", stamp_ns, ros.pose_stamped(stamp_ns, WORLD, world_T_base))
 
     def attitude(self, stamp_ns: int, attitude: Attitude) -> None:
         """Record what is measured of the laser's tilt and height; the recorder must have been made for it."""
-        self._begin(stamp_ns)
-        self.put("/attitude", stamp_ns, ros.attitude(stamp_ns, WORLD, attitude))
+        self._write("/attitude", stamp_ns, ros.attitude(stamp_ns, WORLD, attitude))
 
-    def _begin(self, stamp_ns: int) -> None:
-        """Write the mounting of the laser once, at the first stamp."""
+    def _write(self, topic: str, stamp_ns: int, message: Any) -> None:  # noqa: ANN401  rosbags' types are made at run time
+        """Write a message; before the first, at its stamp, the mounting of the laser."""
         if not self._begun:
             self._begun = True
-            link = (stamp_ns, BASE, LASER, self.base_T_laser)
-            self.put("/tf_static", stamp_ns, ros.transform(*link))
+            self.put("/tf_static", stamp_ns, ros.transform(stamp_ns, BASE, LASER, self.base_T_laser))
+        self.put(topic, stamp_ns, message)
 
 
 @contextmanager

@@ -52,26 +52,18 @@ class _Translation(NamedTuple):
         return self.convert(data) if self.convert else data
 
 
-class _Choice(Struct):
-    """The translations of a channel: those tried so far, the last that fitted first, and those not tried yet."""
-
-    more: Iterator[_Translation]
-    tried: list[_Translation] = field(default_factory=list)
-
-
 class Translator(Struct):
     """Translates messages, each by the first translation that fits it."""
 
     report: ReadReport
-    _choices: dict[Channel, _Choice] = field(default_factory=dict)
+    _choices: dict[Channel, tuple[list[_Translation], Iterator[_Translation]]] = field(default_factory=dict)
+    """Channel -> the translations tried so far, the last that fitted first, and those not tried yet."""
 
     def translate(self, channel: Channel, data: bytes) -> tuple[Channel, bytes]:
         """Return the channel to write a message to, and its bytes there; raises DecodeError."""
-        choice = self._choices.get(channel)
-        if choice is None:
-            choice = self._choices[channel] = _Choice(_translations(channel))
+        tried, others = self._choices.setdefault(channel, ([], _translations(channel)))
         error = None
-        for number, translation in enumerate(_all(choice)):
+        for number, translation in enumerate(_all(tried, others)):
             try:
                 message = translation.translate(data)
             except DecodeError as reason:
@@ -80,15 +72,16 @@ class Translator(Struct):
             if translation.warning:
                 self.report.warn(translation.warning)
             elif number:
-                choice.tried.insert(0, choice.tried.pop(number))
+                tried.insert(0, tried.pop(number))
             return translation.channel, message
         raise error or DecodeError("no definition fits")
 
 
-def _all(choice: _Choice) -> Iterator[_Translation]:
-    yield from list(choice.tried)
-    for translation in choice.more:
-        choice.tried.append(translation)
+def _all(tried: list[_Translation], others: Iterator[_Translation]) -> Iterator[_Translation]:
+    """Yield the translations tried, then the others, which count as tried from then on."""
+    yield from list(tried)
+    for translation in others:
+        tried.append(translation)
         yield translation
 
 
