@@ -77,9 +77,9 @@ def read_carmen(path: Path, report: ReadReport) -> Iterator[RawMessage]:
     """
     with path.open("rb") as file:
         state = _CarmenState(report, *kinds_of_poses(islice(_lines(file), _INSPECTED_LINES)))
-    if state.poses is Poses.CORRECTED:
-        report.warn("the poses in the log are those of a SLAM and no odometry; --truth auto compares with them")
-    with path.open("rb") as file:
+        if state.poses is Poses.CORRECTED:
+            report.warn("the poses in the log are those of a SLAM and no odometry; --truth auto compares with them")
+        file.seek(0)
         for number, line in enumerate(_lines(file), start=1):
             report.at(report.here_bytes + len(line))
             try:

@@ -77,7 +77,7 @@ def _sniff_headless(suffix: str, source: Source, head: bytes) -> str:
     """Recognize a log without its beginning by a later record; the suffix decides the kind of record."""
     if suffix == ".mcap" and find_record(source, 0) < source.size:
         return "mcap"
-    if suffix in (".bag", ".active") and _module("rosbag1_records").OP_FIELD in head:
+    if suffix in (".bag", ".active") and _module("rosbag1").OP_FIELD in head:
         return "rosbag1"
     if suffix == ".db3" and next(_module("sqlite_pages").rows(source), None) is not None:
         return "rosbag2-sqlite3"

@@ -71,9 +71,9 @@ class McapRecord(NamedTuple):
 class RecordFields:
     """Sequential reader of the fields of a record; raises struct.error at a field that is cut."""
 
-    def __init__(self, content: bytes) -> None:
+    def __init__(self, content: bytes, offset: int = 0) -> None:
         self._content = content
-        self.offset = 0
+        self.offset = offset
 
     def number(self, kind: str) -> int:
         """Read a number of a ``struct`` format."""
@@ -118,8 +118,7 @@ class ChunkHead(NamedTuple):
 def chunk_head(content: bytes) -> ChunkHead:
     """Read the fields of a chunk; raises struct.error."""
     _, _, declared, crc = _CHUNK_HEAD.unpack_from(content)
-    fields = RecordFields(content)
-    fields.offset = _CHUNK_HEAD.size
+    fields = RecordFields(content, _CHUNK_HEAD.size)
     compression = fields.text()
     return ChunkHead(declared, crc, compression, fields.number("Q"), fields.offset)
 

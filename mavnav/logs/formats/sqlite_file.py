@@ -30,11 +30,11 @@ if TYPE_CHECKING:
     from mavnav.logs.read_report import ReadReport
 
 
-_TABLES = """SELECT count(*) FROM sqlite_master
-WHERE type = 'table' AND name IN ('topics', 'messages') AND sql NOT LIKE '%VIRTUAL%'"""
+_TABLES = """SELECT name FROM sqlite_master WHERE type = 'table' AND sql NOT LIKE '%VIRTUAL%'
+AND name IN ('topics', 'messages', 'message_definitions')"""
 _TOPICS = "SELECT id, name, type, serialization_format, {} FROM topics"
 _HAS_QOS = "SELECT count(*) FROM pragma_table_info('topics') WHERE name = 'offered_qos_profiles'"
-_HAS_DEFINITIONS = """SELECT count(*) FROM sqlite_master
+_DEFINITIONS = """SELECT count(*) FROM sqlite_master
 WHERE type = 'table' AND name = 'message_definitions' AND sql NOT LIKE '%VIRTUAL%'"""
 _DEFINITIONS = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
 _COMPUTED = """SELECT m.name, c.name FROM sqlite_master AS m, pragma_table_xinfo(m.name) AS c
@@ -58,13 +58,6 @@ class _DatabaseState(Struct):
     missing: list[range] = field(default_factory=list)
     messages: int = 0
     last: int = 0
-
-    def count_row(self, number: int) -> None:
-        """Count the next row, and record the row numbers missing before it."""
-        if number > self.last + 1:
-            self.missing.append(range(self.last + 1, number))
-        self.last = number
-        self.messages += 1
 
 
 def read_sqlite(path: Path, report: ReadReport) -> Iterator[RawMessage]:
@@ -93,27 +86,30 @@ def _connect(path: Path) -> sqlite3.Connection:
 
 def _rows(path: Path, state: _DatabaseState) -> Iterator[RawMessage]:
     with closing(_connect(path)) as connection:
-        (tables,) = connection.execute(_TABLES).fetchone()
-        if tables != 2:
+        tables = {name for (name,) in connection.execute(_TABLES)}
+        if not {"topics", "messages"} <= tables:
             raise sqlite3.DatabaseError("there are no tables of messages and topics")
         if computed := connection.execute(_COMPUTED).fetchone():
             raise sqlite3.DatabaseError(f"the column {computed[1]} of {computed[0]} is computed; recorders store it")
-        state.schemas = _schemas(connection, state)
+        if "message_definitions" in tables:
+            state.schemas = _schemas(connection, state)
         (has_qos,) = connection.execute(_HAS_QOS).fetchone()
         for row in connection.execute(_TOPICS.format("offered_qos_profiles" if has_qos else "NULL")):
             _declare(row, state)
         for number, topic_id, log_ns, data in connection.execute(_MESSAGES):
             if number <= state.last:
                 raise sqlite3.DatabaseError(f"row {number} comes after row {state.last}; its pages form a loop")
-            state.count_row(number)
+            if number > state.last + 1:
+                state.missing.append(range(state.last + 1, number))
+            state.last = number
+            state.messages += 1
             yield from _message(topic_id, log_ns, data, state)
 
 
 def _schemas(connection: sqlite3.Connection, state: _DatabaseState) -> dict[str, Schema]:
     """Return the definitions of message types by name; recorders before ROS 2 Iron store none."""
-    (has_definitions,) = connection.execute(_HAS_DEFINITIONS).fetchone()
     try:
-        definitions = connection.execute(_DEFINITIONS).fetchall() if has_definitions else []
+        definitions = connection.execute(_DEFINITIONS).fetchall()
     except sqlite3.Error as error:
         state.report.damage(f"the definitions of messages cannot be read: {error}", state.path.name)
         return {}
@@ -203,12 +199,12 @@ def _readable_file(path: Path, report: ReadReport) -> Iterator[Path]:
 def _needs_no_copy(path: Path) -> bool:
     with path.open("rb") as file:
         head = file.read(_COUNT_AT + 4)
-    return head.startswith(SQLITE_MAGIC) and path.stat().st_size >= page_size(head) * _pages(head)
+    return head.startswith(SQLITE_MAGIC) and path.stat().st_size >= _declared_bytes(head)
 
 
-def _pages(head: bytes) -> int:
-    """Return the number of pages in the header (https://sqlite.org/fileformat.html, 1.3.8)."""
-    return int.from_bytes(head[_COUNT_AT : _COUNT_AT + 4], "big")
+def _declared_bytes(head: bytes) -> int:
+    """Return the size of the file by its header, which has the number of pages (sqlite.org/fileformat.html, 1.3.8)."""
+    return page_size(head) * int.from_bytes(head[_COUNT_AT : _COUNT_AT + 4], "big")
 
 
 def _repair_magic(copy: Path, report: ReadReport) -> None:
@@ -260,10 +256,9 @@ def _keep_whole_pages(copy: Path, report: ReadReport) -> None:
     size = copy.stat().st_size
     with copy.open("r+b") as file:
         head = file.read(_COUNT_AT + 4)
-        page_bytes, pages = page_size(head), _pages(head)
-        if size >= page_bytes * pages:
+        if size >= (declared := _declared_bytes(head)):
             return
-        report.damage(f"the file is cut: {size} of {page_bytes * pages} bytes are there", copy.name)
-        if whole := size // page_bytes:
+        report.damage(f"the file is cut: {size} of {declared} bytes are there", copy.name)
+        if whole := size // page_size(head):
             file.seek(_COUNT_AT)
             file.write(whole.to_bytes(4, "big"))

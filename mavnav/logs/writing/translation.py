@@ -112,17 +112,15 @@ def _with_definition(channel: Channel, name: str, check: Callable[[bytes], Any] 
         text = ros.definition(name, types) if name in types.types else ""
         if text and text not in texts:
             texts.add(text)
-            yield _Translation(_target_channel(channel, name, text), partial(_read, types.deserialize_cdr, name=name))
+            yield _Translation(_ros2(channel, name, text), partial(_read, types.deserialize_cdr, name=name))
     warning = f"{channel.topic}: no definition of {name} fits its messages; they are copied without one"
     yield _Translation(Channel(channel.topic, name, "cdr", Schema(name), channel.metadata), warning=warning)
 
 
-def _ros2(channel: Channel, name: str) -> Channel:
-    return _target_channel(channel, name, ros.definition(name))
-
-
-def _target_channel(channel: Channel, name: str, text: str) -> Channel:
-    return Channel(channel.topic, name, "cdr", Schema(name, "ros2msg", text.encode()), channel.metadata)
+def _ros2(channel: Channel, name: str, text: str = "") -> Channel:
+    """Return the channel of CDR messages of a type, defined by the text, or as in the newest ROS 2."""
+    schema = Schema(name, "ros2msg", (text or ros.definition(name)).encode())
+    return Channel(channel.topic, name, "cdr", schema, channel.metadata)
 
 
 def _carmen_to_cdr(channel: Channel) -> Callable[[bytes], bytes]:
