@@ -87,11 +87,8 @@ def with_known_type(channel: Channel, data: bytes, where: str, report: ReadRepor
 
 def _laser_encoding(data: bytes) -> str | None:
     """Return the encoding (``cdr`` or ``ros1``) in which the bytes are a sensor_msgs/LaserScan; None if in neither."""
-    for encoding in _ENCODINGS:
-        scan = laser_of(data, encoding)
-        if scan is not None and _is_plausible(scan):
-            return encoding
-    return None
+    fitting = (name for name in _ENCODINGS if (scan := laser_of(data, name)) and _is_plausible(scan))
+    return next(fitting, None)
 
 
 def _is_plausible(scan: LaserMessage) -> bool:

@@ -13,7 +13,7 @@ from mavnav.logs.formats.rosbag2 import METADATA, compare_count, read_metadata, 
 from mavnav.logs.formats.source import BAG_MAGIC, MAGIC_WITHIN_BYTES, OLD_BAG_MAGIC, SQLITE_MAGIC, Source
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
     from mavnav.logs.read_report import ReadReport
@@ -29,6 +29,7 @@ _TAIL_BYTES = 16
 _OLD_BAG = re.compile(rb"#ROS(?:BAG|RECORD|LOG) V(1\.[01])")
 _HEADLESS_BYTES = 1 << 20
 _STORAGE_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
+_PACKED = {magic: name for name, (magic, _) in PACKERS.items()}
 _REFUSED = {b"\xfd7zXZ\0": "xz", b"\x04\x22\x4d\x18": "lz4", b"PK\x03\x04": "zip"}
 
 
@@ -47,15 +48,14 @@ def sniff(path: Path) -> str:
 def _sniff_strictly(path: Path) -> str:
     with path.open("rb") as file:
         head = file.read(MAGIC_WITHIN_BYTES)
-    if packer := _packer(head):
+    if packer := _name_of(head, _PACKED):
         inner = _sniff_head(first_bytes(path, packer, MAGIC_WITHIN_BYTES))
         return UNKNOWN if inner == UNKNOWN else f"{inner}-{packer}"
     return _sniff_head(head)
 
 
 def _sniff_head(head: bytes) -> str:
-    kind = next((name for magic, name in MAGICS.items() if head.startswith(magic)), UNKNOWN)
-    return "carmen" if kind == UNKNOWN and _module("carmen").is_carmen(head) else kind
+    return _name_of(head, MAGICS) or ("carmen" if _module("carmen").is_carmen(head) else UNKNOWN)
 
 
 def _sniff_damaged(path: Path) -> str:
@@ -63,7 +63,7 @@ def _sniff_damaged(path: Path) -> str:
         source = Source(file, path.stat().st_size)
         head = source.read(0, MAGIC_WITHIN_BYTES)
         tail = source.read(max(source.size - _TAIL_BYTES, 0), _TAIL_BYTES)
-        if _OLD_BAG.match(head) or _packer(head) or _refused_packer(head):
+        if _OLD_BAG.match(head) or _name_of(head, _PACKED | _REFUSED):
             return UNKNOWN
         for magic, name in MAGICS.items():
             wrong = sum(a != b for a, b in zip(magic, head, strict=False)) + max(len(magic) - len(head), 0)
@@ -168,9 +168,9 @@ def refusal(path: Path) -> str:
         return "the file is empty"
     if old := _OLD_BAG.match(head):
         return f"a ROS 1 bag of format {old[1].decode()}; only 1.2 and 2.0 are read, convert it with `rosbag fix`"
-    if packer := _refused_packer(head):
+    if packer := _name_of(head, _REFUSED):
         return f"compressed with {packer}, which is not read ({', '.join(PACKERS)} are); decompress it first"
-    packer = _packer(head)
+    packer = _name_of(head, _PACKED)
     inside = first_bytes(path, packer, MAGIC_WITHIN_BYTES) if packer else head
     if known := next((text for pattern, text in OTHERS.items() if re.search(pattern, inside)), None):
         return known
@@ -190,12 +190,9 @@ def _folder_refusal(folder: Path) -> str:
     return f"the folder holds {listed}, or use 'mavnav batch FOLDER'"
 
 
-def _packer(head: bytes) -> str | None:
-    return next((name for name, (magic, _) in PACKERS.items() if head.startswith(magic)), None)
-
-
-def _refused_packer(head: bytes) -> str | None:
-    return next((name for magic, name in _REFUSED.items() if head.startswith(magic)), None)
+def _name_of(head: bytes, magics: Mapping[bytes, str]) -> str | None:
+    """Return the name of the magic that the first bytes of a file are; None if they are none of these."""
+    return next((name for magic, name in magics.items() if head.startswith(magic)), None)
 
 
 MAGICS: dict[bytes, str] = {

@@ -196,12 +196,9 @@ def _chunk_messages(source: Source, record: McapRecord, state: McapState) -> Ite
         return
     inner = Source(BytesIO(records), len(records), f"{where}, ")
     state.allowance.begin_chunk()
-    if not suspect:
-        yield from _sound_messages(records, inner, state)
-        return
-    state.suspect = True
-    for message in _walk(inner, 0, state):
-        yield message._replace(suspect=True)
+    state.suspect = suspect
+    for message in _walk(inner, 0, state) if suspect else _sound_messages(records, inner, state):
+        yield message._replace(suspect=True) if suspect else message
     state.suspect = False
 
 

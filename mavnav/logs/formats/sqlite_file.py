@@ -183,7 +183,9 @@ def _readable_file(path: Path, report: ReadReport) -> Iterator[Path]:
     place = path.resolve()  # of a link, journals are beside its target
     beside = [place.with_name(place.name + suffix) for suffix in _JOURNALS]
     journals = [journal for journal in beside if journal.is_file() and journal.stat().st_size > 0]
-    if not journals and _needs_no_copy(path):
+    with path.open("rb") as file:
+        head = file.read(_COUNT_AT + 4)
+    if not journals and head.startswith(SQLITE_MAGIC) and path.stat().st_size >= _declared_bytes(head):
         yield path
         return
     with temporary_folder() as folder:
@@ -194,12 +196,6 @@ def _readable_file(path: Path, report: ReadReport) -> Iterator[Path]:
             _apply_journal(copy, journal, report)
         _keep_whole_pages(copy, report)
         yield copy
-
-
-def _needs_no_copy(path: Path) -> bool:
-    with path.open("rb") as file:
-        head = file.read(_COUNT_AT + 4)
-    return head.startswith(SQLITE_MAGIC) and path.stat().st_size >= _declared_bytes(head)
 
 
 def _declared_bytes(head: bytes) -> int:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sqlite3
 from contextlib import contextmanager
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from rosbags.rosbag1 import Writer as Bag1Writer
@@ -32,11 +33,7 @@ if TYPE_CHECKING:
 def write_mcap(path: Path, channels: Mapping[str, OutputChannel]) -> Iterator[Put]:
     """Write an MCAP file of ROS 2 messages with their definitions, chunks compressed with zstd."""
     with write_serialized(path, channels) as put_bytes:
-
-        def put(topic: str, stamp_ns: int, message: Any) -> None:  # noqa: ANN401
-            put_bytes(topic, stamp_ns, ros.cdr(message))
-
-        yield put
+        yield lambda topic, stamp_ns, message: put_bytes(topic, stamp_ns, ros.cdr(message))
 
 
 @contextmanager
@@ -45,8 +42,9 @@ def write_bag1(path: Path, channels: Mapping[str, OutputChannel]) -> Iterator[Pu
     writer = Bag1Writer(path)
     writer.set_compression(Bag1Writer.CompressionFormat.BZ2)
     with writer:
-        options = {topic: {"callerid": "/mavnav", "latching": int(c.latched)} for topic, c in channels.items()}
-        yield _put(writer, channels, ros.types_ros1(), options, ros.ros1)
+        add = partial(writer.add_connection, typestore=ros.types_ros1(), callerid="/mavnav")
+        connections = {topic: add(topic, c.type, latching=int(c.latched)) for topic, c in channels.items()}
+        yield lambda topic, stamp_ns, message: writer.write(connections[topic], stamp_ns, ros.ros1(message))
 
 
 @contextmanager
@@ -55,29 +53,12 @@ def write_bag2(path: Path, channels: Mapping[str, OutputChannel]) -> Iterator[Pu
     writer = Bag2Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3)
     try:
         with writer:
-            options = {topic: {"offered_qos_profiles": parse_qos(qos_text(c))} for topic, c in channels.items()}
-            yield _put(writer, channels, ros.types_ros2(), options, ros.cdr)
+            add = partial(writer.add_connection, typestore=ros.types_ros2())
+            qos = {topic: parse_qos(qos_text(channel)) for topic, channel in channels.items()}
+            connections = {topic: add(topic, c.type, offered_qos_profiles=qos[topic]) for topic, c in channels.items()}
+            yield lambda topic, stamp_ns, message: writer.write(connections[topic], stamp_ns, ros.cdr(message))
     except sqlite3.Error as error:
         raise OSError(f"sqlite: {error}") from error
-
-
-def _put(
-    writer: Any,  # noqa: ANN401  (rosbags is untyped here)
-    channels: Mapping[str, OutputChannel],
-    types: Any,  # noqa: ANN401
-    options: Mapping[str, Mapping[str, Any]],
-    serialize: Callable[[Any], bytes],
-) -> Put:
-    """Declare the channels to a writer of rosbags, each with its options; return the function that writes to them."""
-    connections = {
-        topic: writer.add_connection(topic, channel.type, typestore=types, **options[topic])
-        for topic, channel in channels.items()
-    }
-
-    def put(topic: str, stamp_ns: int, message: Any) -> None:  # noqa: ANN401
-        writer.write(connections[topic], stamp_ns, serialize(message))
-
-    return put
 
 
 CONTAINERS: Final[dict[str, Callable[[Path, Mapping[str, OutputChannel]], AbstractContextManager[Put]]]] = {

@@ -141,8 +141,8 @@ class _Writing(Struct):
         elif isinstance(extra, MetadataRecord):
             writer.add_metadata(extra.name, extra.values)
         else:
-            e = extra
-            writer.add_attachment(_stamp(e.created_ns), _stamp(e.log_ns), e.name, e.media_type, e.data)
+            created_ns, log_ns = _stamp(extra.created_ns), _stamp(extra.log_ns)
+            writer.add_attachment(created_ns, log_ns, extra.name, extra.media_type, extra.data)
 
     def _register(self, writer: Any, channel: Channel) -> int:  # noqa: ANN401
         schema = channel.schema
