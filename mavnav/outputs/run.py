@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from mavnav.metrics.map_quality import MeasuredMap
     from mavnav.metrics.reference import Reference
     from mavnav.metrics.wall_report import WallThicknessReport
-    from mavnav.outputs.documents.continued_section import Continued
     from mavnav.outputs.documents.run_json import Localisation, MissionResult, Provenance, TruthErrors
+    from mavnav.outputs.documents.sections import Continued
     from mavnav.pose import Trajectory
     from mavnav.sessions.session import Session
     from mavnav.slam.result import SlamResult

@@ -19,8 +19,7 @@ from mavnav.logs.messages.markers import marker_array
 from mavnav.logs.writing.mcap_writer import OutputChannel, write_serialized
 from mavnav.mapping.occupancy_grid import UNKNOWN, show_ends
 from mavnav.mapping.tiled_arrays import max_pool
-from mavnav.outputs.files.extras import extras
-from mavnav.outputs.files.result_markers import markers_of
+from mavnav.outputs.files.extras import extras, markers_of
 from mavnav.outputs.run import base_frame
 from mavnav.pose import Pose
 

@@ -16,14 +16,14 @@ from mavnav.units import pluralize
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from mavnav.outputs.files.gridmap import DrawnMap
+    from mavnav.outputs.files.gridmap import GridMap
     from mavnav.pose import Trajectory
 
 COLOURS: Final = ("#d55e00", "#0072b2", "#cc79a7", "#e69f00", "#009e73", "#56b4e9", "#000000")
 """Those of Okabe and Ito, which people with colour blindness tell apart; sessions beyond repeat them."""
 
 
-def write(drawn: DrawnMap, paths: dict[str, Trajectory], path: Path) -> None:
+def write(drawn: GridMap, paths: dict[str, Trajectory], path: Path) -> None:
     """Draw the map, and map_T_laser of the sessions by their names."""
     window = window_of(drawn.known, np.concatenate([poses.xyyaw[:, :2] for poses in paths.values()]))
     axes = map_axes.framed_map(window, 7.5, map_axes.MARGINS, least=(960, 420))
