@@ -28,7 +28,7 @@ from mavnav.outputs.documents.sections import evidence
 from mavnav.outputs.files.document import plain, to_json
 from mavnav.outputs.files.gridmap import GridMap, write_npz, write_pgm, write_yaml
 from mavnav.outputs.files.trajectory import recording_file, trajectory_file, write_poses, write_scans
-from mavnav.outputs.pictures import merged_picture
+from mavnav.outputs.pictures.map_picture import write_merged
 from mavnav.outputs.report.summary_page import merge_summary, write_summary
 from mavnav.outputs.writers import REPORT_FILE
 from mavnav.pipelines.replay import ReplayRequest, replay_log
@@ -193,7 +193,7 @@ def _write(request: MergeRequest, drawn: GridMap, members: list[Session], docume
         write_pgm(drawn, folder / "map.pgm")
         write_yaml(drawn, folder / "map.yaml")
         write_npz(drawn, folder / "hits.npz")
-        merged_picture.write(drawn, paths, folder / "map.png")
+        write_merged(drawn, paths, folder / "map.png")
         for session in members:
             write_poses(session.map_T_laser, folder / trajectory_file(session.name))
             write_scans(session.scans, folder / recording_file(session.name))

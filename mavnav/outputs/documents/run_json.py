@@ -291,19 +291,7 @@ class RunDocument(Struct, frozen=True, kw_only=True):
 
 
 METRICS: Final = (
-    "schema_version",
-    "scans",
-    "cleaning",
-    "tracking",
-    "loop_closure",
-    "localisation",
-    "search",
-    "wall_thickness",
-    "map_quality",
-    "reference",
-    "map",
-    "slices",
-    "mission",
-    "truth",
-)
+    "schema_version", "scans", "cleaning", "tracking", "loop_closure", "localisation", "search", "wall_thickness",
+    "map_quality", "reference", "map", "slices", "mission", "truth",
+)  # fmt: skip
 """The keys that metrics.json repeats: they depend on log, configuration and version alone, not on clock or machine."""

@@ -28,7 +28,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.outputs.run import RunResult
-    from mavnav.slam.findings import Doubt
+    from mavnav.slam.findings import Doubt, Reason
+    from mavnav.slam.matching.steps import LostInterval
+    from mavnav.slam.recovery.parts import Part
 
 SCHEMA_VERSION: Final = 1
 LIBRARIES: Final = ("numpy", "numba", "scipy", "mcap", "rosbags", "pillow", "msgspec", "pyyaml")
@@ -180,32 +182,27 @@ def _tracking(run: RunResult) -> sections.Tracking:
     slam, first_ns = run.slam, run.log.first_ns
     return sections.Tracking(
         lost=slam.lost_for_good,
-        intervals=[
-            sections.Interval((i.start_ns - first_ns) * NS, (i.end_ns - first_ns) * NS, i.scans, i.recovered)
-            for i in slam.lost
-        ],
+        intervals=[sections.Interval(*_span_s(lost, first_ns), lost.scans, lost.recovered) for lost in slam.lost],
         tracked_share=slam.tracked_share,
         opinions=slam.tracks_compared,
         path_length_m=slam.trajectory.travelled_m,
         doubt=_doubt(slam.doubt, first_ns),
         frames={"trajectory.tum": ["map", run.log.frame_id]}
         | ({} if run.log.base_T_laser is None else {"trajectory_base.tum": ["map", base_frame(run)]}),
-        parts=[
-            sections.TrackedPart((p.start_ns - first_ns) * NS, (p.end_ns - first_ns) * NS, p.scans, p.joined)
-            for p in slam.parts
-        ]
-        or ABSENT,
+        parts=[sections.TrackedPart(*_span_s(p, first_ns), p.scans, p.joined) for p in slam.parts] or ABSENT,
         attempts=[sections.OtherTrack(*attempt) for attempt in slam.attempts] or ABSENT,
     )
+
+
+def _span_s(part: LostInterval | Part | Reason, first_ns: int) -> tuple[float, float]:
+    """Return start and end of a part of a track, s from the first scan."""
+    return (part.start_ns - first_ns) * NS, (part.end_ns - first_ns) * NS
 
 
 def _doubt(doubt: Doubt | None, first_ns: int) -> sections.DoubtSection:
     if doubt is None:
         return sections.DoubtSection(np.nan, [], [])
-    reasons = [
-        sections.DoubtReason(r.name, (r.start_ns - first_ns) * NS, (r.end_ns - first_ns) * NS, r.value)
-        for r in doubt.reasons
-    ]
+    reasons = [sections.DoubtReason(r.name, *_span_s(r, first_ns), r.value) for r in doubt.reasons]
     return sections.DoubtSection(doubt.probability, reasons, list(doubt.tried))
 
 

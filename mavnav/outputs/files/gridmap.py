@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from mavnav.mapping.slices import Slice
     from mavnav.outputs.run import RunResult
 
-    AnyMap = "GridMap | RunResult"
-
 _PIXELS: Final = {FREE: 254, OCCUPIED: 0, UNKNOWN: 205}
 
 MAX_NPZ_BYTES: Final = 1 << 32
@@ -58,13 +56,13 @@ class GridMap(Struct, frozen=True, dict=True):
         return occupancy(self.known)
 
 
-def write_pgm(run: AnyMap, path: Path) -> None:
+def write_pgm(run: GridMap | RunResult, path: Path) -> None:
     """Write the known part of the map as a binary PGM: 0 occupied, 254 free, 205 unknown, largest y on top."""
     with path.open("wb") as file:
         file.writelines(pgm_rows(run))
 
 
-def pgm_rows(run: AnyMap) -> Iterator[bytes]:
+def pgm_rows(run: GridMap | RunResult) -> Iterator[bytes]:
     """Yield the picture of `write_pgm`: its header, and its rows, a band of them at a time."""
     cells, of_cell = run.cells[::-1], np.zeros(256, np.uint8)
     for cell, pixel in _PIXELS.items():
@@ -75,12 +73,12 @@ def pgm_rows(run: AnyMap) -> Iterator[bytes]:
         yield of_cell[cells[band].view(np.uint8)].tobytes()
 
 
-def write_yaml(run: AnyMap, path: Path) -> None:
+def write_yaml(run: GridMap | RunResult, path: Path) -> None:
     """Write map_server's description of ``map.pgm``; origin is the lower left corner, with all its digits."""
     path.write_text(yaml_text(run), encoding="ascii")
 
 
-def yaml_text(run: AnyMap, image: str = "map.pgm") -> str:
+def yaml_text(run: GridMap | RunResult, image: str = "map.pgm") -> str:
     """Return the description of `write_yaml`; ``image`` is the file of the picture."""
     grid = run.known
     x_m, y_m = (float(v) for v in grid.origin_xy_m)
@@ -119,7 +117,7 @@ def _check_size(path: Path) -> None:
             raise ValueError(f"{path.name} is larger than {MAX_NPZ_BYTES} bytes")
 
 
-def write_npz(run: AnyMap, path: Path) -> None:
+def write_npz(run: GridMap | RunResult, path: Path) -> None:
     """Write the counts of the known part: ``counts`` and ``passes`` (rows, cols), ``cell_m``, ``origin_xy_m`` (2,).
 
     Row and column grow with y and x; cell [0, 0] is the lower left pixel of ``map.pgm``.

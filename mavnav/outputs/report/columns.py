@@ -6,15 +6,8 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
-from mavnav.outputs.documents.quantities import (
-    DOUBT,
-    QUANTITIES,
-    Quantity,
-    number,
-    size_note,
-    why_not_meaningful,
-    winners,
-)
+from mavnav.outputs.documents import quantities
+from mavnav.outputs.documents.quantities import number
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,7 +15,7 @@ if TYPE_CHECKING:
     from mavnav.outputs.report.entry import Entry
 
 
-COLUMNS: Final = (QUANTITIES[0], DOUBT, *QUANTITIES[1:])
+COLUMNS: Final = (quantities.QUANTITIES[0], quantities.DOUBT, *quantities.QUANTITIES[1:])
 """The columns of the table: the doubt stands beside the share of accepted scans."""
 
 
@@ -51,7 +44,7 @@ class RunTable(Struct, frozen=True):
     ``not_compared`` says which of them are not compared between all runs, empty if all are.
     """
 
-    columns: tuple[Quantity, ...]
+    columns: tuple[quantities.Quantity, ...]
     rows: tuple[RunRow, ...]
     not_compared: str
 
@@ -60,17 +53,17 @@ def table(entries: Sequence[Entry]) -> RunTable:
     """Return the table of the runs of one log."""
     runs = [e.document for e in entries]
     columns = tuple(c for c in COLUMNS if any(c.of(run) is not None for run in runs))
-    best = {c: winners(c, runs) for c in columns}
+    best = {c: quantities.winners(c, runs) for c in columns}
     rows = tuple(
         RunRow(
             e.name,
             tuple(Field(text(c.of(e.document), c.digits), k in best[c]) for c in columns),
             (relative_cost(entries, e), relative_cost(entries, e, "timing.cpu_s")),
-            why_not_meaningful(e.document),
+            quantities.why_not_meaningful(e.document),
         )
         for k, e in enumerate(entries)
     )
-    return RunTable(columns, rows, size_note(runs))
+    return RunTable(columns, rows, quantities.size_note(runs))
 
 
 MISSING: Final = "\u2013"

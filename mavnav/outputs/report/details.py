@@ -49,14 +49,10 @@ def inputs(entries: Sequence[Entry]) -> list[tuple[str, str]]:
 
 def versions(entries: Sequence[Entry]) -> list[tuple[str, str]]:
     """Return the software of the runs with all versions of each."""
-    made = [_made_by(e.document) for e in entries]
-    names = dict.fromkeys(name for one in made for name in one)
-    return [(name, ", ".join(dict.fromkeys(str(one.get(name)) for one in made))) for name in names]
-
-
-def _made_by(document: dict[str, Any]) -> dict[str, Any]:
-    libraries = document.get("libraries") or {}
-    return {"mavnav": document.get("mavnav_version"), "python": document.get("python"), **libraries}
+    runs = [e.document for e in entries]
+    used = [{"mavnav": r.get("mavnav_version"), "python": r.get("python"), **(r.get("libraries") or {})} for r in runs]
+    names = dict.fromkeys(name for one in used for name in one)
+    return [(name, ", ".join(dict.fromkeys(str(one.get(name)) for one in used))) for name in names]
 
 
 def commands(entries: Sequence[Entry]) -> list[tuple[str, str]]:

@@ -9,12 +9,11 @@ from msgspec import Struct
 
 from mavnav.atomic_files import beside
 from mavnav.errors import OutputError
-from mavnav.outputs.documents.facts import facts
 from mavnav.outputs.report import details, panels
 from mavnav.outputs.report.columns import RunTable, table
 from mavnav.outputs.report.entry import Entry, Failure, load
 from mavnav.outputs.report.headline import headline
-from mavnav.outputs.report.html import environment, inline
+from mavnav.outputs.report.html import environment, facts, inline
 from mavnav.outputs.report.pictures import Pictures, draw
 from mavnav.version import __version__
 
@@ -42,15 +41,8 @@ class LogSection(Struct, frozen=True):
 
 def single(document: dict[str, Any], directory: str = ".") -> dict[str, Any]:
     """Return a comparison document with one run, whose files are in ``directory``."""
-    cell = {
-        "log": document["input"]["path"],
-        "method": document["method"],
-        "grid": document["grid"],
-        "azimuth": document["azimuth"],
-        "status": "done",
-        "exit_code": document["exit_code"],
-        "directory": directory,
-    }
+    cell = {key: document[key] for key in ("method", "grid", "azimuth", "exit_code")}
+    cell |= {"log": document["input"]["path"], "status": "done", "directory": directory}
     return {"schema_version": 1, "mavnav_version": document["mavnav_version"], "cells": [cell]}
 
 

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Final
 from PIL import Image
 
 from mavnav.outputs.pictures.canvas import Canvas
-from mavnav.outputs.pictures.plot import Axes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -47,13 +46,6 @@ def panel(size: tuple[int, int], title: str, margins: Box = MAP_MARGINS) -> tupl
     canvas = Canvas.of(left + width + right, top + height + bottom)
     canvas.text((left, top - 11), title, FONT_PT + 1.5, anchor="ls")
     return canvas, (left, top, left + width, top + height)
-
-
-def chart(title: str, limits: tuple[float, float, float, float], names: tuple[str, str], name_left: int) -> Axes:
-    """Return the axes of a new panel, with limits and names of x and y, and the offset of the name of y in pixels."""
-    axes = Axes.chart(*panel(CHART, title, CHART_MARGINS), limits)
-    axes.names(*names, FONT_PT, name_left)
-    return axes
 
 
 def sheet(panels: Sequence[Image.Image], columns: int | None = None) -> Image.Image:

@@ -18,7 +18,7 @@ from mavnav.outputs.files.trajectory import write_csv, write_true_walls
 from mavnav.outputs.pictures import map_axes
 from mavnav.outputs.pictures.canvas import rgb_of
 from mavnav.outputs.pictures.viewport import MUTED, Viewport
-from mavnav.outputs.report import columns, cost_panel, details, motion_panel, panels, single, write_report
+from mavnav.outputs.report import charts, columns, details, panels, single, write_report
 from mavnav.outputs.report.closeups import differing_places
 from mavnav.outputs.report.entry import Entry, load
 from mavnav.outputs.report.headline import headline
@@ -149,25 +149,25 @@ def test_a_scan_is_rejected_unless_it_is_lost(entries):
     scans = replace(entries[0].scans, time_s=np.arange(6.0), tracked=np.array([1, 0, 1, 0, 0, 0], bool))
     lost = {"intervals": [{"start_s": 4.0, "end_s": 5.0}]}
     entry = with_document(replace(entries[0], scans=scans), tracking=lost)
-    assert np.flatnonzero(cost_panel.rejected_scans(entry)).tolist() == [1, 3]
+    assert np.flatnonzero(charts.rejected_scans(entry)).tolist() == [1, 3]
 
 
 def test_a_short_scale_of_costs_is_named_too():
-    assert cost_panel.named_costs(90.0, 1100.0) == [(100, "100"), (200, "200"), (500, "500"), (1000, "1000")]
-    assert cost_panel.between_powers(90.0, 1100.0) == [90.0, *range(200, 1000, 100)]
+    assert charts.named_costs(90.0, 1100.0) == [(100, "100"), (200, "200"), (500, "500"), (1000, "1000")]
+    assert charts.between_powers(90.0, 1100.0) == [90.0, *range(200, 1000, 100)]
 
 
 def test_a_long_scale_of_costs_is_named_by_few_powers_of_ten():
-    assert [name for _, name in cost_panel.named_costs(0.2, 3e5)] == ["1e0", "1e1", "1e2", "1e3", "1e4", "1e5"]
-    assert [name for _, name in cost_panel.named_costs(0.05, 3e8)] == ["1e0", "1e2", "1e4", "1e6", "1e8"]
+    assert [name for _, name in charts.named_costs(0.2, 3e5)] == ["1e0", "1e1", "1e2", "1e3", "1e4", "1e5"]
+    assert [name for _, name in charts.named_costs(0.05, 3e8)] == ["1e0", "1e2", "1e4", "1e6", "1e8"]
 
 
 def test_the_scale_of_costs_ends_near_the_data(entries):
     scans = entries[0].scans
     level = replace(scans, cost_mm2=np.full(len(scans.time_s), 500.0), threshold_mm2=np.full(len(scans.time_s), np.nan))
-    (panel,) = map(np.asarray, cost_panel.cost_panels([with_document(replace(entries[0], scans=level), tracking=None)]))
-    blue = np.abs(panel.astype(int) - rgb_of(cost_panel.COST.colour)).sum(axis=2) < 90
-    row, top = np.flatnonzero(blue.sum(axis=1) > 300).mean(), panels.CHART_MARGINS[1] + cost_panel.LEGEND_ROW
+    (panel,) = map(np.asarray, charts.cost_panels([with_document(replace(entries[0], scans=level), tracking=None)]))
+    blue = np.abs(panel.astype(int) - rgb_of(charts.COST.colour)).sum(axis=2) < 90
+    row, top = np.flatnonzero(blue.sum(axis=1) > 300).mean(), panels.CHART_MARGINS[1] + charts.LEGEND_ROW
     assert row == pytest.approx(top + panels.CHART[1] / 2, abs=2)  # half and double are the ends
 
 
@@ -175,12 +175,12 @@ def test_the_caption_of_the_costs_explains_what_is_drawn(entries):
     scans = entries[0].scans
     every = replace(scans, tracked=np.ones(len(scans.time_s), bool), cost_mm2=np.ones(len(scans.time_s)))
     plain = with_document(replace(entries[0], scans=every), tracking=None)
-    assert cost_panel.caption([plain]) == ""
+    assert charts.caption([plain]) == ""
     tracked = every.tracked.copy()
     tracked[3] = False
     lost = {"intervals": [{"start_s": 1e6, "end_s": 1e6}]}
     other = with_document(replace(entries[0], scans=replace(every, tracked=tracked)), tracking=lost, method="paper")
-    shown = cost_panel.caption([plain, other])
+    shown = charts.caption([plain, other])
     assert shown == (
         "Crosses: rejected scans that were matched. Shaded: stretches where the track was lost. "
         "Costs compare within a method only."
@@ -190,8 +190,8 @@ def test_the_caption_of_the_costs_explains_what_is_drawn(entries):
 def test_the_curve_of_costs_lies_where_its_ticks_say(entries):
     scans = entries[0].scans
     level = replace(scans, time_s=np.linspace(0.0, 2.0, len(scans.time_s)), cost_mm2=np.full(len(scans.time_s), 200.0))
-    (panel,) = cost_panel.cost_panels([with_document(replace(entries[0], scans=level), tracking=None)])
-    blue = np.abs(np.asarray(panel).astype(int) - rgb_of(cost_panel.COST.colour)).sum(axis=2) < 90
+    (panel,) = charts.cost_panels([with_document(replace(entries[0], scans=level), tracking=None)])
+    blue = np.abs(np.asarray(panel).astype(int) - rgb_of(charts.COST.colour)).sum(axis=2) < 90
     row = np.flatnonzero(blue.sum(axis=1) > 300).mean()
     ink = np.asarray(panel).astype(int).sum(axis=2) < 450
     ticks = np.flatnonzero(ink[:, 89:93].all(axis=1))  # on the left of the axis, labels end before
@@ -308,9 +308,9 @@ def test_doubtful_stretches_are_drawn_on_the_map(entries):
 
 
 def test_the_legend_of_the_costs_lies_above_the_axes(entries, monkeypatch):
-    (panel,) = map(np.asarray, cost_panel.cost_panels(entries[:1]))
-    monkeypatch.setattr(cost_panel, "legend", lambda *_: None)
-    (bare,) = map(np.asarray, cost_panel.cost_panels(entries[:1]))
+    (panel,) = map(np.asarray, charts.cost_panels(entries[:1]))
+    monkeypatch.setattr(charts, "legend", lambda *_: None)
+    (bare,) = map(np.asarray, charts.cost_panels(entries[:1]))
     top_of_axes = np.flatnonzero((bare[:, panels.CHART_MARGINS[0]] == rgb_of(MUTED)).all(axis=1))[0]
     legend = np.flatnonzero((panel != bare).any(axis=(1, 2)))
     assert len(legend) and legend[-1] < top_of_axes
@@ -391,20 +391,20 @@ def test_speed_is_that_between_the_poses_before_and_after():
     time_s = np.array([0.0, 0.1, 0.2, 0.3, 3.0, 3.1])
     xy_m = np.column_stack((0.5 * time_s, np.zeros(6)))
     xy_m[2] = np.nan
-    found = motion_panel.speeds(time_s, xy_m)
+    found = charts.speeds(time_s, xy_m)
     np.testing.assert_allclose(found[1], 0.5)
     assert np.isnan(found[[0, 2, 3, 4, 5]]).all()  # no pose, next to a gap, and the ends
-    assert np.isnan(motion_panel.speeds(time_s[:2], xy_m[:2])).all()
+    assert np.isnan(charts.speeds(time_s[:2], xy_m[:2])).all()
 
 
 def test_the_motion_has_a_curve_of_the_error_where_the_truth_is_known(entries):
     scans = entries[0].scans
     yaw = replace(scans, yaw_rad=np.linspace(3.0, 4.0, len(scans.time_s)) % (2 * np.pi) - np.pi)
-    names = [curve.name for curve in motion_panel.curves(replace(entries[0], scans=yaw))]
+    names = [curve.name for curve in charts.curves(replace(entries[0], scans=yaw))]
     assert names == ["x [m]", "y [m]", "yaw [deg]", "speed [m/s]"]
     known = replace(yaw, error_m=np.full(len(scans.time_s), 0.02))
-    curves = motion_panel.curves(replace(entries[0], scans=known))
+    curves = charts.curves(replace(entries[0], scans=known))
     assert (curves[-1].name, curves[-1].values[0]) == ("error [mm]", pytest.approx(20.0))
     assert np.abs(np.diff(curves[2].values)).max() < 90.0  # unwrapped
-    with_error, without = (motion_panel.motion_panel(replace(entries[0], scans=s)) for s in (known, yaw))
+    with_error, without = (charts.motion_panel(replace(entries[0], scans=s)) for s in (known, yaw))
     assert with_error.height > without.height
