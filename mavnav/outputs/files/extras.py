@@ -47,12 +47,11 @@ def extras(run: RunResult) -> Extras:
     del document["input"]["path"]
     for key in ("sha256", "size_bytes") if run.mission else ():
         del document["input"][key]
-    texts = {
-        "run.json": ("application/json", plain_json(document)),
-        "config.json": ("application/json", to_json(run.config)),
-        "map.yaml": ("application/yaml", yaml_text(run)),
-    }
-    files = [Attachment(name, kind, text.encode()) for name, (kind, text) in texts.items()]
+    files = [
+        Attachment("run.json", "application/json", plain_json(document).encode()),
+        Attachment("config.json", "application/json", to_json(run.config).encode()),
+        Attachment("map.yaml", "application/yaml", yaml_text(run).encode()),
+    ]
     if run.known.hits.size <= MOST_CELLS:
         files.append(Attachment("map.pgm", "image/x-portable-graymap", b"".join(pgm_rows(run))))
     return Extras(run.log.first_ns, {"mavnav": _metadata(run)}, tuple(files))

@@ -176,8 +176,7 @@ def _draw_columns(draw: Any, view: _Projection, blocks: _Blocks) -> None:  # noq
 
 def _colours(levels: int) -> NDArray[np.uint8]:
     """Return the colours of the slices (levels, 3), the lowest first."""
-    colours: NDArray[np.uint8] = HEIGHTS[np.linspace(0, len(HEIGHTS) - 1, levels).round().astype(int)]
-    return colours
+    return np.asarray(HEIGHTS[np.linspace(0, len(HEIGHTS) - 1, levels).round().astype(int)])
 
 
 def _shade(colour: Floats, shade: float) -> tuple[int, ...]:

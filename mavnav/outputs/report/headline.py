@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 from mavnav.outputs.documents import quantities
 from mavnav.outputs.documents.quantities import comparable, number
-from mavnav.outputs.report import columns
+from mavnav.outputs.report import tables
 from mavnav.units import pluralize
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ def _of_one(entry: Entry) -> str:
 
 
 def _mm(value_mm: float) -> str:
-    return f"{columns.text(value_mm, 0)} mm"
+    return f"{tables.text(value_mm, 0)} mm"
 
 
 def _ghosts(entry: Entry) -> str:
@@ -107,11 +107,10 @@ def _ranking(sound: Sequence[Entry], quality: Sequence[Quantity], measure: str) 
     """Return the sentence for several maps: the run that is best by most metrics, if there is one."""
     won = {q.title: quantities.winners(q, [e.document for e in sound]) for q in quality}
     contested = [title for title, best in won.items() if best]
+    names = _list([e.name for e in sound])
     if not contested:
-        names = _list([e.name for e in sound])
         return f"The maps of {names} are equally good by every {measure}{_fewest_evaluations(sound)}."
     if max(_spread(sound, q) for q in quality if won[q.title]) < SMALL_SHARE:
-        names = _list([e.name for e in sound])
         most = max(_spread(sound, q) for q in quality)
         differ = f"no measure differs by more than {100 * most:.1f} %"
         return f"The maps of {names} are as good as equal: {differ}{_fewest_evaluations(sound)}."
@@ -119,8 +118,8 @@ def _ranking(sound: Sequence[Entry], quality: Sequence[Quantity], measure: str) 
     leaders = [k for k, wins in enumerate(score) if wins == max(score)]
     best, of = sound[leaders[0]], f"of the {len(contested)} measures that differ"
     if len(leaders) > 1:
-        names = _list([sound[k].name for k in leaders])
-        return f"No run stands out: {names} are each best at {max(score)} {of}{_fewest_evaluations(sound)}."
+        equal = _list([sound[k].name for k in leaders])
+        return f"No run stands out: {equal} are each best at {max(score)} {of}{_fewest_evaluations(sound)}."
     measures = _list([title for title in contested if leaders[0] in won[title]])
     lead = "by the one measure that differs" if len(contested) == 1 else f"best at {max(score)} {of}"
     return f"{best.name} gives the best map, {lead} ({measures}){_walls(sound, best)}. {_cost(sound, best)}".rstrip()
@@ -141,7 +140,7 @@ def _list(names: Sequence[str]) -> str:
 
 def _walls(sound: Sequence[Entry], best: Entry) -> str:
     """Return the comparison of a run's wall thickness with that of the coarsest grid of its method; may be empty."""
-    coarse = columns.coarsest(sound, best)
+    coarse = tables.coarsest(sound, best)
     ours, theirs = P95.of(best.document), P95.of(coarse.document)
     if coarse is best or ours is None or theirs is None or not comparable(P95, [best.document, coarse.document]):
         return ""
@@ -152,7 +151,7 @@ def _walls(sound: Sequence[Entry], best: Entry) -> str:
 
 
 def _cost(sound: Sequence[Entry], best: Entry) -> str:
-    times, coarse = columns.relative_cost(sound, best), columns.coarsest(sound, best)
+    times, coarse = tables.relative_cost(sound, best), tables.coarsest(sound, best)
     if coarse is best:
         finer = sum(e.document.get("method") == best.document.get("method") for e in sound) > 1
         return "It has the coarsest grid of its method: a finer one does not pay here." if finer else ""

@@ -9,8 +9,7 @@ from msgspec import Struct
 
 from mavnav.atomic_files import beside
 from mavnav.errors import OutputError
-from mavnav.outputs.report import details, panels
-from mavnav.outputs.report.columns import RunTable, table
+from mavnav.outputs.report import panels, tables
 from mavnav.outputs.report.entry import Entry, Failure, load
 from mavnav.outputs.report.headline import headline
 from mavnav.outputs.report.html import environment, facts, inline
@@ -35,7 +34,7 @@ class LogSection(Struct, frozen=True):
     facts: str
     entries: list[Entry]
     failures: list[Failure]
-    table: RunTable
+    table: tables.RunTable
     pictures: Pictures | None
 
 
@@ -77,7 +76,7 @@ def _section(log: str, loaded: list[Entry | Failure]) -> LogSection:
         facts=facts([e.document for e in entries]),
         entries=entries,
         failures=[e for e in loaded if isinstance(e, Failure)],
-        table=table(entries),
+        table=tables.table(entries),
         pictures=draw(entries) if entries else None,
     )
 
@@ -96,7 +95,7 @@ def _page(comparison: dict[str, Any], sections: list[LogSection]) -> str:
     return templates.get_template("report.html").render(
         title=_title(sections),
         sections=sections,
-        details=details,
+        tables=tables,
         style=style,
         script=None,
         version=comparison.get("mavnav_version") or __version__,

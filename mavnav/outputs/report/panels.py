@@ -51,8 +51,7 @@ def panel(size: tuple[int, int], title: str, margins: Box = MAP_MARGINS) -> tupl
 def sheet(panels: Sequence[Image.Image], columns: int | None = None) -> Image.Image:
     """Return an image of panels in rows on white, with ``columns`` panels per row, by default as many as fit."""
     width, height = (max(p.size[k] for p in panels) + GAP_PIXELS for k in (0, 1))
-    per_row = columns or max(1, SHEET_PIXELS // width)
-    per_row = min(per_row, len(panels))
+    per_row = min(columns or max(1, SHEET_PIXELS // width), len(panels))
     rows = -(-len(panels) // per_row)
     canvas = Image.new("RGB", (per_row * width, rows * height), "white")
     for k, panel in enumerate(panels):

@@ -18,7 +18,7 @@ from mavnav.outputs.files.trajectory import write_csv, write_true_walls
 from mavnav.outputs.pictures import map_axes
 from mavnav.outputs.pictures.canvas import rgb_of
 from mavnav.outputs.pictures.viewport import MUTED, Viewport
-from mavnav.outputs.report import charts, columns, details, panels, single, write_report
+from mavnav.outputs.report import charts, panels, single, tables, write_report
 from mavnav.outputs.report.closeups import differing_places
 from mavnav.outputs.report.entry import Entry, load
 from mavnav.outputs.report.headline import headline
@@ -232,8 +232,8 @@ def test_close_ups_do_not_overlap():
 
 
 def test_the_winner_is_marked_and_named(entries):
-    rows = {row.name: row for row in columns.table(entries).rows}
-    titles = [c.title for c in columns.table(entries).columns]
+    rows = {row.name: row for row in tables.table(entries).rows}
+    titles = [c.title for c in tables.table(entries).columns]
     ghost = titles.index("ghosts")
     assert rows["robust 40/20x20"].fields[ghost].best
     assert not rows["robust 20/5x5"].fields[ghost].best
@@ -249,8 +249,8 @@ def test_the_cost_is_relative_to_the_coarsest_grid(entries):
     coarse = entries[0]
     fine = with_document(entries[1], search=search, timing=timing | {"cpu_s": 3.0 * timing["cpu_s"]})
     search_0 = coarse.document["search"]["evaluations_per_scan"]["mean"]
-    assert columns.relative_cost([coarse, fine], fine) == pytest.approx(20_000.0 / search_0)
-    assert columns.table([coarse, fine]).rows[1].relative_costs == pytest.approx((20_000.0 / search_0, 3.0))
+    assert tables.relative_cost([coarse, fine], fine) == pytest.approx(20_000.0 / search_0)
+    assert tables.table([coarse, fine]).rows[1].relative_costs == pytest.approx((20_000.0 / search_0, 3.0))
     assert f"{20_000.0 / search_0:.1f} times the evaluations of robust 20/5x5" in headline([coarse, fine])
 
 
@@ -264,7 +264,7 @@ def test_the_coarsest_grid_of_two_may_win(entries):
 def test_equal_maps_have_no_winner(entries):
     same = with_document(entries[1], grid="5x5")
     assert "equally good" in headline([entries[1], same])
-    assert not any(f.best for row in columns.table([entries[1], same]).rows for f in row.fields)
+    assert not any(f.best for row in tables.table([entries[1], same]).rows for f in row.fields)
 
 
 def test_a_small_difference_is_called_small(entries):
@@ -282,7 +282,7 @@ def test_a_difference_within_the_noise_does_not_count(entries):
         return with_document(entries[1], wall_thickness={"spread": {"p95_mm": p95_mm}})
 
     def best(*runs):
-        table = columns.table(runs)
+        table = tables.table(runs)
         p95 = [c.title for c in table.columns].index("wall p95")
         return [row.fields[p95].best for row in table.rows]
 
@@ -292,9 +292,9 @@ def test_a_difference_within_the_noise_does_not_count(entries):
 
 def test_the_table_has_the_doubt_of_each_track(entries):
     doubtful = with_document(entries[0], tracking={"lost": False, "doubt": {"probability": 0.814, "reasons": []}})
-    table = columns.table([entries[1], doubtful])
+    table = tables.table([entries[1], doubtful])
     doubt = [c.title for c in table.columns].index("doubt")
-    assert table.rows[1].fields[doubt] == columns.Field("0.81", best=False)
+    assert table.rows[1].fields[doubt] == tables.Field("0.81", best=False)
     assert not any(row.fields[doubt].best for row in table.rows)
 
 
@@ -324,15 +324,15 @@ def test_headline_and_mark_agree_on_what_is_the_same(entries):
         return with_document(entries[1], grid=grid, wall_thickness=spread, map_quality=quality(ghosts=ghosts))
 
     fine, coarse = walls(63.4, "20x20", 0.0), walls(66.6, "5x5", 1.0)
-    titles = [c.title for c in columns.table([coarse, fine]).columns]
-    assert columns.table([coarse, fine]).rows[1].fields[titles.index("wall p95")].best
+    titles = [c.title for c in tables.table([coarse, fine]).columns]
+    assert tables.table([coarse, fine]).rows[1].fields[titles.index("wall p95")].best
     assert "its walls are thinner than those of" in headline([coarse, fine])
 
 
 def test_a_map_of_nothing_never_wins(entries):
     nothing = with_document(entries[1], map_quality=quality(meaningful=False))
     assert "Only robust 20/5x5" in headline([entries[0], nothing])
-    assert not any(f.best for f in columns.table([entries[0], nothing]).rows[1].fields)
+    assert not any(f.best for f in tables.table([entries[0], nothing]).rows[1].fields)
     assert "None of the 2 maps" in headline([nothing, nothing])
     assert "each failed" in headline([])
 
@@ -341,7 +341,7 @@ def test_a_run_without_the_profile_is_judged_by_its_scans(entries):
     bare = with_document(entries[1], map_quality=None)
     few = with_document(bare, map={"accepted_share": 0.02})
     lost = with_document(bare, tracking={"lost": True})
-    whys = [row.why_not for row in columns.table([bare, few, lost]).rows]
+    whys = [row.why_not for row in tables.table([bare, few, lost]).rows]
     assert whys == ["", "only 2 % of the scans were accepted", "the track was lost for good"]
 
 
@@ -376,7 +376,7 @@ def test_a_run_directory_that_is_gone_is_a_failed_run(comparison, base, tmp_path
 def test_settings_that_differ_are_told_apart(entries):
     coarse = with_document(entries[0], config={"grid": "5x5", "cell": 20, "paper": {"gate_mm2": 400.0}})
     fine = with_document(entries[1], config={"grid": "20x20", "cell": 20, "paper": {"gate_mm2": 400.0}})
-    found = details.settings([coarse, fine])
+    found = tables.settings([coarse, fine])
     assert found.differing == [("grid", ["5x5", "20x20"])]
     assert found.common == [("cell", "20")]
 
