@@ -13,9 +13,8 @@ from mavnav.batch.thumbnail import thumbnail
 from mavnav.config.named_files import read_json
 from mavnav.errors import ExitCode
 from mavnav.outputs.directory import RUN_FILE
-from mavnav.outputs.documents.facts import facts
 from mavnav.outputs.documents.quantities import NAMED, PATH, TIME
-from mavnav.outputs.report.html import environment, inline
+from mavnav.outputs.report.html import environment, facts, inline
 from mavnav.outputs.writers import REPORT_FILE
 
 if TYPE_CHECKING:

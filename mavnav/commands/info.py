@@ -177,7 +177,7 @@ def _imu(log: Log) -> dict[str, Any] | None:
 
 
 def _attitude(log: Log) -> dict[str, Any] | None:
-    from mavnav.outputs.documents.slices_section import attitude_source
+    from mavnav.outputs.documents.sections import attitude_source
     from mavnav.outputs.files.document import plain
 
     return None if log.attitude is None else plain(attitude_source(log.attitude))

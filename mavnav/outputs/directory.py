@@ -1,4 +1,7 @@
-"""The run directory: written beside, complete or not at all, renamed at the end."""
+"""The run directory, and single files that the user names: checked before the work, complete or absent after it.
+
+They are written beside and renamed at the end.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from mavnav.atomic_files import beside, is_stream
 from mavnav.errors import OutputError, UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
 RUN_FILE: Final = "run.json"
 """The file that makes a directory a run of ours."""
@@ -127,3 +130,25 @@ def atomic_directory(directory: Path, *, force: bool, marker: str = RUN_FILE) ->
     except OSError as error:
         reason = error.strerror or error
         raise OutputError(f"{directory} cannot be written: {reason}; make room or choose another with -o") from error
+
+
+def check_file(path: Path | None, suffix: str, kind: str, *, force: bool) -> None:
+    """Raise UsageError or OutputError for a file that could not be written or has another suffix; None is no file."""
+    if path is None:
+        return
+    check_target(path)
+    if is_stream(path):
+        return
+    if path.suffix.lower() != suffix:
+        raise UsageError(f"{path} is no {kind} file; name it with {suffix}, for example {path}{suffix}")
+    if path.exists() and not force:
+        raise OutputError(f"{path} exists; choose another file, or --force to replace it")
+
+
+def write_file(path: Path, write: Callable[[Path], None], *, force: bool) -> None:
+    """Write a file by a function that is given a path; raises OutputError if it cannot be written."""
+    try:
+        with beside(path, exclusive=not force) as partial:
+            write(partial)
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error

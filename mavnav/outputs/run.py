@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from msgspec import Struct, field
 
@@ -26,12 +26,13 @@ if TYPE_CHECKING:
     from mavnav.metrics.map_quality import MeasuredMap
     from mavnav.metrics.reference import Reference
     from mavnav.metrics.wall_report import WallThicknessReport
-    from mavnav.outputs.documents.continued_section import Continued
     from mavnav.outputs.documents.run_json import Localisation, MissionResult, Provenance, TruthErrors
+    from mavnav.outputs.documents.sections import Continued
     from mavnav.pose import Trajectory
     from mavnav.sessions.session import Session
     from mavnav.slam.result import SlamResult
 
+    Walls: TypeAlias = "Truth | TrueMap | WallShapes"
 
 KEPT_CELLS: Final = 1 << 24
 """What is known of so many cells is kept from one writer to the next."""
@@ -49,20 +50,8 @@ class Timing(Struct, frozen=True):
     stages: Mapping[str, float] = field(default_factory=dict)
 
 
-class Walls(Protocol):
-    """Walls in the map frame: ``segments_map`` (n, 4) and ``arcs_map`` (m, 5), as `Truth` has them."""
-
-    @property
-    def segments_map(self) -> NDArray[np.float64]:
-        """Straight walls."""
-
-    @property
-    def arcs_map(self) -> NDArray[np.float64]:
-        """Curved walls."""
-
-
 class WallShapes(Struct, frozen=True):
-    """Walls in the map frame, as `Truth` has them."""
+    """Walls in the map frame: ``segments_map`` (n, 4) and ``arcs_map`` (m, 5), as `Truth` has them."""
 
     segments_map: NDArray[np.float64]
     arcs_map: NDArray[np.float64]

@@ -11,18 +11,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.errors import UsageError
 from mavnav.outputs.directory import RUN_FILE, atomic_directory, file_sha256
+from mavnav.outputs.files import trajectory
 from mavnav.outputs.files.document import plain, plain_json, run_document, with_picture, write_metrics
-from mavnav.outputs.files.gridmap import write_npz, write_pgm, write_yaml
-from mavnav.outputs.files.sessions import recording_file, trajectory_file, write_poses, write_scans
-from mavnav.outputs.files.slices_files import slice_files, write_slice
-from mavnav.outputs.files.trajectory import (
-    TRUE_WALLS_FILE,
-    write_base_tum,
-    write_csv,
-    write_true_walls,
-    write_truth_tum,
-    write_tum,
-)
+from mavnav.outputs.files.extras import write_layout
+from mavnav.outputs.files.gridmap import slice_files, write_npz, write_pgm, write_slice, write_yaml
 from mavnav.profiling import Stage
 
 if TYPE_CHECKING:
@@ -43,11 +35,11 @@ def _late(module: str, run: RunResult, path: Path) -> None:
 
 GROUPS: Final[dict[str, dict[str, Writer]]] = {
     "trajectory": {
-        "trajectory.tum": write_tum,
-        "trajectory_base.tum": write_base_tum,
-        "trajectory.csv": write_csv,
-        "truth.tum": write_truth_tum,
-        TRUE_WALLS_FILE: write_true_walls,
+        "trajectory.tum": trajectory.write_tum,
+        "trajectory_base.tum": trajectory.write_base_tum,
+        "trajectory.csv": trajectory.write_csv,
+        "truth.tum": trajectory.write_truth_tum,
+        trajectory.TRUE_WALLS_FILE: trajectory.write_true_walls,
     },
     "map": {"map.pgm": write_pgm, "map.yaml": write_yaml, "hits.npz": write_npz},
     "metrics": {"walls.csv": partial(_late, "files.wall_table"), "metrics.json": write_metrics},
@@ -56,15 +48,12 @@ GROUPS: Final[dict[str, dict[str, Writer]]] = {
         "map.png": partial(_late, "pictures.map_picture"),
         "true_map.png": partial(_late, "pictures.mission_picture"),
     },
-    "mcap": {
-        "result.mcap": partial(_late, "files.replay_log"),
-        "foxglove_layout.json": partial(_late, "files.foxglove_layout"),
-    },
+    "mcap": {"result.mcap": partial(_late, "files.replay_log"), "foxglove_layout.json": write_layout},
     "report": {},
     "slices": {"map_3d.png": partial(_late, "pictures.slices_picture")},
     "svg": {"map.svg": partial(_late, "pictures.vector_map")},
     "scale": dict.fromkeys(("map_scale.png", "map_scale.yaml"), partial(_late, "pictures.scale_map")),
-    "graph": {"pose_graph.g2o": partial(_late, "files.graph_file")},
+    "graph": {"pose_graph.g2o": trajectory.write_graph},
 }
 """The files of a run and their writers, in groups by the names of ``--outputs``; run.json is always written.
 
@@ -102,10 +91,8 @@ def write_run(
     it), holds something else than a run, or cannot be written.
     """
     with atomic_directory(directory, force=force) as folder:
-        names = _names(run, groups)
-        digests = {name: _write(WRITERS.get(name, write_slice), run, folder / name) for name in names}
-        for name, write in _of_sessions(run, names).items():
-            digests[name] = _write(write, run, folder / name)
+        writers = _writers(run, groups)
+        digests = {name: _write(write, folder / name) for name, write in writers.items()}
         document: dict[str, Any] = plain(run_document(run, digests))
         document["warnings"] = [with_picture(line, digests) for line in document["warnings"]]
         path = folder / RUN_FILE
@@ -120,40 +107,37 @@ def write_page(comparison: dict[str, Any], folder: Path) -> None:
     import_module("mavnav.outputs.report").write_report(comparison, folder, folder / REPORT_FILE)
 
 
-def _names(run: RunResult, groups: Collection[str] | None) -> list[str]:
-    """Return the wanted files that can be written: some need more than every log contains."""
+def _writers(run: RunResult, groups: Collection[str] | None) -> dict[str, Callable[[Path], None]]:
+    """Return the wanted files that can be written, with their writers: some need more than every log contains.
+
+    A continued run has files of its earlier sessions too, of the groups that are written.
+    """
     chosen = GROUPS.keys() - _IF_NAMED if groups is None else GROUPS if ALL in groups else groups
-    wanted = {name for group in chosen for name in GROUPS[group]}
-    known = {"trajectory_base.tum": run.log.base_T_laser is not None}
-    known["pose_graph.g2o"] = run.slam.loops.graph is not None
-    known |= dict.fromkeys(("truth.tum", "true_map.png"), run.truth is not None)
-    known[TRUE_WALLS_FILE] = run.true_walls is not None
-    known["map_3d.png"] = run.slices is not None
-    by_height = slice_files(run.slices.layers) if run.slices and "slices" in chosen else []
-    return [*(name for name in WRITERS if name in wanted and known.get(name, True)), *by_height]
-
-
-def _of_sessions(run: RunResult, names: Collection[str]) -> dict[str, Callable[[RunResult, Path], None]]:
-    """Return the files of the sessions of a continued run, with their writers: of the groups that are written."""
-    writers: dict[str, Callable[[RunResult, Path], None]] = {}
-    for number, session in enumerate(run.earlier):
+    names = {name for group in chosen for name in GROUPS[group]}
+    needed = {
+        "trajectory_base.tum": run.log.base_T_laser,
+        "pose_graph.g2o": run.slam.loops.graph,
+        "truth.tum": run.truth,
+        "true_map.png": run.truth,
+        trajectory.TRUE_WALLS_FILE: run.true_walls,
+        "map_3d.png": run.slices,
+    }
+    names -= {name for name, value in needed.items() if value is None}
+    writers: dict[str, Callable[[Path], None]] = {
+        name: partial(write, run) for name, write in WRITERS.items() if name in names
+    }
+    if run.slices and "slices" in chosen:
+        writers |= dict.fromkeys(slice_files(run.slices.layers), partial(write_slice, run))
+    for session in run.earlier:
         if "trajectory.tum" in names:
-            writers[trajectory_file(session.name)] = partial(_poses_of, number)
+            writers[trajectory.trajectory_file(session.name)] = partial(trajectory.write_poses, session.map_T_laser)
         if "result.mcap" in names:
-            writers[recording_file(session.name)] = partial(_scans_of, number)
+            writers[trajectory.recording_file(session.name)] = partial(trajectory.write_scans, session.scans)
     return writers
 
 
-def _poses_of(number: int, run: RunResult, path: Path) -> None:
-    write_poses(run.earlier[number].map_T_laser, path)
-
-
-def _scans_of(number: int, run: RunResult, path: Path) -> None:
-    write_scans(run.earlier[number].scans(), path)
-
-
-def _write(write: Callable[[RunResult, Path], None], run: RunResult, path: Path) -> str:
+def _write(write: Callable[[Path], None], path: Path) -> str:
     """Write one file and return its SHA-256."""
     with Stage("pictures" if path.suffix == ".png" else "outputs"):
-        write(run, path)
+        write(path)
         return file_sha256(path)

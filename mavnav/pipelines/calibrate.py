@@ -16,11 +16,10 @@ from mavnav.logs import check_log, open_log
 from mavnav.logs.formats.detect import log_name
 from mavnav.metrics.calibration.motion import motions_of
 from mavnav.metrics.calibration.quantities import KINDS, LEAST_TURN_RAD, Calibration, calibration_of, motion_of, refusal
-from mavnav.outputs.directory import check_apart
+from mavnav.outputs.directory import check_apart, check_file, write_file
 from mavnav.outputs.files.document import to_json
 from mavnav.outputs.pictures import calibration_picture
 from mavnav.outputs.report.summary_page import calibration_summary, draw_png, write_summary
-from mavnav.outputs.single_file import check_file, write_file
 from mavnav.pipelines.calibration_lines import option_of, reading_options, replay_line, transform_line
 from mavnav.scan import LONGEST_SWEEP
 from mavnav.slam.methods.registry import load_kernels

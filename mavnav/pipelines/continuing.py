@@ -10,8 +10,8 @@ from msgspec.structs import replace
 
 from mavnav.errors import MavnavError, NoScansError, UsageError
 from mavnav.logs.formats.detect import log_name
-from mavnav.outputs.documents.continued_section import Continued, EarlierSession
-from mavnav.outputs.files.sessions import evidence, recording_file, trajectory_file
+from mavnav.outputs.documents.sections import Continued, EarlierSession, evidence
+from mavnav.outputs.files.trajectory import recording_file, trajectory_file
 from mavnav.pipelines.sessions import finished_run
 from mavnav.sessions.group import Join, group_in_frame
 from mavnav.sessions.growth import alike, extend_group

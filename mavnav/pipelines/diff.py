@@ -14,11 +14,10 @@ from mavnav.kernels.machine.building import prepare
 from mavnav.kernels.maps import raycast  # noqa: F401  it is compiled with the others
 from mavnav.mapping.occupancy_grid import known_area, occupied_xy_m
 from mavnav.metrics.map_difference import View, difference
-from mavnav.outputs.directory import check_apart
+from mavnav.outputs.directory import check_apart, check_file, write_file
 from mavnav.outputs.files.gridmap import read_npz
 from mavnav.outputs.pictures import difference_picture
 from mavnav.outputs.report.summary_page import diff_summary, draw_png, write_summary
-from mavnav.outputs.single_file import check_file, write_file
 from mavnav.sessions.map_alignment import align
 from mavnav.slam.matching.prior_map import PriorMap, prior_map_of
 from mavnav.units import DEG, MM

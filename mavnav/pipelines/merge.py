@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from functools import cached_property
 from itertools import count
 from typing import TYPE_CHECKING, Any, Final
 
@@ -23,12 +22,13 @@ from mavnav.errors import (
 )
 from mavnav.logs import check_log
 from mavnav.logs.formats.detect import log_name
-from mavnav.mapping.occupancy_grid import Grid, known_area, occupancy
+from mavnav.mapping.occupancy_grid import known_area
 from mavnav.outputs.directory import MERGE_FILE, RUN_FILE, atomic_directory, check_directory, file_sha256
+from mavnav.outputs.documents.sections import evidence
 from mavnav.outputs.files.document import plain, to_json
-from mavnav.outputs.files.gridmap import write_npz, write_pgm, write_yaml
-from mavnav.outputs.files.sessions import evidence, recording_file, trajectory_file, write_poses, write_scans
-from mavnav.outputs.pictures import merged_picture
+from mavnav.outputs.files.gridmap import GridMap, write_npz, write_pgm, write_yaml
+from mavnav.outputs.files.trajectory import recording_file, trajectory_file, write_poses, write_scans
+from mavnav.outputs.pictures.map_picture import write_merged
 from mavnav.outputs.report.summary_page import merge_summary, write_summary
 from mavnav.outputs.writers import REPORT_FILE
 from mavnav.pipelines.replay import ReplayRequest, replay_log
@@ -42,9 +42,6 @@ from mavnav.version import __version__
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    import numpy as np
-    from numpy.typing import NDArray
 
     from mavnav.config.models import Config
     from mavnav.pose import Pose, Trajectory
@@ -72,17 +69,6 @@ class MergeRequest(Struct, frozen=True):
     force: bool = False
     report: bool = False
     config_file: Path | None = None
-
-
-class MergedMap(Struct, frozen=True, dict=True):
-    """The map of all sessions, as the writers of map files take it."""
-
-    known: Grid
-
-    @cached_property
-    def cells(self) -> NDArray[np.int8]:
-        """What is free, occupied and unknown, (rows, cols)."""
-        return occupancy(self.known)
 
 
 class Input(Struct, frozen=True):
@@ -115,7 +101,7 @@ def merge(request: MergeRequest, progress: Progress) -> dict[str, Any]:
         grid, poses = merged_map(
             group.sessions, placed, request.config, framing, lambda phase, done: progress(phase, done, total)
         )
-        drawn = MergedMap(known_area(grid))
+        drawn = GridMap(known_area(grid))
         members = [replace(session, map_T_laser=path) for session, path in zip(group.sessions, poses, strict=True)]
         progress("writing", 0, None)
         return _write(request, drawn, members, _document(request, inputs, [*group.joins, *refused], members))
@@ -200,17 +186,17 @@ def _first(group: SessionGroup, sessions: list[Session]) -> int:
     return next(inside.index(session.name) for session in sessions if session.name in inside)
 
 
-def _write(request: MergeRequest, drawn: MergedMap, members: list[Session], document: dict[str, Any]) -> dict[str, Any]:
+def _write(request: MergeRequest, drawn: GridMap, members: list[Session], document: dict[str, Any]) -> dict[str, Any]:
     """Write all files; return the document with their digests."""
     paths = {session.name: session.map_T_laser for session in members}
     with atomic_directory(request.directory, force=request.force, marker=MERGE_FILE) as folder:
         write_pgm(drawn, folder / "map.pgm")
         write_yaml(drawn, folder / "map.yaml")
         write_npz(drawn, folder / "hits.npz")
-        merged_picture.write(drawn, paths, folder / "map.png")
+        write_merged(drawn, paths, folder / "map.png")
         for session in members:
             write_poses(session.map_T_laser, folder / trajectory_file(session.name))
-            write_scans(session.scans(), folder / recording_file(session.name))
+            write_scans(session.scans, folder / recording_file(session.name))
         if request.report:
             write_summary(merge_summary(document, (folder / "map.png").read_bytes()), folder / REPORT_FILE)
         digests = {file.name: file_sha256(file) for file in sorted(folder.iterdir())}

@@ -22,8 +22,8 @@ from mavnav.logs.formats.detect import log_name
 from mavnav.mapping.occupancy_grid import occupied_xy_m
 from mavnav.metrics.trajectory_error import position_errors
 from mavnav.outputs.directory import check_directory
-from mavnav.outputs.documents.options_section import options_section
 from mavnav.outputs.documents.provenance import Typed, provenance, utc_now
+from mavnav.outputs.documents.sections import options_section
 from mavnav.outputs.run import RunResult, Timing
 from mavnav.outputs.writers import check_groups, write_run
 from mavnav.pipelines.again import replay_words

@@ -13,7 +13,7 @@ from mavnav.ground_truth.tables import read_tum
 from mavnav.logs import open_log
 from mavnav.logs.formats.detect import log_name
 from mavnav.outputs.directory import MERGE_FILE, RUN_FILE, file_sha256
-from mavnav.outputs.files.sessions import recording_file, trajectory_file
+from mavnav.outputs.files.trajectory import recording_file, trajectory_file
 from mavnav.sessions.session import make_session
 from mavnav.slam.findings import HIGH
 

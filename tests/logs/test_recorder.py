@@ -155,9 +155,7 @@ def test_any_ranges_and_poses_come_back(tmp_path_factory, data, name):
     pose = Pose(*data.draw(st.tuples(st.floats(-1e3, 1e3), st.floats(-1e3, 1e3), angle)))
     scan = Scan(data.draw(st.integers(1, 2**31 * 10**9 - 1)), ranges, replace(LDS_01, beams=len(ranges)))
     path = tmp_path_factory.mktemp("any") / name
-    with recorder.recorder(path, pose) as log:
-        log.odometry(scan.stamp_ns, pose)
-        log.scan(scan)
+    recorder.record(Recording([scan], Trajectory.of([scan.stamp_ns], [pose]), Trajectory.of([], []), pose), path)
     read = open_log(path)
     (back,) = read.scans()
     np.testing.assert_array_equal(back.ranges_m, ranges.astype(np.float32))
@@ -179,6 +177,11 @@ def test_what_exists_stays_without_force(drive, form, name, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == [name]
 
 
+def failing(scan: Scan, error: BaseException):
+    yield scan
+    raise error
+
+
 @FORMATS
 @pytest.mark.parametrize("existing", [False, True])
 def test_a_recording_that_fails_leaves_what_was_there(drive, form, name, existing, tmp_path):
@@ -191,9 +194,8 @@ def test_a_recording_that_fails_leaves_what_was_there(drive, form, name, existin
         (RuntimeError("bug"), RuntimeError),
         (KeyboardInterrupt(), KeyboardInterrupt),
     ):
-        with pytest.raises(raised), recorder.recorder(tmp_path / name, force=True) as log:
-            log.scan(drive.scans[0])
-            raise error
+        with pytest.raises(raised):
+            recorder.record(replace(drive, scans=failing(drive.scans[0], error)), tmp_path / name, force=True)
     assert {p.name: contents(p) for p in tmp_path.iterdir()} == before
 
 

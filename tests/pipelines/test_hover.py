@@ -12,8 +12,8 @@ from msgspec import convert
 
 from mavnav.ground_truth.true_map import of_scenario
 from mavnav.logs import open_log
+from mavnav.outputs.report.charts import curves
 from mavnav.outputs.report.entry import load
-from mavnav.outputs.report.motion_panel import curves
 from mavnav.outputs.report.page import single
 from mavnav.outputs.run import RunResult
 from mavnav.pipelines.simulate import SimulationRequest, simulate_mission

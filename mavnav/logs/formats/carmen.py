@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from typing import IO
 
+    from mavnav.logs.messages.carmen import LaserLine
     from mavnav.logs.read_report import ReadReport
 
 LASER_LINE: Final = re.compile(rb"^(?:[FR]LASER|(?:RAW|ROBOT)LASER\d) ", re.MULTILINE)
@@ -76,13 +77,11 @@ def read_carmen(path: Path, report: ReadReport) -> Iterator[RawMessage]:
     """
     with path.open("rb") as file:
         state = _CarmenState(report, *kinds_of_poses(islice(_lines(file), _INSPECTED_LINES)))
-    if state.poses is Poses.CORRECTED:
-        report.warn("the poses in the log are those of a SLAM and no odometry; --truth auto compares with them")
-    offset = 0
-    with path.open("rb") as file:
+        if state.poses is Poses.CORRECTED:
+            report.warn("the poses in the log are those of a SLAM and no odometry; --truth auto compares with them")
+        file.seek(0)
         for number, line in enumerate(_lines(file), start=1):
-            offset += len(line)
-            report.at(offset)
+            report.at(report.here_bytes + len(line))
             try:
                 yield from _messages(line, state)
             except (ValueError, IndexError, OverflowError, UnicodeDecodeError):
@@ -108,7 +107,7 @@ def kinds_of_poses(lines: Iterable[bytes]) -> tuple[Poses, bool]:
     are those of a SLAM system and the robot poses are odometry.
     """
     by_time: dict[int, Pose] = {}
-    mountings, corrected, contradicted = list[Pose](), False, False
+    mountings, corrected = list[Pose](), False
     for line in lines:
         words = line.split()
         try:
@@ -118,14 +117,12 @@ def kinds_of_poses(lines: Iterable[bytes]) -> tuple[Poses, bool]:
                 by_time[stamp_ns(words[7])] = pose_of(words[1:4])
             elif LASER_LINE.match(line):
                 laser = laser_of(words)
-                base = laser.odom_T_base
-                if laser.odom_T_laser is None or base is None:
-                    continue
-                mountings.append(base.between(laser.odom_T_laser))
-                contradicted |= base.gap(by_time.get(laser.stamp_ns, base))[0] > _ROUNDING_M
+                if (base := laser.odom_T_base) and laser.odom_T_laser:
+                    mountings.append(base.between(laser.odom_T_laser))
+                    corrected |= base.gap(by_time.get(laser.stamp_ns, base))[0] > _ROUNDING_M
         except (ValueError, IndexError, OverflowError):
             continue
-    if corrected or contradicted:
+    if corrected:
         return Poses.CORRECTED, bool(by_time)
     moved = any(mounting.gap(mountings[0])[0] > _ROUNDING_M for mounting in mountings)
     return Poses.BOTH if moved else Poses.ODOMETRY, bool(by_time)
@@ -155,11 +152,11 @@ def _scan(line: bytes, state: _CarmenState) -> Iterator[RawMessage]:
     if topic not in state.channels:
         limits = [state.parameters.get(names.get(kind, ""), "nan") for names in (_MAXIMA, _STEPS)]
         state.channel(topic, SCAN, " ".join((frame, *limits)).encode())
-        if (mounting := _mounting(kind, laser.odom_T_base, laser.odom_T_laser, state)) is not None:
+        if (mounting := _mounting(laser, state)) is not None:
             text = pose_line("base_link", frame, mounting, at_ns)
             yield RawMessage(state.channel("/tf_static", TF), at_ns, text)
     yield RawMessage(state.channels[topic], at_ns, line)
-    if laser.odom_T_base is None or laser.odom_T_laser is None or kind == "RLASER":
+    if not laser.odom_T_base or not laser.odom_T_laser or kind == "RLASER":
         return
     if state.poses is not Poses.ODOMETRY:
         text = pose_line("world", frame, laser.odom_T_laser, at_ns)
@@ -169,10 +166,10 @@ def _scan(line: bytes, state: _CarmenState) -> Iterator[RawMessage]:
         yield RawMessage(state.channel("/odom", ODOMETRY), at_ns, text)
 
 
-def _mounting(kind: str, base: Pose | None, laser: Pose | None, state: _CarmenState) -> Pose | None:
+def _mounting(laser: LaserLine, state: _CarmenState) -> Pose | None:
     """Return ``base_T_laser`` from the poses of both, else from the parameters; None if unknown."""
-    if state.poses is Poses.ODOMETRY and base is not None and laser is not None:
-        return base.between(laser)
-    name, yaw_rad = _OFFSETS.get(kind, ("", 0.0))
+    if state.poses is Poses.ODOMETRY and laser.odom_T_base and laser.odom_T_laser:
+        return laser.odom_T_base.between(laser.odom_T_laser)
+    name, yaw_rad = _OFFSETS.get(laser.kind, ("", 0.0))
     offset_m = state.parameters.get(name)
     return None if offset_m is None else Pose(float(offset_m), 0.0, yaw_rad)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import bz2
 import zlib
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from io import BytesIO
-from typing import IO, TYPE_CHECKING, Any, Protocol
+from typing import IO, TYPE_CHECKING, Any, Final
 
 from mavnav.atomic_files import no_space, temporary_folder
 
@@ -42,14 +42,6 @@ class DecompressError(Exception):
     """Data cannot be decompressed, or they exceed the size limit."""
 
 
-class _Decompressor(Protocol):
-    @property
-    def eof(self) -> bool: ...
-    @property
-    def unused_data(self) -> bytes | None: ...
-    def decompress(self, data: bytes) -> bytes: ...
-
-
 class Allowance:
     """Limits on the bytes and records of all chunks of a log: a MB can contain TB of zeros or millions of records.
 
@@ -78,7 +70,7 @@ def decompress(compression: str, data: bytes, allowance: Allowance | None = None
     Parameters
     ----------
     compression
-        A key of ``CODECS``.
+        One of ``COMPRESSIONS``.
     data
         The compressed bytes, a whole number of frames.
     allowance
@@ -97,7 +89,7 @@ def decompress(compression: str, data: bytes, allowance: Allowance | None = None
         Unknown compression, or a decompression bomb: over ``MAX_CHUNK_BYTES`` or the allowance, or, without an
         allowance, over 1 MiB plus 1000 times the size of the data.
     """
-    if compression not in CODECS:
+    if compression not in COMPRESSIONS:
         raise DecompressError(f"unknown compression {compression!r}")
     if compression not in FRAMES:
         return data, None
@@ -105,7 +97,7 @@ def decompress(compression: str, data: bytes, allowance: Allowance | None = None
     limit = min(MAX_CHUNK_BYTES, most_bytes)
     try:
         unpacked, problem = _decompress_sound(compression, data, limit), None
-    except (*_ERRORS, _zstd_error()):
+    except _errors_of_damage():
         unpacked, problem = _decompress_damaged(compression, data, limit)
     if allowance:
         allowance.bytes_left -= len(unpacked)
@@ -116,7 +108,7 @@ def _decompress_sound(compression: str, data: bytes, limit: int) -> bytes:
     """Decompress undamaged data of one frame, in large blocks."""
     blocks: list[bytes] = []
     size = 0
-    for block in CODECS[compression](data):
+    for block in _blocks(compression, data):
         blocks.append(block)
         size += len(block)
         if size > limit:
@@ -154,58 +146,19 @@ def _decompress_pieces(compression: str, data: bytes, limit: int, single_from: i
             if size > limit:
                 raise DecompressError(f"{len(data)} bytes of {compression} decompress to more than {limit}")
             offset += len(piece) - len(decompressor.unused_data or b"")
-    except (*_ERRORS, _zstd_error()) as error:
+    except _errors_of_damage() as error:
         return b"".join(blocks), offset, str(error)
     return b"".join(blocks), offset, None if decompressor.eof else "the data end before the stream does"
 
 
-_ERRORS = (OSError, EOFError, RuntimeError, MemoryError)
-
-
-def _zstd_error() -> type[Exception]:
-    import zstandard  # noqa: PLC0415
-
-    error: type[Exception] = zstandard.ZstdError
-    return error
-
-
-def _plain(data: bytes) -> Iterator[bytes]:
-    yield data
-
-
-def _zstd(data: bytes) -> Iterator[bytes]:
-    import zstandard  # noqa: PLC0415
-
-    decompressor = zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW_BYTES)
-    with decompressor.stream_reader(BytesIO(data), read_size=_BLOCK_BYTES, read_across_frames=True) as stream:
-        while block := stream.read(_BLOCK_BYTES):
-            yield block
-
-
-def _zstd_frame() -> _Decompressor:
-    import zstandard  # noqa: PLC0415
-
-    decompressor: _Decompressor = zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW_BYTES).decompressobj()
-    return decompressor
-
-
-def _lz4(data: bytes) -> Iterator[bytes]:
-    return _incremental(_lz4_frame(), data)
-
-
-def _lz4_frame() -> Any:  # noqa: ANN401  (lz4 is untyped here)
-    import lz4.frame  # noqa: PLC0415
-
-    return lz4.frame.LZ4FrameDecompressor()
-
-
-def _bz2(data: bytes) -> Iterator[bytes]:
-    return _incremental(bz2.BZ2Decompressor(), data)
-
-
-def _incremental(decompressor: Any, data: bytes) -> Iterator[bytes]:  # noqa: ANN401
-    """Yield blocks of one frame; raises EOFError if the frame is cut or other bytes follow."""
-    piece = data
+def _blocks(compression: str, data: bytes) -> Iterator[bytes]:
+    """Yield blocks of one frame; raises EOFError if the frame is cut or other bytes follow, except for zstd."""
+    if compression == "zstd":
+        with _zstd_stream(BytesIO(data)) as stream:
+            while block := stream.read(_BLOCK_BYTES):
+                yield block
+        return
+    decompressor, piece = FRAMES[compression][1](), data
     while not decompressor.eof:
         if decompressor.needs_input and not piece:
             raise EOFError("the data end before the stream does")
@@ -216,22 +169,45 @@ def _incremental(decompressor: Any, data: bytes) -> Iterator[bytes]:  # noqa: AN
         raise EOFError("more follows")
 
 
-CODECS: dict[str, Callable[[bytes], Iterator[bytes]]] = {
-    "": _plain,
-    "none": _plain,
-    "zstd": _zstd,
-    "lz4": _lz4,
-    "bz2": _bz2,
-}
-"""Name of a compression -> the function from undamaged data to blocks."""
+def _errors_of_damage() -> tuple[type[Exception], ...]:
+    """Return the exceptions that damaged data raise; evaluated only after one, because few logs need zstandard."""
+    import zstandard  # noqa: PLC0415
+
+    return OSError, EOFError, RuntimeError, MemoryError, zlib.error, zstandard.ZstdError
+
+
+def _zstd() -> Any:  # noqa: ANN401  (zstandard and lz4 are untyped here)
+    import zstandard  # noqa: PLC0415
+
+    return zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW_BYTES)
+
+
+def _zstd_stream(file: IO[bytes]) -> Any:  # noqa: ANN401
+    return _zstd().stream_reader(file, read_across_frames=True, closefd=False)
+
+
+def _lz4_frame() -> Any:  # noqa: ANN401
+    import lz4.frame  # noqa: PLC0415
+
+    return lz4.frame.LZ4FrameDecompressor()
+
+
+def _gzip_stream(file: IO[bytes]) -> gzip.GzipFile:
+    import gzip  # noqa: PLC0415  few logs need it
+
+    return gzip.open(file)
+
 
 _SKIPPABLE = tuple(bytes([kind]) + b"\x2a\x4d\x18" for kind in range(0x50, 0x60))
-FRAMES: dict[str, tuple[tuple[bytes, ...], Callable[[], Any]]] = {
-    "zstd": ((ZSTD_MAGIC, *_SKIPPABLE), _zstd_frame),
+FRAMES: Final[dict[str, tuple[tuple[bytes, ...], Callable[[], Any]]]] = {
+    "zstd": ((ZSTD_MAGIC, *_SKIPPABLE), lambda: _zstd().decompressobj()),
     "lz4": ((b"\x04\x22\x4d\x18", *_SKIPPABLE), _lz4_frame),
     "bz2": ((b"BZh",), bz2.BZ2Decompressor),
 }
 """Name of a compression -> the magic numbers of its frames, and a factory of decompressors for one frame."""
+
+COMPRESSIONS: Final = frozenset({"", "none", *FRAMES})
+"""Names of the compressions of chunks; data of the first two are stored as they are."""
 
 
 def unpack_message(data: bytes) -> bytes:
@@ -250,9 +226,13 @@ def unpack_message(data: bytes) -> bytes:
 def first_bytes(path: Path, packer: str, count: int) -> bytes:
     """Return the first ``count`` decompressed bytes of a file, fewer if it is damaged; ``packer`` is in ``PACKERS``."""
     head = b""
-    with path.open("rb") as file, suppress(*_file_errors(packer)), PACKERS[packer][1](file) as stream:
-        while len(head) < count and (block := stream.read1(_PIECE_BYTES)):
-            head += block
+    with path.open("rb") as file:
+        try:
+            with PACKERS[packer][1](file) as stream:
+                while len(head) < count and (block := stream.read1(_PIECE_BYTES)):
+                    head += block
+        except _errors_of_damage():
+            pass
     return head[:count]
 
 
@@ -270,7 +250,7 @@ def unpack_file(path: Path, packer: str, report: ReadReport) -> Iterator[Path]:
             try:
                 while size <= limit and (block := stream.read1(_PIECE_BYTES)):
                     size += file.write(block)
-            except _file_errors(packer) as error:
+            except _errors_of_damage() as error:
                 if no_space(error):
                     raise
                 report.damage(f"{packer} data cannot be decompressed ({error})", f"{path.name}, after {size} bytes")
@@ -279,32 +259,9 @@ def unpack_file(path: Path, packer: str, report: ReadReport) -> Iterator[Path]:
         yield target
 
 
-def _zstd_stream(file: IO[bytes]) -> Any:  # noqa: ANN401  (zstandard is untyped here)
-    import zstandard  # noqa: PLC0415
-
-    decompressor = zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW_BYTES)
-    return decompressor.stream_reader(file, read_across_frames=True, closefd=False)
-
-
-def _gzip_stream(file: IO[bytes]) -> gzip.GzipFile:
-    import gzip  # noqa: PLC0415  few logs need it
-
-    return gzip.open(file)
-
-
-def _bzip2_stream(file: IO[bytes]) -> bz2.BZ2File:
-    return bz2.open(file)
-
-
-def _file_errors(packer: str) -> tuple[type[BaseException], ...]:
-    """Return the exceptions that damaged data raise; zstandard is imported only if the file needs it."""
-    others = (zlib.error, EOFError, OSError, MemoryError)
-    return (_zstd_error(), *others) if packer == "zstd" else others
-
-
 PACKERS: dict[str, tuple[bytes, Callable[[IO[bytes]], Any]]] = {
     "zstd": (ZSTD_MAGIC, _zstd_stream),
     "gzip": (b"\x1f\x8b\x08", _gzip_stream),
-    "bzip2": (b"BZh", _bzip2_stream),
+    "bzip2": (b"BZh", bz2.open),
 }
 """Name of a program that compresses whole files -> the magic of its files, and a function that opens the content."""

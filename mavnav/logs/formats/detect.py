@@ -13,7 +13,7 @@ from mavnav.logs.formats.rosbag2 import METADATA, compare_count, read_metadata, 
 from mavnav.logs.formats.source import BAG_MAGIC, MAGIC_WITHIN_BYTES, OLD_BAG_MAGIC, SQLITE_MAGIC, Source
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
     from mavnav.logs.read_report import ReadReport
@@ -25,12 +25,12 @@ SUFFIXES = (".mcap", ".bag", ".active", ".db3", ".clf", ".log", ".zst", ".zstd",
 
 _MOST_NAMED = 4
 _AMBIGUOUS = (".log", ".gz", ".bz2")
-_HEAD_BYTES = 16
+_TAIL_BYTES = 16
 _OLD_BAG = re.compile(rb"#ROS(?:BAG|RECORD|LOG) V(1\.[01])")
 _HEADLESS_BYTES = 1 << 20
 _STORAGE_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
+_PACKED = {magic: name for name, (magic, _) in PACKERS.items()}
 _REFUSED = {b"\xfd7zXZ\0": "xz", b"\x04\x22\x4d\x18": "lz4", b"PK\x03\x04": "zip"}
-_STORAGES = {"rosbag2-sqlite3": "rosbag2-sqlite3", "mcap": "rosbag2-mcap"}
 
 
 def sniff(path: Path) -> str:
@@ -48,50 +48,46 @@ def sniff(path: Path) -> str:
 def _sniff_strictly(path: Path) -> str:
     with path.open("rb") as file:
         head = file.read(MAGIC_WITHIN_BYTES)
-    if packer := _packer(head):
+    if packer := _name_of(head, _PACKED):
         inner = _sniff_head(first_bytes(path, packer, MAGIC_WITHIN_BYTES))
         return UNKNOWN if inner == UNKNOWN else f"{inner}-{packer}"
     return _sniff_head(head)
 
 
 def _sniff_head(head: bytes) -> str:
-    kind = next((name for magic, name in MAGICS.items() if head.startswith(magic)), UNKNOWN)
-    return "carmen" if kind == UNKNOWN and _module("carmen").is_carmen(head) else kind
+    return _name_of(head, MAGICS) or ("carmen" if _module("carmen").is_carmen(head) else UNKNOWN)
 
 
 def _sniff_damaged(path: Path) -> str:
     with path.open("rb") as file:
-        head = file.read(MAGIC_WITHIN_BYTES)
-        file.seek(max(path.stat().st_size - _HEAD_BYTES, 0))
-        tail = file.read()
-    if _OLD_BAG.match(head) or _packer(head) or _refused_packer(head):
-        return UNKNOWN
-    for magic, name in MAGICS.items():
-        wrong = sum(a != b for a, b in zip(magic, head, strict=False)) + max(len(magic) - len(head), 0)
-        further = name != "rosbag2-sqlite3" and magic in head
-        if wrong <= len(magic) // 4 or further or (name == "mcap" and tail.endswith(magic)):
-            return name
-    return _sniff_headless(path, head)
+        source = Source(file, path.stat().st_size)
+        head = source.read(0, MAGIC_WITHIN_BYTES)
+        tail = source.read(max(source.size - _TAIL_BYTES, 0), _TAIL_BYTES)
+        if _OLD_BAG.match(head) or _name_of(head, _PACKED | _REFUSED):
+            return UNKNOWN
+        for magic, name in MAGICS.items():
+            wrong = sum(a != b for a, b in zip(magic, head, strict=False)) + max(len(magic) - len(head), 0)
+            further = name != "rosbag2-sqlite3" and magic in head
+            if wrong <= len(magic) // 4 or further or (name == "mcap" and tail.endswith(magic)):
+                return name
+        return _sniff_headless(path.suffix, Source(file, min(source.size, _HEADLESS_BYTES)), head)
 
 
-def _sniff_headless(path: Path, head: bytes) -> str:
+def _sniff_headless(suffix: str, source: Source, head: bytes) -> str:
     """Recognize a log without its beginning by a later record; the suffix decides the kind of record."""
-    with path.open("rb") as file:
-        source = Source(file, min(path.stat().st_size, _HEADLESS_BYTES))
-        if path.suffix == ".mcap" and find_record(source, 0) < source.size:
-            return "mcap"
-        if path.suffix in (".bag", ".active") and _module("rosbag1_records").OP_FIELD in head:
-            return "rosbag1"
-        if path.suffix == ".db3" and next(_module("sqlite_pages").rows(source), None) is not None:
-            return "rosbag2-sqlite3"
+    if suffix == ".mcap" and find_record(source, 0) < source.size:
+        return "mcap"
+    if suffix in (".bag", ".active") and _module("rosbag1").OP_FIELD in head:
+        return "rosbag1"
+    if suffix == ".db3" and next(_module("sqlite_pages").rows(source), None) is not None:
+        return "rosbag2-sqlite3"
     return UNKNOWN
 
 
 def _sniff_folder(folder: Path) -> str:
     inner = next((sniff(file) for file in sorted(folder.iterdir()) if _is_storage(file)), UNKNOWN)
-    storage, packer = split_name(inner)
-    if storage in _STORAGES:
-        return _STORAGES[storage] + (f"-{packer}" if packer else "")
+    if split_name(inner)[0] in ("rosbag2-sqlite3", "mcap"):
+        return f"rosbag2-{inner.removeprefix('rosbag2-')}"
     return "rosbag2" if (folder / METADATA).is_file() else UNKNOWN
 
 
@@ -121,8 +117,7 @@ def _is_storage(path: Path) -> bool:
     """Return whether a file of a folder is a log: by its content, or, if its beginning is damaged, also by its name."""
     if not path.is_file():
         return False
-    named = any(path.name.endswith(suffix) for suffix in _STORAGE_SUFFIXES)
-    return _sniff_strictly(path) != UNKNOWN or (named and sniff(path) != UNKNOWN)
+    return _sniff_strictly(path) != UNKNOWN or (path.name.endswith(_STORAGE_SUFFIXES) and sniff(path) != UNKNOWN)
 
 
 def read(path: Path, report: ReadReport) -> Iterator[RawMessage]:
@@ -147,8 +142,7 @@ def _read_file(path: Path, report: ReadReport) -> Iterator[RawMessage]:
             yield from _read_file(inner, report)
     elif name in READERS:
         module, reader = READERS[name]
-        read_messages: Callable[[Path, ReadReport], Iterator[RawMessage]] = getattr(_module(module), reader)
-        yield from read_messages(path, report)
+        yield from getattr(_module(module), reader)(path, report)
     else:
         report.damage(refusal(path), path.name)
 
@@ -174,9 +168,9 @@ def refusal(path: Path) -> str:
         return "the file is empty"
     if old := _OLD_BAG.match(head):
         return f"a ROS 1 bag of format {old[1].decode()}; only 1.2 and 2.0 are read, convert it with `rosbag fix`"
-    if packer := _refused_packer(head):
+    if packer := _name_of(head, _REFUSED):
         return f"compressed with {packer}, which is not read ({', '.join(PACKERS)} are); decompress it first"
-    packer = _packer(head)
+    packer = _name_of(head, _PACKED)
     inside = first_bytes(path, packer, MAGIC_WITHIN_BYTES) if packer else head
     if known := next((text for pattern, text in OTHERS.items() if re.search(pattern, inside)), None):
         return known
@@ -196,12 +190,9 @@ def _folder_refusal(folder: Path) -> str:
     return f"the folder holds {listed}, or use 'mavnav batch FOLDER'"
 
 
-def _packer(head: bytes) -> str | None:
-    return next((name for name, (magic, _) in PACKERS.items() if head.startswith(magic)), None)
-
-
-def _refused_packer(head: bytes) -> str | None:
-    return next((name for magic, name in _REFUSED.items() if head.startswith(magic)), None)
+def _name_of(head: bytes, magics: Mapping[bytes, str]) -> str | None:
+    """Return the name of the magic that the first bytes of a file are; None if they are none of these."""
+    return next((name for magic, name in magics.items() if head.startswith(magic)), None)
 
 
 MAGICS: dict[bytes, str] = {

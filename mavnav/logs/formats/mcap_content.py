@@ -1,25 +1,33 @@
-"""Processing of the records of an MCAP file: schemas, channels and messages, each checked against earlier ones."""
+"""Processing of the records of an MCAP file: schemas, channels and messages, attached files and metadata.
+
+Schemas, channels and messages are checked against earlier ones.
+"""
 
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING
+import zlib
+from typing import TYPE_CHECKING, Final
 
-from msgspec import Struct, field
+from msgspec import field
 
-from mavnav.logs.formats.decompress import Allowance
+from mavnav.logs.formats.channels import ReaderState
+from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES
 from mavnav.logs.formats.mcap_records import MESSAGE_HEAD, Op, RecordFields
-from mavnav.logs.formats.untyped import channel_of, lacks_type, with_detected_type
-from mavnav.logs.records import Channel, RawMessage, Schema, ros_type
+from mavnav.logs.records import AttachedFile, Channel, MetadataRecord, RawMessage, Schema, ros_type
 
 if TYPE_CHECKING:
-    from mavnav.logs.read_report import ReadReport
+    from mavnav.logs.formats.mcap_records import McapRecord
+    from mavnav.logs.formats.source import Source
+
+EXTRAS: Final = {Op.ATTACHMENT: "attachment", Op.METADATA: "metadata record"}
+"""Opcodes of what an MCAP file holds besides messages, and what these records are called."""
 
 _ENCODING_OF_SCHEMA = {"ros2msg": "cdr", "ros2idl": "cdr", "ros1msg": "ros1"}
 _NO_SCHEMA = Schema()
 
 
-class McapState(Struct):
+class McapState(ReaderState):
     """Schemas, channels and counters of the records read so far.
 
     The data section is ``unsound`` if its CRC does not match, and ``verified`` if it does. In a ``suspect`` chunk,
@@ -27,13 +35,7 @@ class McapState(Struct):
     messages outside of the chunks are suspect. ``spare`` are the channels of the summary.
     """
 
-    report: ReadReport
-    allowance: Allowance = field(default_factory=Allowance)
     schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
-    spare: dict[int, Channel] = field(default_factory=dict)
-    undeclared: set[int] = field(default_factory=set)
-    messages: int = 0
     closed: bool = False
     suspect: bool = False
     unsound: bool = False
@@ -74,29 +76,10 @@ def _message(content: bytes, where: str, state: McapState) -> RawMessage | None:
     number, _, log_ns, publish_ns = MESSAGE_HEAD.unpack_from(content)
     state.messages += 1
     data = content[MESSAGE_HEAD.size :]
-    channel = state.channels.get(number) or _spare_channel(number, state)
-    if channel is not None and lacks_type(channel):
-        channel = state.channels[number] = with_detected_type(channel, data, where, state.report)
-    if channel is not None:
-        return RawMessage(channel, log_ns, data, publish_ns=publish_ns)
-    return _undeclared_message(number, log_ns, data, where, state)
-
-
-def _spare_channel(number: int, state: McapState) -> Channel | None:
-    channel = state.spare.get(number)
-    if channel is not None:
-        state.channels[number] = state.report.declare(channel)
-    return channel
-
-
-def _undeclared_message(number: int, log_ns: int, data: bytes, where: str, state: McapState) -> RawMessage | None:
-    """Return a message of an undeclared channel, marked as suspect, if its bytes are a LaserScan; else None."""
-    channel = channel_of(data, f"/channel_{number}", state.report)
-    if number not in state.undeclared:
-        state.undeclared.add(number)
-        outcome = f"scans by their bytes, and taken for {channel.topic}" if channel else "left out"
-        state.report.damage(f"messages of channel {number}, which is declared nowhere before, are {outcome}", where)
-    return None if channel is None else RawMessage(channel, log_ns, data, suspect=True)
+    channel, declared = state.channel(number, data, "channel", where)
+    if channel is None:
+        return None
+    return RawMessage(channel, log_ns, data, not declared, publish_ns if declared else None)
 
 
 def _declare_schema(fields: RecordFields, where: str, state: McapState) -> None:
@@ -142,3 +125,24 @@ def _check_count(content: bytes, where: str, state: McapState) -> None:
         state.report.damage(f"{missing} of the {declared} messages that the summary counts are not there", where)
     elif declared < state.messages:
         state.report.warn(f"the summary counts {declared} messages, {state.messages} are there")
+
+
+def read_extra(source: Source, record: McapRecord) -> AttachedFile | MetadataRecord | str:
+    """Return a record of ``EXTRAS``, or why it cannot be used."""
+    what = f"{EXTRAS[Op(record.opcode)]} at {source.where(record.start)}"
+    if record.end - record.start > MAX_CHUNK_BYTES:
+        return f"the {what} is larger than {MAX_CHUNK_BYTES} bytes"
+    content = source.read(record.start, record.end - record.start)
+    fields = RecordFields(content)
+    try:
+        if record.opcode == Op.METADATA:
+            return MetadataRecord(fields.text(), fields.texts())
+        log_ns, created_ns, name, media_type = fields.number("Q"), fields.number("Q"), fields.text(), fields.text()
+        start = fields.offset + 8
+        fields.offset = start + fields.number("Q")
+        data, crc = content[start : fields.offset], fields.number("I")
+    except struct.error:
+        return f"the {what} cannot be read"
+    if crc and zlib.crc32(content[: fields.offset - 4]) != crc:
+        return f"the CRC of the {what} ({name}) does not match"
+    return AttachedFile(log_ns, created_ns, name, media_type, data)

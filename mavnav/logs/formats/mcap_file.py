@@ -12,8 +12,7 @@ from io import BytesIO
 from typing import TYPE_CHECKING
 
 from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES, TOO_MANY, Allowance, DecompressError, decompress
-from mavnav.logs.formats.mcap_content import McapState, apply_record
-from mavnav.logs.formats.mcap_extras import EXTRAS, read_extra
+from mavnav.logs.formats.mcap_content import EXTRAS, McapState, apply_record, read_extra
 from mavnav.logs.formats.mcap_records import (
     HEAD,
     IN_CHUNKS,
@@ -28,7 +27,7 @@ from mavnav.logs.formats.mcap_records import (
     plain_records,
     record_at,
 )
-from mavnav.logs.formats.mcap_summary import read_data_section, read_summary
+from mavnav.logs.formats.mcap_summary import check_data_section, read_summary
 from mavnav.logs.formats.source import MAGIC_WITHIN_BYTES, Source
 
 if TYPE_CHECKING:
@@ -54,8 +53,7 @@ def read_mcap(path: Path, report: ReadReport) -> Iterator[RawMessage]:
     with path.open("rb") as file:
         source = Source(file, path.stat().st_size)
         state = McapState(report, Allowance(source.size))
-        summary = read_summary(source, report)
-        state.spare, state.spare_is_sound, state.chunked = summary.channels, summary.sound, summary.chunked
+        read_summary(source, state)
         for record in _records(source, _begin(source, state), state):
             report.at(record.start)
             if record.opcode == Op.CHUNK:
@@ -93,15 +91,8 @@ def _begin(source: Source, state: McapState) -> int:
     state.report.damage("the file does not begin with the magic of MCAP", source.where(0))
     if at > 0 and record_at(source, at + len(MAGIC)) is not None:
         return at
-    _check_data(source, 0, state)
+    check_data_section(source, 0, state)
     return 0
-
-
-def _check_data(source: Source, start: int, state: McapState) -> None:
-    """Check the data section that begins at ``start``, and store the result in the state."""
-    section = read_data_section(source, start, state.report)
-    state.unsound, state.verified = section.crc_matches is False, section.crc_matches is True
-    state.chunked |= section.chunked
 
 
 def _records(source: Source, offset: int, state: McapState) -> Iterator[McapRecord]:
@@ -153,10 +144,10 @@ def _clip(source: Source, record: McapRecord, state: McapState) -> McapRecord:
 def _is_verified(source: Source, record: McapRecord, state: McapState) -> bool:
     """Return whether a chunk has a CRC that matches."""
     try:
-        head, (records, _) = _read_chunk(source, record, state.allowance)
+        *_, verified = _read_chunk(source, record, state.allowance)
     except (DecompressError, struct.error):
         return False
-    return head.crc != 0 and zlib.crc32(records) == head.crc
+    return verified
 
 
 def _runs_into_loss(source: Source, end: int) -> bool:
@@ -184,7 +175,7 @@ def _skip_magic(source: Source, offset: int, state: McapState) -> int:
     if state.closed or state.messages:
         state.report.warn("several MCAP files lie one behind the other in this one; all were read")
         state.begin()
-    _check_data(source, offset, state)
+    check_data_section(source, offset, state)
     return offset + len(MAGIC)
 
 
@@ -205,21 +196,17 @@ def _chunk_messages(source: Source, record: McapRecord, state: McapState) -> Ite
         return
     inner = Source(BytesIO(records), len(records), f"{where}, ")
     state.allowance.begin_chunk()
-    if not suspect:
-        yield from _sound_messages(records, inner, state)
-        return
-    state.suspect = True
-    for message in _walk(inner, 0, state):
-        yield message._replace(suspect=True)
+    state.suspect = suspect
+    for message in _walk(inner, 0, state) if suspect else _sound_messages(records, inner, state):
+        yield message._replace(suspect=True) if suspect else message
     state.suspect = False
 
 
 def _chunk_records(source: Source, record: McapRecord, where: str, state: McapState) -> tuple[bytes, bool]:
     """Decompress as much of a chunk as possible and report damage; return the records and whether they are suspect."""
-    head, (records, problem) = _read_chunk(source, record, state.allowance)
+    head, records, problem, verified = _read_chunk(source, record, state.allowance)
     if problem is None and len(records) != head.declared_bytes:
         problem = f"the chunk declares {head.declared_bytes} bytes and holds {len(records)}"
-    verified = head.crc != 0 and zlib.crc32(records) == head.crc
     if head.crc and not verified:
         problem = f"{problem}, and the CRC does not match" if problem else "the CRC does not match"
     if problem:
@@ -229,22 +216,21 @@ def _chunk_records(source: Source, record: McapRecord, where: str, state: McapSt
     return records, doubtful and not verified
 
 
-def _read_chunk(source: Source, record: McapRecord, allowance: Allowance) -> tuple[ChunkHead, tuple[bytes, str | None]]:
-    """Return the head of a chunk, and the output of ``decompress``; raises DecompressError, struct.error."""
+def _read_chunk(source: Source, record: McapRecord, allowance: Allowance) -> tuple[ChunkHead, bytes, str | None, bool]:
+    """Return the head of a chunk, the output of ``decompress``, and whether there is a CRC that matches.
+
+    If the declared number of stored bytes is wrong, all bytes of the chunk are decompressed. Raises DecompressError and
+    struct.error.
+    """
     size = record.end - record.start
     if size > MAX_CHUNK_BYTES:
         raise DecompressError(f"of {size} bytes; no more than {MAX_CHUNK_BYTES} are taken into memory")
     content = source.read(record.start, size)
     head = chunk_head(content)
-    return head, _unpack(head, content[head.start :], allowance)
-
-
-def _unpack(head: ChunkHead, data: bytes, allowance: Allowance) -> tuple[bytes, str | None]:
-    """Decompress the declared number of bytes of a chunk, or all its bytes if that number is wrong."""
-    records, problem = decompress(head.compression, data[: head.stored_bytes], allowance)
-    if problem is None or len(data) <= head.stored_bytes:
-        return records, problem
-    return decompress(head.compression, data, allowance)
+    records, problem = decompress(head.compression, content[head.start :][: head.stored_bytes], allowance)
+    if problem and len(content) > head.start + head.stored_bytes:
+        records, problem = decompress(head.compression, content[head.start :], allowance)
+    return head, records, problem, head.crc != 0 and zlib.crc32(records) == head.crc
 
 
 def _sound_messages(records: bytes, inner: Source, state: McapState) -> Iterator[RawMessage]:
@@ -254,26 +240,27 @@ def _sound_messages(records: bytes, inner: Source, state: McapState) -> Iterator
         if not state.allowance.spend_record():
             state.report.damage(TOO_MANY, inner.where(offset))
             return
-        if opcode in IN_CHUNKS and (message := apply_record(opcode, content, inner.where(offset), state)):
+        if message := _inner_message(opcode, content, inner, offset, state):
             yield message
-        elif opcode == Op.CHUNK:
-            _refuse_nested(inner.where(offset), state)
         offset += HEAD.size + len(content)
     yield from _walk(inner, offset, state)
 
 
 def _walk(inner: Source, offset: int, state: McapState) -> Iterator[RawMessage]:
+    """Yield the messages of a chunk from an offset on, with checks."""
     for record in _records(inner, offset, state):
         if not state.allowance.spend_record(_CHECKED_RECORD_COST):
             state.report.damage(TOO_MANY, inner.where(record.start))
             return
-        if record.opcode in IN_CHUNKS:
-            content = inner.read(record.start, record.end - record.start)
-            if message := apply_record(record.opcode, content, inner.where(record.start), state):
-                yield message
-        elif record.opcode == Op.CHUNK:
-            _refuse_nested(inner.where(record.start), state)
+        content = inner.read(record.start, record.end - record.start)
+        if message := _inner_message(record.opcode, content, inner, record.start, state):
+            yield message
 
 
-def _refuse_nested(where: str, state: McapState) -> None:
-    state.report.damage("a chunk lies within a chunk, which is not legal; it is not read", where)
+def _inner_message(opcode: int, content: bytes, inner: Source, offset: int, state: McapState) -> RawMessage | None:
+    """Return the message of a record of a chunk; others of its kinds update the state, nested chunks are reported."""
+    if opcode in IN_CHUNKS:
+        return apply_record(opcode, content, inner.where(offset), state)
+    if opcode == Op.CHUNK:
+        state.report.damage("a chunk lies within a chunk, which is not legal; it is not read", inner.where(offset))
+    return None

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from mavnav.logs.formats.decompress import CODECS
+from mavnav.logs.formats.decompress import COMPRESSIONS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -26,7 +26,7 @@ MESSAGE_HEAD: Final = struct.Struct("<HIQQ")
 _CHUNK_HEAD = struct.Struct("<QQQI")
 _COMPRESSION = re.compile(rb"\x04\0\0\0zstd|\x03\0\0\0lz4|\x03\0\0\0bz2")
 _NAME_LENGTH = slice(_CHUNK_HEAD.size, _CHUNK_HEAD.size + 4)
-_NAME_LENGTHS = frozenset(len(name).to_bytes(4, "little") for name in CODECS)
+_NAME_LENGTHS = frozenset(len(name).to_bytes(4, "little") for name in COMPRESSIONS)
 _PREFIX_BYTES = 64
 _FIRST_BLOCK_BYTES, _BLOCK_BYTES = 1 << 12, 1 << 20
 _MAX_CANDIDATES = 200_000
@@ -71,9 +71,9 @@ class McapRecord(NamedTuple):
 class RecordFields:
     """Sequential reader of the fields of a record; raises struct.error at a field that is cut."""
 
-    def __init__(self, content: bytes) -> None:
+    def __init__(self, content: bytes, offset: int = 0) -> None:
         self._content = content
-        self.offset = 0
+        self.offset = offset
 
     def number(self, kind: str) -> int:
         """Read a number of a ``struct`` format."""
@@ -118,8 +118,7 @@ class ChunkHead(NamedTuple):
 def chunk_head(content: bytes) -> ChunkHead:
     """Read the fields of a chunk; raises struct.error."""
     _, _, declared, crc = _CHUNK_HEAD.unpack_from(content)
-    fields = RecordFields(content)
-    fields.offset = _CHUNK_HEAD.size
+    fields = RecordFields(content, _CHUNK_HEAD.size)
     compression = fields.text()
     return ChunkHead(declared, crc, compression, fields.number("Q"), fields.offset)
 
@@ -136,8 +135,8 @@ def record_at(source: Source, offset: int, *, repair: bool = True) -> McapRecord
         return None
     opcode, length = HEAD.unpack_from(prefix)
     start, rest, content = offset + HEAD.size, source.size - offset - HEAD.size, prefix[HEAD.size :]
-    known = _CHECKS.get(opcode, _never if opcode == 0 else _any)
-    declared = None if length > rest or not known(content, length) else McapRecord(opcode, start, start + length)
+    fits = opcode > 0 and length <= rest and _CHECKS.get(opcode, _at_least(0))(content, length)
+    declared = McapRecord(opcode, start, start + length) if fits else None
     if declared is not None and not (repair and _may_be_chunk(opcode, length)):
         return declared
     head = _head_of_chunk(content)
@@ -176,7 +175,7 @@ def _head_of_chunk(content: bytes) -> ChunkHead | None:
         head = chunk_head(content[:_PREFIX_BYTES])
     except struct.error:
         return None
-    return head if head.compression in CODECS else None
+    return head if head.compression in COMPRESSIONS else None
 
 
 def plain_records(records: bytes) -> Iterator[tuple[int, bytes]]:
@@ -254,14 +253,6 @@ def _is_record(source: Source, offset: int) -> bool:
         return is_boundary(source, record.end)
     head = _head_of_chunk(source.read(record.start, _PREFIX_BYTES))
     return head is not None and (bool(head.compression) or is_boundary(source, record.end))
-
-
-def _never(_content: bytes, _length: int) -> bool:
-    return False
-
-
-def _any(_content: bytes, _length: int) -> bool:
-    return True
 
 
 def _at_least(min_bytes: int, max_bytes: int = 1 << 63) -> Callable[[bytes, int], bool]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import struct
 import zlib
 from io import BytesIO
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES
 from mavnav.logs.formats.mcap_content import McapState, apply_record
@@ -18,8 +18,6 @@ from mavnav.logs.read_report import ReadReport
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-
-    from mavnav.logs.records import Channel
 
 _KINDS = frozenset(
     {Op.SCHEMA, Op.CHANNEL, Op.STATISTICS, Op.CHUNK_INDEX, Op.ATTACHMENT_INDEX, Op.METADATA_INDEX, Op.SUMMARY_OFFSET}
@@ -31,53 +29,46 @@ _CHUNK_LENGTH = slice(24, 32)
 _HOP_BYTES = 1 << 12
 
 
-class McapSummary(NamedTuple):
-    """Channels of the summary, and whether it lists chunks; ``sound`` unless its CRC or its offset is wrong."""
+def read_summary(source: Source, state: McapState) -> None:
+    """Take the channels of the summary as spare ones, needed only if the chunk that declares them is damaged.
 
-    channels: dict[int, Channel]
-    chunked: bool = False
-    sound: bool = False
-
-
-def read_summary(source: Source, report: ReadReport) -> McapSummary:
-    """Return the content of the summary, which is needed only if the chunk that declares the channels is damaged.
-
-    If the footer is lost or its offset is wrong, the summary is searched for after the end of the data.
+    The state also learns whether the summary lists chunks, and whether its CRC and offset are right. If the footer is
+    lost or its offset is wrong, the summary is searched for after the end of the data.
     """
     footer_at = source.size - len(MAGIC) - HEAD.size - _FOOTER_BYTES
     record = record_at(source, footer_at) if footer_at > 0 else None
     if record is None or record.opcode != Op.FOOTER:
-        return _search_summary(source)
-    footer = source.read(record.start, _FOOTER_BYTES)
-    start, _, crc = struct.unpack("<QQI", footer)
+        _search_summary(source, state)
+        return
+    start, _, crc = struct.unpack("<QQI", source.read(record.start, _FOOTER_BYTES))
     if start == 0:
-        return McapSummary({})
+        return
     first = record_at(source, start) if start < footer_at <= start + MAX_CHUNK_BYTES else None
     if first is None or first.opcode not in _KINDS:  # bytes were lost or gained before it
-        return _search_summary(source)
-    summary = source.read(start, footer_at - start)
-    guarded = summary + source.read(footer_at, HEAD.size + _FOOTER_BYTES - 4)
-    if crc and zlib.crc32(guarded) != crc:
-        report.damage("the CRC of the summary does not match; it is not needed", f"byte {start}")
-        return _parse_summary(summary)._replace(sound=False)
-    return _parse_summary(summary)
+        _search_summary(source, state)
+        return
+    guarded = source.read(start, footer_at - start + HEAD.size + _FOOTER_BYTES - 4)
+    sound = crc == 0 or zlib.crc32(guarded) == crc
+    if not sound:
+        state.report.damage("the CRC of the summary does not match; it is not needed", f"byte {start}")
+    _parse_summary(guarded[: footer_at - start], state, sound=sound)
 
 
-def _search_summary(source: Source) -> McapSummary:
-    """Return the summary found after the last end-of-data record, or, if there is none, in the last MiB."""
+def _search_summary(source: Source, state: McapState) -> None:
+    """Parse the summary found after the last end-of-data record, or, if there is none, in the last MiB."""
     end = _last_data_end(source, MAX_CHUNK_BYTES)
     start = max(source.size - _BLOCK_BYTES, 0) if end is None else end
-    return _parse_summary(source.read(start, MAX_CHUNK_BYTES))._replace(sound=False)
+    _parse_summary(source.read(start, MAX_CHUNK_BYTES), state, sound=False)
 
 
-def _parse_summary(summary: bytes) -> McapSummary:
-    state = McapState(ReadReport())
+def _parse_summary(summary: bytes, state: McapState, *, sound: bool) -> None:
+    own = McapState(ReadReport())
     for opcode, content in _records(summary):
         if opcode in (Op.SCHEMA, Op.CHANNEL):
-            apply_record(opcode, content, "summary", state)
+            apply_record(opcode, content, "summary", own)
         elif opcode == Op.CHUNK_INDEX:
             state.chunked |= any(content[_CHUNK_LENGTH])
-    return McapSummary(state.channels, state.chunked, sound=True)
+    state.spare, state.spare_is_sound = own.channels, sound
 
 
 def _records(summary: bytes) -> Iterator[tuple[int, bytes]]:
@@ -93,17 +84,10 @@ def _records(summary: bytes) -> Iterator[tuple[int, bytes]]:
         offset = find_record(source, behind + 1)
 
 
-class DataSection(NamedTuple):
-    """Whether the data section has chunks, and whether its CRC matches; None if it has no CRC."""
+def check_data_section(source: Source, start: int, state: McapState) -> None:
+    """Check the CRC of the data section that begins with the magic at ``start``, and whether it has chunks.
 
-    chunked: bool
-    crc_matches: bool | None
-
-
-def read_data_section(source: Source, start: int, report: ReadReport) -> DataSection:
-    """Check the CRC of the data section that begins with the magic at ``start``; report a mismatch.
-
-    A data section that lost its end has no CRC.
+    The state gets the results; a mismatch is reported. A data section that lost its end has no CRC.
     """
     opcodes, end = set[int](), None
     for opcode, offset in _record_heads(source, start + len(MAGIC)):
@@ -113,14 +97,15 @@ def read_data_section(source: Source, start: int, report: ReadReport) -> DataSec
             break
     end = _last_data_end(source, _BLOCK_BYTES, start) if end is None else end
     declared = 0 if end is None else int.from_bytes(source.read(end + HEAD.size, 4), "little")
-    chunked = Op.CHUNK in opcodes or Op.MESSAGE_INDEX in opcodes
+    state.chunked |= Op.CHUNK in opcodes or Op.MESSAGE_INDEX in opcodes
     if end is None or declared == 0:
-        return DataSection(chunked, None)
-    if declared == _crc(source, start, end):
-        return DataSection(chunked, True)
-    text = "the CRC of the data section does not match; which record is wrong cannot be known"
-    report.damage(f"{text}, so all that no chunk's own CRC guards are suspect", source.where(end))
-    return DataSection(chunked, False)
+        state.verified = state.unsound = False
+        return
+    state.verified = declared == _crc(source, start, end)
+    state.unsound = not state.verified
+    if state.unsound:
+        text = "the CRC of the data section does not match; which record is wrong cannot be known"
+        state.report.damage(f"{text}, so all that no chunk's own CRC guards are suspect", source.where(end))
 
 
 def _record_heads(source: Source, offset: int) -> Iterator[tuple[int, int]]:

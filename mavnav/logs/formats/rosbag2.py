@@ -12,7 +12,7 @@ from msgspec import Struct
 from mavnav.errors import UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable
 
     from mavnav.logs.read_report import ReadReport
 
@@ -43,7 +43,7 @@ def storage_files(
     """
     files = _find_storage(folder, report, is_storage)
     names = metadata.names if metadata else ()
-    inside = [file for name in dict.fromkeys(names) if (file := _inside(folder, name, report)) is not None]
+    inside = [file for name in dict.fromkeys(names) if (file := _listed_file(folder, name, report)) is not None]
     listed = list(dict.fromkeys(inside))
     if len(set(names)) < len(names) or len(listed) < len(inside):
         report.warn("metadata.yaml lists a file more than once; it was read once")
@@ -79,25 +79,21 @@ def _name_stem(path: Path) -> str:
     return re.sub(r"(_\d+)?(\.(mcap|db3|bag|active|zstd|zst))*$", "", path.name)
 
 
-def _inside(folder: Path, name: str, report: ReadReport) -> Path | None:
-    """Return the file of a listed name; report it and return None if it leads out of the folder or is missing."""
-    try:
-        return _listed_file(folder, name, report)
-    except (OSError, ValueError):  # too long, or with a null byte
-        report.damage(f"listed file {name[:80]!r}: this cannot be a file's name", METADATA)
-        return None
-
-
 def _listed_file(folder: Path, name: str, report: ReadReport) -> Path | None:
-    if not Path(os.path.realpath(folder / name)).is_relative_to(folder.resolve()):
-        report.damage(f"listed file {name!r} leads out of the folder; it is not read", METADATA)
-        return None
+    """Return the file of a listed name; report it and return None if it leads out of the folder or is missing."""
     # Before version 4 names began with the folder; a file that was decompressed by hand is listed with its old suffix.
     base = folder / (folder / name).name
-    for path in (folder / name, base, base.with_name(base.name + ".zstd"), base.with_name(base.stem)):
-        if path.is_file():
-            return path
-    report.damage(f"listed file {name!r} is missing", METADATA)
+    problem = f"listed file {name!r} is missing"
+    try:
+        if not Path(os.path.realpath(folder / name)).is_relative_to(folder.resolve()):
+            problem = f"listed file {name!r} leads out of the folder; it is not read"
+        else:
+            for path in (folder / name, base, base.with_name(base.name + ".zstd"), base.with_name(base.stem)):
+                if path.is_file():
+                    return path
+    except (OSError, ValueError):  # too long, or with a null byte
+        problem = f"listed file {name[:80]!r}: this cannot be a file's name"
+    report.damage(problem, METADATA)
     return None
 
 
@@ -141,31 +137,23 @@ def _plain_tree(text: bytes, report: ReadReport) -> Any:  # noqa: ANN401
     if len(text) > _MAX_METADATA_BYTES:
         raise ValueError(f"it is larger than {_MAX_METADATA_BYTES} bytes")
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-    _refuse_tags_and_aliases(yaml.parse(text, loader))
-    root = yaml.compose(text, loader)
-    return _plain(root, report)
-
-
-def _refuse_tags_and_aliases(events: Iterable[Any]) -> None:
-    import yaml  # noqa: PLC0415
-
     depth = 0
-    for event in events:
+    for event in yaml.parse(text, loader):
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
         tag = getattr(event, "tag", None)
         if isinstance(event, yaml.AliasEvent) or "python" in str(tag):
             raise yaml.YAMLError(f"it has the tag {tag}" if tag else "it has aliases")
         if depth > _MAX_DEPTH:
             raise ValueError(f"it is nested deeper than {_MAX_DEPTH} levels")
+    return _plain(yaml.compose(text, loader), report)
 
 
 def _plain(node: Any, report: ReadReport) -> Any:  # noqa: ANN401
-    import yaml  # noqa: PLC0415
-
-    if isinstance(node, yaml.SequenceNode):
+    """Return the value of a node; None for that of an empty document. A key given twice is reported."""
+    if node is None or node.id == "scalar":
+        return node and node.value
+    if node.id == "sequence":
         return [_plain(item, report) for item in node.value]
-    if not isinstance(node, yaml.MappingNode):
-        return node.value if node is not None else None
     tree: dict[str, Any] = {}
     for key, value in node.value:
         name = str(key.value)

@@ -17,10 +17,10 @@ from urllib.parse import quote
 from msgspec import Struct, field
 
 from mavnav.atomic_files import temporary_folder
+from mavnav.logs.formats.channels import channel_of, with_known_type
 from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES
 from mavnav.logs.formats.source import SQLITE_MAGIC, Source
 from mavnav.logs.formats.sqlite_pages import page_size, rows
-from mavnav.logs.formats.untyped import channel_of, lacks_type, with_detected_type
 from mavnav.logs.records import QOS, Channel, RawMessage, Schema, ros_type
 
 if TYPE_CHECKING:
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
     from mavnav.logs.read_report import ReadReport
 
 
-_TABLES = """SELECT count(*) FROM sqlite_master
-WHERE type = 'table' AND name IN ('topics', 'messages') AND sql NOT LIKE '%VIRTUAL%'"""
+_TABLES = """SELECT name FROM sqlite_master WHERE type = 'table' AND sql NOT LIKE '%VIRTUAL%'
+AND name IN ('topics', 'messages', 'message_definitions')"""
 _TOPICS = "SELECT id, name, type, serialization_format, {} FROM topics"
 _HAS_QOS = "SELECT count(*) FROM pragma_table_info('topics') WHERE name = 'offered_qos_profiles'"
-_HAS_DEFINITIONS = """SELECT count(*) FROM sqlite_master
+_DEFINITIONS = """SELECT count(*) FROM sqlite_master
 WHERE type = 'table' AND name = 'message_definitions' AND sql NOT LIKE '%VIRTUAL%'"""
 _DEFINITIONS = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
 _COMPUTED = """SELECT m.name, c.name FROM sqlite_master AS m, pragma_table_xinfo(m.name) AS c
@@ -58,13 +58,6 @@ class _DatabaseState(Struct):
     missing: list[range] = field(default_factory=list)
     messages: int = 0
     last: int = 0
-
-    def count_row(self, number: int) -> None:
-        """Count the next row, and record the row numbers missing before it."""
-        if number > self.last + 1:
-            self.missing.append(range(self.last + 1, number))
-        self.last = number
-        self.messages += 1
 
 
 def read_sqlite(path: Path, report: ReadReport) -> Iterator[RawMessage]:
@@ -93,27 +86,30 @@ def _connect(path: Path) -> sqlite3.Connection:
 
 def _rows(path: Path, state: _DatabaseState) -> Iterator[RawMessage]:
     with closing(_connect(path)) as connection:
-        (tables,) = connection.execute(_TABLES).fetchone()
-        if tables != 2:
+        tables = {name for (name,) in connection.execute(_TABLES)}
+        if not {"topics", "messages"} <= tables:
             raise sqlite3.DatabaseError("there are no tables of messages and topics")
         if computed := connection.execute(_COMPUTED).fetchone():
             raise sqlite3.DatabaseError(f"the column {computed[1]} of {computed[0]} is computed; recorders store it")
-        state.schemas = _schemas(connection, state)
+        if "message_definitions" in tables:
+            state.schemas = _schemas(connection, state)
         (has_qos,) = connection.execute(_HAS_QOS).fetchone()
         for row in connection.execute(_TOPICS.format("offered_qos_profiles" if has_qos else "NULL")):
             _declare(row, state)
         for number, topic_id, log_ns, data in connection.execute(_MESSAGES):
             if number <= state.last:
                 raise sqlite3.DatabaseError(f"row {number} comes after row {state.last}; its pages form a loop")
-            state.count_row(number)
+            if number > state.last + 1:
+                state.missing.append(range(state.last + 1, number))
+            state.last = number
+            state.messages += 1
             yield from _message(topic_id, log_ns, data, state)
 
 
 def _schemas(connection: sqlite3.Connection, state: _DatabaseState) -> dict[str, Schema]:
     """Return the definitions of message types by name; recorders before ROS 2 Iron store none."""
-    (has_definitions,) = connection.execute(_HAS_DEFINITIONS).fetchone()
     try:
-        definitions = connection.execute(_DEFINITIONS).fetchall() if has_definitions else []
+        definitions = connection.execute(_DEFINITIONS).fetchall()
     except sqlite3.Error as error:
         state.report.damage(f"the definitions of messages cannot be read: {error}", state.path.name)
         return {}
@@ -133,13 +129,14 @@ def _declare(row: tuple[object, ...], state: _DatabaseState) -> None:
 
 
 def _message(topic_id: object, log_ns: object, data: object, state: _DatabaseState) -> Iterator[RawMessage]:
+    """Yield the message of a row; one of an undeclared topic, marked as suspect, only if its bytes are a LaserScan."""
     number = topic_id if isinstance(topic_id, int) else -1
     channel = state.channels.get(number)
     suspect = channel is None
     if isinstance(data, bytes) and channel is None:
         channel = channel_of(data, f"/topic_{topic_id}", state.report)
-    elif isinstance(data, bytes) and channel is not None and lacks_type(channel):
-        channel = state.channels[number] = with_detected_type(channel, data, state.path.name, state.report)
+    elif isinstance(data, bytes) and channel is not None:
+        channel = state.channels[number] = with_known_type(channel, data, state.path.name, state.report)
     if suspect or not isinstance(log_ns, int) or not isinstance(data, bytes):
         state.report.damage("a message row is broken, or of an undeclared topic", state.path.name)
     if channel is not None and isinstance(log_ns, int) and isinstance(data, bytes):
@@ -154,10 +151,11 @@ def _recover_messages(path: Path, state: _DatabaseState) -> Iterator[RawMessage]
         if not state.channels:
             _recover_channels(source, state)
         count, seen = 0, set()
-        for number, values in rows(source):
-            if isinstance(values[3], bytes) and number not in seen and _is_missing(number, state):
+        for number, (_, topic_id, log_ns, data, *_) in rows(source):
+            missing = any(number in gap for gap in state.missing)
+            if missing and isinstance(data, bytes) and number not in seen:
                 seen.add(number)
-                for message in _message(values[1], values[2], values[3], state):
+                for message in _message(topic_id, log_ns, data, state):
                     count += 1
                     yield message._replace(suspect=True)
     lost = sum(len(gap) for gap in state.missing if gap.stop != _NO_END) - count
@@ -165,10 +163,6 @@ def _recover_messages(path: Path, state: _DatabaseState) -> Iterator[RawMessage]
         state.report.damage(f"{count} messages were read from the pages themselves, and are suspect", state.path.name)
     elif lost > 0:
         state.report.warn(f"{state.path.name}: {lost} row numbers are not in use, as after rows were deleted")
-
-
-def _is_missing(number: int, state: _DatabaseState) -> bool:
-    return any(number in gap for gap in state.missing)
 
 
 def _recover_channels(source: Source, state: _DatabaseState) -> None:
@@ -187,9 +181,11 @@ def _readable_file(path: Path, report: ReadReport) -> Iterator[Path]:
     Rows in a write-ahead log are read from a copy as well, and an unfinished transaction is rolled back.
     """
     place = path.resolve()  # of a link, journals are beside its target
-    journals = [journal for suffix in _JOURNALS if _has_content(journal := place.with_name(place.name + suffix))]
-    sound = not journals and _needs_no_copy(path)
-    if sound:
+    beside = [place.with_name(place.name + suffix) for suffix in _JOURNALS]
+    journals = [journal for journal in beside if journal.is_file() and journal.stat().st_size > 0]
+    with path.open("rb") as file:
+        head = file.read(_COUNT_AT + 4)
+    if not journals and head.startswith(SQLITE_MAGIC) and path.stat().st_size >= _declared_bytes(head):
         yield path
         return
     with temporary_folder() as folder:
@@ -202,19 +198,9 @@ def _readable_file(path: Path, report: ReadReport) -> Iterator[Path]:
         yield copy
 
 
-def _has_content(path: Path) -> bool:
-    return path.is_file() and path.stat().st_size > 0
-
-
-def _needs_no_copy(path: Path) -> bool:
-    with path.open("rb") as file:
-        head = file.read(_COUNT_AT + 4)
-    return head.startswith(SQLITE_MAGIC) and path.stat().st_size >= page_size(head) * _pages(head)
-
-
-def _pages(head: bytes) -> int:
-    """Return the number of pages in the header (https://sqlite.org/fileformat.html, 1.3.8)."""
-    return int.from_bytes(head[_COUNT_AT : _COUNT_AT + 4], "big")
+def _declared_bytes(head: bytes) -> int:
+    """Return the size of the file by its header, which has the number of pages (sqlite.org/fileformat.html, 1.3.8)."""
+    return page_size(head) * int.from_bytes(head[_COUNT_AT : _COUNT_AT + 4], "big")
 
 
 def _repair_magic(copy: Path, report: ReadReport) -> None:
@@ -266,10 +252,9 @@ def _keep_whole_pages(copy: Path, report: ReadReport) -> None:
     size = copy.stat().st_size
     with copy.open("r+b") as file:
         head = file.read(_COUNT_AT + 4)
-        page_bytes, pages = page_size(head), _pages(head)
-        if size >= page_bytes * pages:
+        if size >= (declared := _declared_bytes(head)):
             return
-        report.damage(f"the file is cut: {size} of {page_bytes * pages} bytes are there", copy.name)
-        if whole := size // page_bytes:
+        report.damage(f"the file is cut: {size} of {declared} bytes are there", copy.name)
+        if whole := size // page_size(head):
             file.seek(_COUNT_AT)
             file.write(whole.to_bytes(4, "big"))

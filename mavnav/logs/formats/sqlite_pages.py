@@ -7,7 +7,7 @@ recognized by the types of their columns: a message is (NULL, integer, integer, 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES
 
@@ -23,15 +23,11 @@ _MAX_COLUMNS = 16
 
 Value = int | bytes | str | None
 
-
-class DatabaseRow(NamedTuple):
-    """A row: its number, and the values of its columns."""
-
-    number: int
-    values: tuple[Value, ...]
+Row = tuple[int, tuple[Value, ...]]
+"""The number of a row, and the values of its columns."""
 
 
-def rows(source: Source) -> Iterator[DatabaseRow]:
+def rows(source: Source) -> Iterator[Row]:
     """Yield the rows of messages and topics, in the order of the pages; rows that reach into lost pages are left out.
 
     Of the file header only the page layout is used; a page size that sqlite does not allow is replaced by 4096 bytes.
@@ -51,7 +47,7 @@ def page_size(head: bytes) -> int:
     return size if size >= 512 and size.bit_count() == 1 else 4096
 
 
-def _rows_of(source: Source, page: bytes, start: int, usable: int) -> Iterator[DatabaseRow]:
+def _rows_of(source: Source, page: bytes, start: int, usable: int) -> Iterator[Row]:
     if len(page) < start + 8 or page[start] != _LEAF:
         return
     cells = int.from_bytes(page[start + 3 : start + 5], "big")
@@ -61,34 +57,30 @@ def _rows_of(source: Source, page: bytes, start: int, usable: int) -> Iterator[D
             yield row
 
 
-def _cell(source: Source, page: bytes, offset: int, usable: int) -> DatabaseRow | None:
-    """Read the cell at an offset; None if it is cut or belongs to another table."""
+def _cell(source: Source, page: bytes, offset: int, usable: int) -> Row | None:
+    """Read the cell at an offset; None if it is cut, not valid, or belongs to another table."""
     try:
         length, offset = _varint(page, offset)
         number, offset = _varint(page, offset)
-    except IndexError:
+        behind = offset + _local_bytes(length, usable)
+        payload = page[offset:behind]
+        if not 4 <= length <= MAX_CHUNK_BYTES or behind > len(page) or not _is_known(payload):
+            return None
+        if len(payload) < length:
+            payload = _overflow(source, page, behind, payload, length, usable)
+        return (number, _record(payload)) if len(payload) == length else None
+    except (IndexError, ValueError):
         return None
-    local = _local_bytes(length, usable)
-    if not 4 <= length <= MAX_CHUNK_BYTES or offset + local > len(page) or not _is_known(page[offset : offset + local]):
-        return None
-    payload = page[offset : offset + local]
-    if local < length:
-        payload = _overflow(source, page, offset + local, payload, length, usable)
-    values = _record(payload) if len(payload) == length else None
-    return None if values is None else DatabaseRow(number, values)
 
 
 def _varint(data: bytes, offset: int) -> tuple[int, int]:
     """Read a big-endian number of 7 bits per byte, 8 in the ninth; return it and the offset after it."""
     value = 0
-    for count in range(9):
-        byte = data[offset + count]
-        if count == 8:
-            return (value << 8) | byte, offset + 9
-        value = (value << 7) | (byte & 0x7F)
-        if byte < 0x80:
-            return value, offset + count + 1
-    raise AssertionError
+    for at in range(offset, offset + 8):
+        value = (value << 7) | (data[at] & 0x7F)
+        if data[at] < 0x80:
+            return value, at + 1
+    return (value << 8) | data[offset + 8], offset + 9
 
 
 def _local_bytes(length: int, usable: int) -> int:
@@ -115,45 +107,43 @@ def _overflow(source: Source, page: bytes, pointer: int, payload: bytes, length:
     return b"".join(pieces)
 
 
-def _types(payload: bytes) -> tuple[list[int], int] | None:
-    """Return the serial types of a record's columns and the offset of their values; None if they are invalid."""
-    try:
-        end, offset = _varint(payload, 0)
-        types: list[int] = []
-        while offset < end and len(types) <= _MAX_COLUMNS:
-            kind, offset = _varint(payload, offset)
-            types.append(kind)
-    except IndexError:
-        return None
-    return (types, end) if offset == end else None
+def _types(payload: bytes) -> tuple[list[int], int]:
+    """Return the serial types of a record's columns and the offset of their values.
+
+    Raises IndexError where they are cut, ValueError where they do not end at that offset or are too many.
+    """
+    end, offset = _varint(payload, 0)
+    types: list[int] = []
+    while offset < end and len(types) <= _MAX_COLUMNS:
+        kind, offset = _varint(payload, offset)
+        types.append(kind)
+    if offset != end:
+        raise ValueError("the types of the columns do not fill their header")
+    return types, end
 
 
 def _is_known(payload: bytes) -> bool:
     """Return whether a record is a message or a topic by the types of its columns."""
-    columns = _types(payload)
-    if columns is None or len(columns[0]) < 4 or columns[0][0] != 0:
+    types, _ = _types(payload)
+    if len(types) < 4 or types[0] != 0:
         return False
-    kinds = columns[0][1:4]
-    message = kinds[0] in _INTEGER_BYTES and kinds[1] in _INTEGER_BYTES and _is_blob(kinds[2]) and len(columns[0]) == 4
-    return message or all(kind >= 13 and kind % 2 for kind in kinds)
+    _, topic, time, data, *more = types
+    is_blob = data >= 12 and data % 2 == 0
+    is_message = topic in _INTEGER_BYTES and time in _INTEGER_BYTES and is_blob and not more
+    return is_message or all(kind >= 13 and kind % 2 for kind in types[1:4])
 
 
-def _is_blob(kind: int) -> bool:
-    return kind >= 12 and kind % 2 == 0
-
-
-def _record(payload: bytes) -> tuple[Value, ...] | None:
-    """Read the columns of a record; None if their lengths do not add up to the length of the record."""
-    columns = _types(payload)
-    if columns is None:
-        return None
+def _record(payload: bytes) -> tuple[Value, ...]:
+    """Read the columns of a record; raises ValueError if their lengths do not add up to the length of the record."""
+    types, offset = _types(payload)
     values: list[Value] = []
-    types, offset = columns
     for kind in types:
         size = (kind - 12) // 2 if kind >= 12 else _INTEGER_BYTES.get(kind, 8 if kind == 7 else 0)
         values.append(_value(kind, payload[offset : offset + size]))
         offset += size
-    return tuple(values) if offset == len(payload) else None
+    if offset != len(payload):
+        raise ValueError("the columns do not fill the record")
+    return tuple(values)
 
 
 def _value(kind: int, content: bytes) -> Value:

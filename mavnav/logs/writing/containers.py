@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import sqlite3
 from contextlib import contextmanager
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
-from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag1 import Writer as Bag1Writer
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Bag2Writer
+from rosbags.rosbag2.metadata import parse_qos
 
 from mavnav.logs.messages import ros
-from mavnav.logs.writing.mcap_writer import write_serialized
+from mavnav.logs.writing.mcap_writer import qos_text, write_serialized
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -28,32 +29,11 @@ if TYPE_CHECKING:
     Put = Callable[[str, int, Any], None]
 
 
-_FOREVER = QosTime(9223372036, 854775807)
-
-
-def _qos(channel: OutputChannel) -> Qos:
-    return Qos(
-        QosHistory.KEEP_LAST,
-        1 if channel.latched else 10,
-        QosReliability.RELIABLE,
-        QosDurability.TRANSIENT_LOCAL if channel.latched else QosDurability.VOLATILE,
-        _FOREVER,
-        _FOREVER,
-        QosLiveliness.AUTOMATIC,
-        _FOREVER,
-        avoid_ros_namespace_conventions=False,
-    )
-
-
 @contextmanager
 def write_mcap(path: Path, channels: Mapping[str, OutputChannel]) -> Iterator[Put]:
     """Write an MCAP file of ROS 2 messages with their definitions, chunks compressed with zstd."""
     with write_serialized(path, channels) as put_bytes:
-
-        def put(topic: str, stamp_ns: int, message: Any) -> None:  # noqa: ANN401
-            put_bytes(topic, stamp_ns, ros.cdr(message))
-
-        yield put
+        yield lambda topic, stamp_ns, message: put_bytes(topic, stamp_ns, ros.cdr(message))
 
 
 @contextmanager
@@ -62,17 +42,9 @@ def write_bag1(path: Path, channels: Mapping[str, OutputChannel]) -> Iterator[Pu
     writer = Bag1Writer(path)
     writer.set_compression(Bag1Writer.CompressionFormat.BZ2)
     with writer:
-        connections = {
-            topic: writer.add_connection(
-                topic, channel.type, typestore=ros.types_ros1(), callerid="/mavnav", latching=int(channel.latched)
-            )
-            for topic, channel in channels.items()
-        }
-
-        def put(topic: str, stamp_ns: int, message: Any) -> None:  # noqa: ANN401
-            writer.write(connections[topic], stamp_ns, ros.ros1(message))
-
-        yield put
+        add = partial(writer.add_connection, typestore=ros.types_ros1(), callerid="/mavnav")
+        connections = {topic: add(topic, c.type, latching=int(c.latched)) for topic, c in channels.items()}
+        yield lambda topic, stamp_ns, message: writer.write(connections[topic], stamp_ns, ros.ros1(message))
 
 
 @contextmanager
@@ -81,17 +53,10 @@ def write_bag2(path: Path, channels: Mapping[str, OutputChannel]) -> Iterator[Pu
     writer = Bag2Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3)
     try:
         with writer:
-            connections = {
-                topic: writer.add_connection(
-                    topic, channel.type, typestore=ros.types_ros2(), offered_qos_profiles=[_qos(channel)]
-                )
-                for topic, channel in channels.items()
-            }
-
-            def put(topic: str, stamp_ns: int, message: Any) -> None:  # noqa: ANN401
-                writer.write(connections[topic], stamp_ns, ros.cdr(message))
-
-            yield put
+            add = partial(writer.add_connection, typestore=ros.types_ros2())
+            qos = {topic: parse_qos(qos_text(channel)) for topic, channel in channels.items()}
+            connections = {topic: add(topic, c.type, offered_qos_profiles=qos[topic]) for topic, c in channels.items()}
+            yield lambda topic, stamp_ns, message: writer.write(connections[topic], stamp_ns, ros.cdr(message))
     except sqlite3.Error as error:
         raise OSError(f"sqlite: {error}") from error
 

@@ -16,8 +16,7 @@ from mavnav.logs.formats.decompress import DecompressError, unpack_message
 from mavnav.logs.messages.records import DecodeError
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import LATCHING, QOS, Channel, Damage, MetadataRecord, RawMessage, Schema, Topic
-from mavnav.logs.writing.mcap_writer import CHUNK_BYTES, qos_text
-from mavnav.logs.writing.mcap_writer import OutputChannel as Written
+from mavnav.logs.writing.mcap_writer import CHUNK_BYTES, OutputChannel, qos_text
 from mavnav.logs.writing.translation import Translator
 
 if TYPE_CHECKING:
@@ -142,8 +141,8 @@ class _Writing(Struct):
         elif isinstance(extra, MetadataRecord):
             writer.add_metadata(extra.name, extra.values)
         else:
-            e = extra
-            writer.add_attachment(_stamp(e.created_ns), _stamp(e.log_ns), e.name, e.media_type, e.data)
+            created_ns, log_ns = _stamp(extra.created_ns), _stamp(extra.log_ns)
+            writer.add_attachment(created_ns, log_ns, extra.name, extra.media_type, extra.data)
 
     def _register(self, writer: Any, channel: Channel) -> int:  # noqa: ANN401
         schema = channel.schema
@@ -152,7 +151,7 @@ class _Writing(Struct):
         metadata = dict(channel.metadata)
         if channel.encoding == "cdr":
             latched = metadata.pop(LATCHING, "") in ("1", "true") or channel.topic.endswith("tf_static")
-            metadata.setdefault(QOS, qos_text(Written(channel.type, latched=latched)))
+            metadata.setdefault(QOS, qos_text(OutputChannel(channel.type, latched=latched)))
         return int(writer.register_channel(channel.topic, channel.encoding, self.schemas.get(schema, 0), metadata))
 
     def topics(self) -> tuple[Topic, ...]:

@@ -16,7 +16,6 @@ The ground truth is no Odometry message and not in ``/tf``, so that no reader mi
 
 from __future__ import annotations
 
-from contextlib import contextmanager
 from heapq import merge
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final
@@ -32,7 +31,7 @@ from mavnav.logs.writing.mcap_writer import OutputChannel
 from mavnav.pose import Pose
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from mavnav.pose import Trajectory
@@ -64,51 +63,11 @@ class Recording(Struct, frozen=True):
     attitudes: Sequence[tuple[int, Attitude]] = ()
 
 
-class Recorder(Struct):
-    """Writer of a log, message by message, in the order of their stamps; created by ``recorder``."""
-
-    put: Callable[[str, int, Any], None]
-    base_T_laser: Pose
-    _begun: bool = False
-
-    def scan(self, scan: Scan) -> None:
-        """Record a scan."""
-        self._begin(scan.stamp_ns)
-        self.put("/scan", scan.stamp_ns, ros.laser_scan(scan, LASER, NO_RETURN_M))
-
-    def odometry(self, stamp_ns: int, odom_T_base: Pose) -> None:
-        """Record a pose of the odometry, as a message and as a transform."""
-        self._begin(stamp_ns)
-        link = (stamp_ns, ODOM, BASE, odom_T_base)
-        self.put("/tf", stamp_ns, ros.transform(*link))
-        self.put("/odom", stamp_ns, ros.odometry(*link))
-
-    def truth(self, stamp_ns: int, world_T_base: Pose) -> None:
-        """Record the true pose."""
-        self._begin(stamp_ns)
-        self.put("/ground_truth", stamp_ns, ros.pose_stamped(stamp_ns, WORLD, world_T_base))
-
-    def attitude(self, stamp_ns: int, attitude: Attitude) -> None:
-        """Record what is measured of the laser's tilt and height; the recorder must have been made for it."""
-        self._begin(stamp_ns)
-        self.put("/attitude", stamp_ns, ros.attitude(stamp_ns, WORLD, attitude))
-
-    def _begin(self, stamp_ns: int) -> None:
-        """Write the mounting of the laser once, at the first stamp."""
-        if not self._begun:
-            self._begun = True
-            link = (stamp_ns, BASE, LASER, self.base_T_laser)
-            self.put("/tf_static", stamp_ns, ros.transform(*link))
-
-
-@contextmanager
-def recorder(
-    path: Path, base_T_laser: Pose | None = None, *, force: bool = False, tilts: bool = False
-) -> Iterator[Recorder]:
-    """Yield a Recorder; the complete log is renamed to ``path`` when the block ends without an exception.
+def record(recording: Recording, path: Path, *, force: bool = False) -> None:
+    """Write a recording in the order of time, at equal stamps the scan last; the log appears complete or not at all.
 
     The suffix decides the format: ``.mcap``, ``.bag`` (ROS 1), or a folder (ROS 2 bag). Equal calls write equal bytes.
-    With ``tilts`` the log has a topic for attitudes.
+    A recording with attitudes has a topic for them.
 
     Raises
     ------
@@ -118,10 +77,11 @@ def recorder(
         The target exists and ``force`` is false, is no log of this kind, or cannot be written.
     """
     check_recording(path, force=force)
-    channels = CHANNELS | (ATTITUDE if tilts else {})
+    channels = CHANNELS | (ATTITUDE if recording.attitudes else {})
     try:
         with beside(path, exclusive=not force) as partial, CONTAINERS[path.suffix](partial, channels) as put:
-            yield Recorder(put, base_T_laser or Pose())
+            for stamp_ns, topic, message in _messages(recording):
+                put(topic, stamp_ns, message)
     except FileExistsError as error:
         raise OutputError(f"{path} exists; choose another name for the recording, or --force to replace it") from error
     except OSError as error:
@@ -129,8 +89,29 @@ def recorder(
         raise OutputError(f"{path} cannot be written: {reason}; make room or choose another place") from error
 
 
+def _messages(r: Recording) -> Iterator[tuple[int, str, Any]]:
+    """Yield stamps, topics and messages in the order of time; before the first, at its stamp, the laser's mounting."""
+    truth = ((stamp, "/ground_truth", ros.pose_stamped(stamp, WORLD, pose)) for stamp, pose in _poses(r.world_T_base))
+    odometry = (
+        (stamp, topic, build(stamp, ODOM, BASE, pose))
+        for stamp, pose in _poses(r.odom_T_base)
+        for topic, build in (("/tf", ros.transform), ("/odom", ros.odometry))
+    )
+    attitudes = ((stamp, "/attitude", ros.attitude(stamp, WORLD, attitude)) for stamp, attitude in r.attitudes)
+    scans = ((scan.stamp_ns, "/scan", ros.laser_scan(scan, LASER, NO_RETURN_M)) for scan in r.scans)
+    for number, message in enumerate(merge(truth, odometry, attitudes, scans, key=itemgetter(0))):
+        if number == 0:
+            yield message[0], "/tf_static", ros.transform(message[0], BASE, LASER, r.base_T_laser)
+        yield message
+
+
+def _poses(trajectory: Trajectory) -> Iterator[tuple[int, Pose]]:
+    for k, stamp_ns in enumerate(trajectory.stamps_ns.tolist()):
+        yield stamp_ns, trajectory[k]
+
+
 def check_recording(path: Path, *, force: bool) -> None:
-    """Raise the errors of ``recorder`` for this path before any work is done."""
+    """Raise the errors of ``record`` for this path before any work is done."""
     if path.suffix not in CONTAINERS:
         raise UsageError(
             f"{path}: no format of this name can be recorded; end it in .mcap or .bag (ROS 1), "
@@ -139,32 +120,9 @@ def check_recording(path: Path, *, force: bool) -> None:
     if path.suffix and is_stream(path):
         return
     if path.is_dir():
-        _check_folder(path)
+        if path.suffix or (any(path.iterdir()) and not (path / METADATA).is_file()):
+            raise OutputError(f"{path} is a folder, but no ROS 2 bag; choose another name for the recording")
     elif path.exists() and (not path.suffix or not path.is_file()):
         raise OutputError(f"{path} is in the way; choose another name for the recording")
     if path.exists() and not force:
         raise OutputError(f"{path} exists; choose another name for the recording, or --force to replace it")
-
-
-def _check_folder(path: Path) -> None:
-    """Raise OutputError for a folder that is no ROS 2 bag."""
-    if path.suffix or (any(path.iterdir()) and not (path / METADATA).is_file()):
-        raise OutputError(f"{path} is a folder, but no ROS 2 bag; choose another name for the recording")
-
-
-def record(recording: Recording, path: Path, *, force: bool = False) -> None:
-    """Write a recording in the order of time; at equal stamps the scan comes last."""
-    r = recording
-    with recorder(path, r.base_T_laser, force=force, tilts=bool(r.attitudes)) as log:
-        truth = ((stamp, log.truth, (stamp, pose)) for stamp, pose in _poses(r.world_T_base))
-        odometry = ((stamp, log.odometry, (stamp, pose)) for stamp, pose in _poses(r.odom_T_base))
-        attitudes = ((stamp, log.attitude, (stamp, attitude)) for stamp, attitude in r.attitudes)
-        scans = ((scan.stamp_ns, log.scan, (scan,)) for scan in r.scans)
-        streams: list[Iterable[tuple[int, Callable[..., None], tuple[Any, ...]]]] = [truth, odometry, attitudes, scans]
-        for _, write, what in merge(*streams, key=itemgetter(0)):
-            write(*what)
-
-
-def _poses(trajectory: Trajectory) -> Iterator[tuple[int, Pose]]:
-    for k, stamp_ns in enumerate(trajectory.stamps_ns.tolist()):
-        yield stamp_ns, trajectory[k]

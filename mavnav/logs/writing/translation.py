@@ -5,18 +5,20 @@ The definition of a type decides, not its first message, which may be cut, or em
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from msgspec import Struct, field
 
 from mavnav.logs.messages import ros
-from mavnav.logs.messages.carmen import ENCODING
+from mavnav.logs.messages.carmen import ENCODING, pose_decoder, scan_decoder
 from mavnav.logs.messages.decode import decoder
-from mavnav.logs.messages.definitions import TF, TF_ROS1
-from mavnav.logs.messages.records import DecodeError
+from mavnav.logs.messages.definitions import ODOMETRY, SCAN, TF, TF_ROS1, TRANSFORM
+from mavnav.logs.messages.records import DecodeError, LaserMessage, TransformMessage
 from mavnav.logs.records import Channel, Schema
-from mavnav.logs.writing.carmen_as_ros import carmen_to_cdr
+from mavnav.logs.transforms import planar_pose
+from mavnav.pose import Pose
+from mavnav.scan import LaserSpec, Scan
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -33,36 +35,35 @@ _FILLER: Final = "structure_needs_at_least_one_member"
 
 
 class _Translation(NamedTuple):
-    """The channel to write, and the function that translates a message or raises DecodeError.
+    """The channel to write, a check of messages, and their conversion; both raise DecodeError, or are None.
 
     One with a ``warning`` is the last resort: it is for single messages, and others come first for the next.
     """
 
     channel: Channel
-    translate: Callable[[bytes], bytes]
+    check: Callable[[bytes], Any] | None = None
+    convert: Callable[[bytes], bytes] | None = None
     warning: str = ""
 
-
-class _Choice(Struct):
-    """The translations of a channel: those tried so far, the last that fitted first, and those not tried yet."""
-
-    more: Iterator[_Translation]
-    tried: list[_Translation] = field(default_factory=list)
+    def translate(self, data: bytes) -> bytes:
+        """Return the message to write; raises DecodeError."""
+        if self.check:
+            self.check(data)
+        return self.convert(data) if self.convert else data
 
 
 class Translator(Struct):
     """Translates messages, each by the first translation that fits it."""
 
     report: ReadReport
-    _choices: dict[Channel, _Choice] = field(default_factory=dict)
+    _choices: dict[Channel, tuple[list[_Translation], Iterator[_Translation]]] = field(default_factory=dict)
+    """Channel -> the translations tried so far, the last that fitted first, and those not tried yet."""
 
     def translate(self, channel: Channel, data: bytes) -> tuple[Channel, bytes]:
         """Return the channel to write a message to, and its bytes there; raises DecodeError."""
-        choice = self._choices.get(channel)
-        if choice is None:
-            choice = self._choices[channel] = _Choice(_translations(channel))
+        tried, others = self._choices.setdefault(channel, ([], _translations(channel)))
         error = None
-        for number, translation in enumerate(_all(choice)):
+        for number, translation in enumerate(_all(tried, others)):
             try:
                 message = translation.translate(data)
             except DecodeError as reason:
@@ -71,15 +72,16 @@ class Translator(Struct):
             if translation.warning:
                 self.report.warn(translation.warning)
             elif number:
-                choice.tried.insert(0, choice.tried.pop(number))
+                tried.insert(0, tried.pop(number))
             return translation.channel, message
         raise error or DecodeError("no definition fits")
 
 
-def _all(choice: _Choice) -> Iterator[_Translation]:
-    yield from list(choice.tried)
-    for translation in choice.more:
-        choice.tried.append(translation)
+def _all(tried: list[_Translation], others: Iterator[_Translation]) -> Iterator[_Translation]:
+    """Yield the translations tried, then the others, which count as tried from then on."""
+    yield from list(tried)
+    for translation in others:
+        tried.append(translation)
         yield translation
 
 
@@ -89,55 +91,59 @@ def _translations(channel: Channel) -> Iterator[_Translation]:
     name = _ROS1_ONLY.get(channel.type, channel.type)
     known = name in ros.types_ros2().types
     if channel.encoding == ENCODING:
-        yield _Translation(_ros2(channel, channel.type), _checker(check, carmen_to_cdr(channel)))
+        yield _Translation(_ros2(channel, channel.type), check, _carmen_to_cdr(channel))
     elif channel.encoding == "ros1" and known and (check or _same_layout(channel, name)):
-        yield _Translation(_ros2(channel, name), _checker(check, lambda message: _to_cdr(message, name)))
+        yield _Translation(_ros2(channel, name), check, partial(_to_cdr, name=name))
         warning = f"{channel.topic}: messages that do not fit {name} of ROS 2 are copied as they are"
-        yield _Translation(channel, _checker(check, lambda message: _read_ros1(message, name)), warning)
+        yield _Translation(channel, check, partial(_read_ros1, name=name), warning)
     elif channel.encoding == "cdr" and name and not channel.schema.data:
         yield from _with_definition(channel, name, check)
     else:
-        yield _Translation(channel, _checker(check))
+        yield _Translation(channel, check)
 
 
 def _with_definition(channel: Channel, name: str, check: Callable[[bytes], Any] | None) -> Iterator[_Translation]:
     """Yield a channel without a definition with those of ROS 2's distributions that fit the bytes, the newest first."""
     if check:  # a type that has not changed
-        yield _Translation(_ros2(channel, name), _checker(check))
+        yield _Translation(_ros2(channel, name), check)
         return
     texts = set()
     for types in ros.all_types_ros2():
         text = ros.definition(name, types) if name in types.types else ""
         if text and text not in texts:
             texts.add(text)
-            yield _Translation(_target_channel(channel, name, text), _checker(_reader(types, name)))
+            yield _Translation(_ros2(channel, name, text), partial(_read, types.deserialize_cdr, name=name))
     warning = f"{channel.topic}: no definition of {name} fits its messages; they are copied without one"
-    yield _Translation(Channel(channel.topic, name, "cdr", Schema(name), channel.metadata), _checker(), warning)
+    yield _Translation(Channel(channel.topic, name, "cdr", Schema(name), channel.metadata), warning=warning)
 
 
-def _ros2(channel: Channel, name: str) -> Channel:
-    return _target_channel(channel, name, ros.definition(name))
+def _ros2(channel: Channel, name: str, text: str = "") -> Channel:
+    """Return the channel of CDR messages of a type, defined by the text, or as in the newest ROS 2."""
+    schema = Schema(name, "ros2msg", (text or ros.definition(name)).encode())
+    return Channel(channel.topic, name, "cdr", schema, channel.metadata)
 
 
-def _target_channel(channel: Channel, name: str, text: str) -> Channel:
-    return Channel(channel.topic, name, "cdr", Schema(name, "ros2msg", text.encode()), channel.metadata)
+def _carmen_to_cdr(channel: Channel) -> Callable[[bytes], bytes]:
+    """Return the function that converts a line of a CARMEN log to a message of its channel; it raises DecodeError."""
+    if channel.type == SCAN:
+        scan = scan_decoder(channel)
+        return lambda line: ros.cdr(_laser_scan(scan(line)))
+    poses = pose_decoder(channel)
+    return lambda line: ros.cdr(_pose_message(channel.type, poses(line)[0]))
 
 
-def _checker(
-    check: Callable[[bytes], Any] | None = None, translate: Callable[[bytes], bytes] | None = None
-) -> Callable[[bytes], bytes]:
-    """Return a function that raises DecodeError where ``check`` does, and else translates, or returns the same."""
-
-    def convert(data: bytes) -> bytes:
-        if check:
-            check(data)
-        return translate(data) if translate else data
-
-    return convert
+def _laser_scan(laser: LaserMessage) -> Any:  # noqa: ANN401  rosbags' types are made at run time
+    limits, times = (laser.range_min_m, laser.range_max_m), (laser.time_increment_s, laser.scan_time_s)
+    spec = LaserSpec(laser.angle_min_rad, laser.angle_step_rad, len(laser.ranges_m), *limits, *times)
+    return ros.laser_scan(Scan(laser.stamp_ns, laser.ranges_m, spec), laser.frame_id)
 
 
-def _reader(types: Any, name: str) -> Callable[[bytes], Any]:  # noqa: ANN401  rosbags' types are made at run time
-    return lambda data: _read(types.deserialize_cdr, data, name)
+def _pose_message(kind: str, pose: TransformMessage) -> Any:  # noqa: ANN401
+    edge = pose.stamp_ns, pose.parent, pose.child, planar_pose(pose) or Pose()
+    if kind == ODOMETRY:
+        return ros.odometry(*edge)
+    transforms = ros.transform(*edge)
+    return transforms.transforms[0] if kind == TRANSFORM else transforms
 
 
 def _read_ros1(data: bytes, name: str) -> bytes:

@@ -18,7 +18,7 @@ from mavnav.outputs.documents.run_json import Host, Provenance
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mavnav.outputs.documents.options_section import Options
+    from mavnav.outputs.documents.sections import Options
 
 
 def _folder() -> str | None:

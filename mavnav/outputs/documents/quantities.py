@@ -143,10 +143,9 @@ def winners(quantity: Quantity, runs: Sequence[Run | None]) -> list[int]:
     Only meaningful maps compete, at least two; where it is ``per_cell``, those of each cell size among themselves.
     Nobody is best where all are equal.
     """
-    groups: dict[float, dict[int, float]] = {}
-    for k, value in ranked_values(quantity, runs).items():
-        groups.setdefault(_cell_mm(runs[k]) if quantity.per_cell else 0.0, {})[k] = value
-    return sorted(k for group in groups.values() for k in _best(quantity, group))
+    values = ranked_values(quantity, runs)
+    groups = by_cell_mm(runs).values() if quantity.per_cell else [values]
+    return sorted(k for group in groups for k in _best(quantity, {k: values[k] for k in group if k in values}))
 
 
 def ranked_values(quantity: Quantity, runs: Sequence[Run | None]) -> dict[int, float]:
@@ -157,7 +156,7 @@ def ranked_values(quantity: Quantity, runs: Sequence[Run | None]) -> dict[int, f
 
 
 def _best(quantity: Quantity, values: dict[int, float]) -> list[int]:
-    top = max(values.values(), key=lambda value: quantity.better * value)
+    top = max(values.values(), key=lambda value: quantity.better * value, default=0.0)
     best = [k for k, value in values.items() if quantity.same(value, top)]
     return best if len(best) < len(values) else []
 

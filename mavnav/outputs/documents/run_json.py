@@ -8,18 +8,15 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Final
 
-from msgspec import Struct, field
+from msgspec import Struct
 
 from mavnav.config.models import Config, MethodName
 from mavnav.logs import Damage
-from mavnav.metrics.fields import Measured, absent, number, text
+from mavnav.metrics.fields import Measured, number, text
 from mavnav.metrics.map_quality import MapQuality
 from mavnav.metrics.reference import Reference
 from mavnav.metrics.wall_report import WallThicknessReport
-from mavnav.outputs.documents.continued_section import Continued
-from mavnav.outputs.documents.options_section import Options
-from mavnav.outputs.documents.slices_section import AttitudeSource, MapSlice
-from mavnav.outputs.documents.tracking_section import Tracking
+from mavnav.outputs.documents.sections import OPTIONAL, AttitudeSource, Continued, MapSlice, Options, Tracking
 
 
 class LaserPose(Struct, frozen=True):
@@ -78,9 +75,9 @@ class LogInput(Struct, frozen=True):
     mounting_source: Annotated[str | None, text("tf_static, or option for --extrinsic; null if unknown")]
     odometry: Annotated[OdometrySource | None, text("odometry in the log, null without")]
     sensor: Sensor
-    truth: RecordedTruthSource = field(default_factory=absent)
-    imu: ImuSource = field(default_factory=absent)
-    attitude: AttitudeSource = field(default_factory=absent)
+    truth: RecordedTruthSource = OPTIONAL
+    imu: ImuSource = OPTIONAL
+    attitude: AttitudeSource = OPTIONAL
 
 
 class Scans(Struct, frozen=True):
@@ -185,16 +182,12 @@ class MissionResult(Struct, frozen=True):
     path_length_m: Annotated[float, number("length of the true path")]
     min_clearance_m: Annotated[Measured, number("least distance from a wall; null if none is at flight height")]
     goal_distance_m: Annotated[Measured, number("distance from the goal at the end")]
-    flight_height_m: Annotated[float, number("commanded height of the laser")] = field(default_factory=absent)
-    tilt_p95_deg: Annotated[float, number("true tilt of the laser, 95th percentile over the scans")] = field(
-        default_factory=absent
-    )
+    flight_height_m: Annotated[float, number("commanded height of the laser")] = OPTIONAL
+    tilt_p95_deg: Annotated[float, number("true tilt of the laser, 95th percentile over the scans")] = OPTIONAL
     height_error_p95_m: Annotated[
         float, number("distance from the commanded height, 95th percentile over the scans")
-    ] = field(default_factory=absent)
-    attitude_used: Annotated[bool, text("whether scans were levelled by the measured attitude")] = field(
-        default_factory=absent
-    )
+    ] = OPTIONAL
+    attitude_used: Annotated[bool, text("whether scans were levelled by the measured attitude")] = OPTIONAL
 
 
 class TruthErrors(Struct, frozen=True):
@@ -206,27 +199,21 @@ class TruthErrors(Struct, frozen=True):
     """
 
     ate_poses: Annotated[int, number("tracked poses")]
-    ate_rmse_m: Annotated[Measured, number("root mean square error, aligned")] = field(default_factory=absent)
-    ate_median_m: Annotated[Measured, number("median error, aligned")] = field(default_factory=absent)
-    ate_max_m: Annotated[Measured, number("largest error, aligned")] = field(default_factory=absent)
-    unaligned_rmse_m: Annotated[Measured, number("root mean square error, not aligned")] = field(default_factory=absent)
-    unaligned_median_m: Annotated[Measured, number("median error, not aligned")] = field(default_factory=absent)
-    unaligned_max_m: Annotated[Measured, number("largest error, not aligned")] = field(default_factory=absent)
-    final_error_m: Annotated[float, number("position error of the last pose")] = field(default_factory=absent)
-    final_yaw_error_rad: Annotated[float, number("heading error of the last pose")] = field(default_factory=absent)
-    final_aligned_error_m: Annotated[float, number("position error of the last pose, aligned")] = field(
-        default_factory=absent
-    )
-    map_yaw_error_rad: Annotated[float, number("rotation of the whole map, which the first headings leave")] = field(
-        default_factory=absent
-    )
+    ate_rmse_m: Annotated[Measured, number("root mean square error, aligned")] = OPTIONAL
+    ate_median_m: Annotated[Measured, number("median error, aligned")] = OPTIONAL
+    ate_max_m: Annotated[Measured, number("largest error, aligned")] = OPTIONAL
+    unaligned_rmse_m: Annotated[Measured, number("root mean square error, not aligned")] = OPTIONAL
+    unaligned_median_m: Annotated[Measured, number("median error, not aligned")] = OPTIONAL
+    unaligned_max_m: Annotated[Measured, number("largest error, not aligned")] = OPTIONAL
+    final_error_m: Annotated[float, number("position error of the last pose")] = OPTIONAL
+    final_yaw_error_rad: Annotated[float, number("heading error of the last pose")] = OPTIONAL
+    final_aligned_error_m: Annotated[float, number("position error of the last pose, aligned")] = OPTIONAL
+    map_yaw_error_rad: Annotated[float, number("rotation of the whole map, which the first headings leave")] = OPTIONAL
     wall_distance_m: Annotated[
         Measured, number("distance to the walls on the map, along the beam with the median relative error")
-    ] = field(default_factory=absent)
-    true_wall_distance_m: Annotated[Measured, number("true distance along that beam")] = field(default_factory=absent)
-    wall_distance_error_share: Annotated[Measured, number("relative error of the distance along that beam")] = field(
-        default_factory=absent
-    )
+    ] = OPTIONAL
+    true_wall_distance_m: Annotated[Measured, number("true distance along that beam")] = OPTIONAL
+    wall_distance_error_share: Annotated[Measured, number("relative error of the distance along that beam")] = OPTIONAL
 
 
 class TimingReport(Struct, frozen=True):
@@ -279,23 +266,21 @@ class RunDocument(Struct, frozen=True, kw_only=True):
     method: Annotated[MethodName, text("SLAM method")]
     grid: Annotated[str, text("points of the search grid in x and y")]
     azimuth: Annotated[int, number("yaw samples of the search")]
-    scenario: Annotated[dict[str, Any], text("the effective scenario; see mavnav simulate --schema")] = field(
-        default_factory=absent
-    )
+    scenario: Annotated[dict[str, Any], text("the effective scenario; see mavnav simulate --schema")] = OPTIONAL
     scans: Scans
     cleaning: Annotated[dict[str, int], number("beams of the usable scans by kind")]
     tracking: Tracking
     loop_closure: LoopClosure
-    localisation: Localisation = field(default_factory=absent)
-    continued: Continued = field(default_factory=absent)
+    localisation: Localisation = OPTIONAL
+    continued: Continued = OPTIONAL
     search: Search
     wall_thickness: WallThicknessReport
     map_quality: MapQuality
-    reference: Reference = field(default_factory=absent)
+    reference: Reference = OPTIONAL
     map: Map
-    slices: Annotated[list[MapSlice], text("the maps by height, the lowest first")] = field(default_factory=absent)
-    mission: MissionResult = field(default_factory=absent)
-    truth: TruthErrors = field(default_factory=absent)
+    slices: Annotated[list[MapSlice], text("the maps by height, the lowest first")] = OPTIONAL
+    mission: MissionResult = OPTIONAL
+    truth: TruthErrors = OPTIONAL
     timing: TimingReport
     provenance: Provenance
     damage: Annotated[list[Damage], text("what could not be read, or is suspect")]
@@ -306,19 +291,7 @@ class RunDocument(Struct, frozen=True, kw_only=True):
 
 
 METRICS: Final = (
-    "schema_version",
-    "scans",
-    "cleaning",
-    "tracking",
-    "loop_closure",
-    "localisation",
-    "search",
-    "wall_thickness",
-    "map_quality",
-    "reference",
-    "map",
-    "slices",
-    "mission",
-    "truth",
-)
+    "schema_version", "scans", "cleaning", "tracking", "loop_closure", "localisation", "search", "wall_thickness",
+    "map_quality", "reference", "map", "slices", "mission", "truth",
+)  # fmt: skip
 """The keys that metrics.json repeats: they depend on log, configuration and version alone, not on clock or machine."""

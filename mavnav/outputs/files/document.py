@@ -15,9 +15,8 @@ from msgspec.structs import asdict, astuple, replace
 from mavnav.config.models import Config
 from mavnav.metrics.fields import ABSENT
 from mavnav.outputs.documents import run_json as model
-from mavnav.outputs.documents import tracking_section as tracking
+from mavnav.outputs.documents import sections
 from mavnav.outputs.documents.addresses import public_address
-from mavnav.outputs.documents.slices_section import attitude_source, map_slices
 from mavnav.outputs.run import base_frame
 from mavnav.units import DEG, MM, NS
 from mavnav.version import __version__, installed_version
@@ -28,9 +27,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.logs import Log
     from mavnav.outputs.run import RunResult
-    from mavnav.slam.findings import Doubt
+    from mavnav.slam.findings import Doubt, Reason
+    from mavnav.slam.matching.steps import LostInterval
+    from mavnav.slam.recovery.parts import Part
 
 SCHEMA_VERSION: Final = 1
 LIBRARIES: Final = ("numpy", "numba", "scipy", "mcap", "rosbags", "pillow", "msgspec", "pyyaml")
@@ -67,7 +67,7 @@ def run_document(run: RunResult, outputs: dict[str, str]) -> model.RunDocument:
         map_quality=run.measured.quality,
         reference=run.reference or ABSENT,
         map=_map(run),
-        slices=map_slices(run.slices.layers) if run.slices else ABSENT,
+        slices=[sections.map_slice(layer) for layer in run.slices.layers] if run.slices else ABSENT,
         mission=mission.result if mission else ABSENT,
         truth=mission.errors if mission else ABSENT,
         timing=_timing(run),
@@ -139,13 +139,14 @@ def with_picture(text: str, outputs: Collection[str]) -> str:
 
 
 def _input(run: RunResult) -> model.LogInput:
-    log, odometry, mounting = run.log, run.log.odometry, run.log.base_T_laser
-    path, digest, size_bytes, kind = _file(run)
+    log, odometry, mounting, spec = run.log, run.log.odometry, run.log.base_T_laser, run.log.sensor
+    source = run.mission or log  # what the user named
+    rate_hz = 1.0 / log.period_s if log.period_s else np.nan
     return model.LogInput(
-        path=path,
-        sha256=digest,
-        size_bytes=size_bytes,
-        format=kind,
+        path=public_address(run.address) if run.address else str(source.path),
+        sha256=source.sha256,
+        size_bytes=source.size_bytes,
+        format="scenario" if run.mission else log.format,
         topic=log.topic,
         frame_id=log.frame_id,
         stamp_source=log.stamp_source,
@@ -155,25 +156,11 @@ def _input(run: RunResult) -> model.LogInput:
         base_T_laser=None if mounting is None else model.LaserPose(*mounting),
         mounting_source=log.mounting_source,
         odometry=None if odometry is None else model.OdometrySource(odometry.topic, odometry.source),
-        sensor=_sensor(log),
+        sensor=model.Sensor(spec.beams, spec.field_of_view_rad / DEG, spec.range_min_m, spec.range_max_m, rate_hz),
         truth=ABSENT if log.truth is None else model.RecordedTruthSource(log.truth.topic, log.truth.body_frame),
-        attitude=ABSENT if log.attitude is None else attitude_source(log.attitude),
+        attitude=ABSENT if log.attitude is None else sections.attitude_source(log.attitude),
         imu=ABSENT if log.imu is None else model.ImuSource(log.imu.topic, len(log.imu.rotation.stamps_ns)),
     )
-
-
-def _sensor(log: Log) -> model.Sensor:
-    spec = log.sensor
-    rate_hz = 1.0 / log.period_s if log.period_s else np.nan
-    return model.Sensor(spec.beams, spec.field_of_view_rad / DEG, spec.range_min_m, spec.range_max_m, rate_hz)
-
-
-def _file(run: RunResult) -> tuple[str, str, int, str]:
-    """Return path, SHA-256, size in bytes and format of what the user named: a log, or a scenario."""
-    if run.mission is None:
-        path = public_address(run.address) if run.address else str(run.log.path)
-        return path, run.log.sha256, run.log.size_bytes, run.log.format
-    return str(run.mission.path), run.mission.sha256, run.mission.size_bytes, "scenario"
 
 
 def _scans(run: RunResult) -> model.Scans:
@@ -191,37 +178,32 @@ def _scans(run: RunResult) -> model.Scans:
     )
 
 
-def _tracking(run: RunResult) -> tracking.Tracking:
+def _tracking(run: RunResult) -> sections.Tracking:
     slam, first_ns = run.slam, run.log.first_ns
-    return tracking.Tracking(
+    return sections.Tracking(
         lost=slam.lost_for_good,
-        intervals=[
-            tracking.Interval((i.start_ns - first_ns) * NS, (i.end_ns - first_ns) * NS, i.scans, i.recovered)
-            for i in slam.lost
-        ],
+        intervals=[sections.Interval(*_span_s(lost, first_ns), lost.scans, lost.recovered) for lost in slam.lost],
         tracked_share=slam.tracked_share,
         opinions=slam.tracks_compared,
         path_length_m=slam.trajectory.travelled_m,
         doubt=_doubt(slam.doubt, first_ns),
         frames={"trajectory.tum": ["map", run.log.frame_id]}
         | ({} if run.log.base_T_laser is None else {"trajectory_base.tum": ["map", base_frame(run)]}),
-        parts=[
-            tracking.TrackedPart((p.start_ns - first_ns) * NS, (p.end_ns - first_ns) * NS, p.scans, p.joined)
-            for p in slam.parts
-        ]
-        or ABSENT,
-        attempts=[tracking.OtherTrack(*attempt) for attempt in slam.attempts] or ABSENT,
+        parts=[sections.TrackedPart(*_span_s(p, first_ns), p.scans, p.joined) for p in slam.parts] or ABSENT,
+        attempts=[sections.OtherTrack(*attempt) for attempt in slam.attempts] or ABSENT,
     )
 
 
-def _doubt(doubt: Doubt | None, first_ns: int) -> tracking.DoubtSection:
+def _span_s(part: LostInterval | Part | Reason, first_ns: int) -> tuple[float, float]:
+    """Return start and end of a part of a track, s from the first scan."""
+    return (part.start_ns - first_ns) * NS, (part.end_ns - first_ns) * NS
+
+
+def _doubt(doubt: Doubt | None, first_ns: int) -> sections.DoubtSection:
     if doubt is None:
-        return tracking.DoubtSection(np.nan, [], [])
-    reasons = [
-        tracking.DoubtReason(r.name, (r.start_ns - first_ns) * NS, (r.end_ns - first_ns) * NS, r.value)
-        for r in doubt.reasons
-    ]
-    return tracking.DoubtSection(doubt.probability, reasons, list(doubt.tried))
+        return sections.DoubtSection(np.nan, [], [])
+    reasons = [sections.DoubtReason(r.name, *_span_s(r, first_ns), r.value) for r in doubt.reasons]
+    return sections.DoubtSection(doubt.probability, reasons, list(doubt.tried))
 
 
 def _doubt_warnings(run: RunResult) -> list[str]:

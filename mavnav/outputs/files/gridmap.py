@@ -1,22 +1,28 @@
-"""Map files: the picture and YAML of map_server, and the raw counts."""
+"""Map files: the picture and YAML of map_server, also of slices by height, and the raw counts."""
 
 from __future__ import annotations
 
 import zipfile
 from errno import ENOENT
-from typing import IO, TYPE_CHECKING, Any, Final, Protocol
+from functools import cached_property
+from typing import IO, TYPE_CHECKING, Any, Final
 
 import numpy as np
+from msgspec import Struct
 
-from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, Grid
+from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, Grid, occupancy
+from mavnav.mapping.slices import slice_name
 from mavnav.mapping.tiled_arrays import bands
 from mavnav.units import LARGEST_COORDINATE_M
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
+
+    from mavnav.mapping.slices import Slice
+    from mavnav.outputs.run import RunResult
 
 _PIXELS: Final = {FREE: 254, OCCUPIED: 0, UNKNOWN: 205}
 
@@ -39,25 +45,24 @@ free_thresh: 0.196
 """
 
 
-class DrawnMap(Protocol):
-    """What map files are written from: the known part of a map, and what is free, occupied and unknown in it."""
+class GridMap(Struct, frozen=True, dict=True):
+    """A map as the writers of map files take it; a run is one, too."""
 
-    @property
-    def known(self) -> Grid:
-        """The counts."""
+    known: Grid
 
-    @property
+    @cached_property
     def cells(self) -> NDArray[np.int8]:
-        """The occupancy, (rows, cols)."""
+        """What is free, occupied and unknown, (rows, cols)."""
+        return occupancy(self.known)
 
 
-def write_pgm(run: DrawnMap, path: Path) -> None:
+def write_pgm(run: GridMap | RunResult, path: Path) -> None:
     """Write the known part of the map as a binary PGM: 0 occupied, 254 free, 205 unknown, largest y on top."""
     with path.open("wb") as file:
         file.writelines(pgm_rows(run))
 
 
-def pgm_rows(run: DrawnMap) -> Iterator[bytes]:
+def pgm_rows(run: GridMap | RunResult) -> Iterator[bytes]:
     """Yield the picture of `write_pgm`: its header, and its rows, a band of them at a time."""
     cells, of_cell = run.cells[::-1], np.zeros(256, np.uint8)
     for cell, pixel in _PIXELS.items():
@@ -68,12 +73,12 @@ def pgm_rows(run: DrawnMap) -> Iterator[bytes]:
         yield of_cell[cells[band].view(np.uint8)].tobytes()
 
 
-def write_yaml(run: DrawnMap, path: Path) -> None:
+def write_yaml(run: GridMap | RunResult, path: Path) -> None:
     """Write map_server's description of ``map.pgm``; origin is the lower left corner, with all its digits."""
     path.write_text(yaml_text(run), encoding="ascii")
 
 
-def yaml_text(run: DrawnMap, image: str = "map.pgm") -> str:
+def yaml_text(run: GridMap | RunResult, image: str = "map.pgm") -> str:
     """Return the description of `write_yaml`; ``image`` is the file of the picture."""
     grid = run.known
     x_m, y_m = (float(v) for v in grid.origin_xy_m)
@@ -112,7 +117,7 @@ def _check_size(path: Path) -> None:
             raise ValueError(f"{path.name} is larger than {MAX_NPZ_BYTES} bytes")
 
 
-def write_npz(run: DrawnMap, path: Path) -> None:
+def write_npz(run: GridMap | RunResult, path: Path) -> None:
     """Write the counts of the known part: ``counts`` and ``passes`` (rows, cols), ``cell_m``, ``origin_xy_m`` (2,).
 
     Row and column grow with y and x; cell [0, 0] is the lower left pixel of ``map.pgm``.
@@ -136,3 +141,18 @@ def _write_counts(file: IO[bytes], counts: NDArray[np.uint16]) -> None:
     np.lib.format.write_array_header_1_0(file, about)
     for _, _, band in bands(counts.shape):
         file.write(counts[band].astype("<i4").tobytes())
+
+
+def slice_files(layers: Iterable[Slice]) -> list[str]:
+    """Return the names of the files of some slices."""
+    return [f"{slice_name(layer)}.{suffix}" for layer in layers for suffix in ("pgm", "yaml")]
+
+
+def write_slice(run: RunResult, path: Path) -> None:
+    """Write one of the `slice_files` of a run that has slices: map_server's picture, or its description."""
+    layers = run.slices.layers if run.slices else ()
+    drawn = next(GridMap(layer.grid) for layer in layers if slice_name(layer) == path.stem)
+    if path.suffix == ".pgm":
+        write_pgm(drawn, path)
+    else:
+        path.write_text(yaml_text(drawn, f"{path.stem}.pgm"), encoding="ascii")

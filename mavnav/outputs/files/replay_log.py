@@ -19,8 +19,7 @@ from mavnav.logs.messages.markers import marker_array
 from mavnav.logs.writing.mcap_writer import OutputChannel, write_serialized
 from mavnav.mapping.occupancy_grid import UNKNOWN, show_ends
 from mavnav.mapping.tiled_arrays import max_pool
-from mavnav.outputs.files.extras import extras
-from mavnav.outputs.files.result_markers import markers_of
+from mavnav.outputs.files.extras import extras, markers_of
 from mavnav.outputs.run import base_frame
 from mavnav.pose import Pose
 
@@ -111,12 +110,10 @@ def laser_frame(run: RunResult) -> str:
 
 def placed_scans(run: RunResult) -> Iterator[tuple[Scan, Pose]]:
     """Read the tracked scans once more: the scan and map_T_laser."""
-    trajectory, row = run.slam.trajectory, 0
-    stamps_ns = trajectory.stamps_ns.tolist()
+    trajectory = run.slam.trajectory
+    row_of = {stamp_ns: row for row, stamp_ns in enumerate(trajectory.stamps_ns.tolist())}
     for scan in run.log.scans():
-        while row < len(stamps_ns) and stamps_ns[row] < scan.stamp_ns:
-            row += 1
-        if row < len(stamps_ns) and stamps_ns[row] == scan.stamp_ns:
+        if (row := row_of.get(scan.stamp_ns)) is not None:
             yield scan, trajectory[row]
 
 

@@ -1,4 +1,4 @@
-"""Trajectory files: TUM for the tools of the field, CSV for everything known about each scan; the truth beside them."""
+"""Trajectory files: TUM and g2o for the tools of the field, CSV for all that is known of each scan; truth, sessions."""
 
 from __future__ import annotations
 
@@ -9,12 +9,17 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from mavnav.logs.messages import cdr, definitions
+from mavnav.logs.writing.mcap_writer import OutputChannel, write_serialized
+
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterable, Iterator, Sequence
     from pathlib import Path
 
     from mavnav.outputs.run import RunResult, Walls
     from mavnav.pose import Trajectory
+    from mavnav.scan import Scan
+    from mavnav.slam.findings import Edge
 
 COLUMNS = (
     "index", "stamp", "x_m", "y_m", "yaw_rad", "cost_m2", "beams_used", "inliers", "evaluations", "iterations",
@@ -30,38 +35,42 @@ UNKNOWN: Final = (nan,) * 6
 TRUE_WALLS_FILE: Final = "true_walls.json"
 
 
+def write_poses(map_T_laser: Trajectory, path: Path) -> None:
+    """Write poses as lines ``t x y z qx qy qz qw`` (seconds, metres, unit quaternion)."""
+    path.write_text("".join(tum_lines(map_T_laser)), encoding="ascii")
+
+
 def write_tum(run: RunResult, path: Path) -> None:
-    """Write map_T_laser of every tracked scan as ``t x y z qx qy qz qw`` (seconds, metres, unit quaternion)."""
-    path.write_text("".join(tum_lines(run.slam.trajectory)), encoding="ascii")
+    """Write map_T_laser of every tracked scan."""
+    write_poses(run.slam.trajectory, path)
 
 
 def write_base_tum(run: RunResult, path: Path) -> None:
-    """Write map_T_base in the same format; the run must know the mounting."""
-    trajectory = run.map_T_base
-    if trajectory is None:
-        msg = "the laser's mounting is not known"
-        raise ValueError(msg)
-    path.write_text("".join(tum_lines(trajectory)), encoding="ascii")
+    """Write map_T_base; raises ValueError where the run does not know the mounting."""
+    if (map_T_base := run.map_T_base) is None:
+        raise ValueError("the laser's mounting is not known")
+    write_poses(map_T_base, path)
 
 
 def write_truth_tum(run: RunResult, path: Path) -> None:
-    """Write the true map_T_laser of every scan in the same format; the run must be a mission."""
+    """Write the true map_T_laser of every scan; raises ValueError where the run is no mission."""
     if run.truth is None:
-        msg = "the truth is not known"
-        raise ValueError(msg)
-    path.write_text("".join(tum_lines(run.truth.map_T_laser)), encoding="ascii")
+        raise ValueError("the truth is not known")
+    write_poses(run.truth.map_T_laser, path)
 
 
 def write_true_walls(run: RunResult, path: Path) -> None:
-    """Write the true walls in the map frame, m and rad, as `Truth` holds them, and of a mission the goal."""
-    true = run.true_walls
-    if true is None:
-        msg = "the truth is not known"
-        raise ValueError(msg)
-    goal = {} if run.truth is None else {"goal": list(run.truth.goal_xy_map_m)}
-    measured = run.truth and run.truth.measured_by_hand
-    hand = {"measured_by_hand": _shapes(measured)} if measured else {}
-    walls = {"frame": "map", **_shapes(true), **goal, **hand}
+    """Write the true walls in the map frame, m and rad, as `Truth` holds them, and of a mission the goal.
+
+    Raises ValueError where they are not known.
+    """
+    if (true := run.true_walls) is None:
+        raise ValueError("the truth is not known")
+    walls: dict[str, Any] = {"frame": "map", **_shapes(true)}
+    if run.truth:
+        walls["goal"] = list(run.truth.goal_xy_map_m)
+        if run.truth.measured_by_hand:
+            walls["measured_by_hand"] = _shapes(run.truth.measured_by_hand)
     path.write_text(json.dumps(walls) + "\n", encoding="ascii")
 
 
@@ -90,50 +99,86 @@ def write_csv(run: RunResult, path: Path) -> None:
     the map frame; empty where it is not known. So is the position error without a truth. Logs with an attitude have
     that of every scan as well.
     """
-    trajectory, errors_m = run.slam.trajectory, run.position_errors_m
-    values = trajectory.xyyaw if errors_m is None else np.column_stack((trajectory.xyyaw, errors_m))
-    poses = dict(zip(trajectory.stamps_ns.tolist(), values.tolist(), strict=True))
+    trajectory, steps, attitude = run.slam.trajectory, run.slam.steps, run.log.attitude
+    stamps_ns, covariances = steps.column("stamp_ns"), run.slam.covariances
+    errors_m = np.full(len(trajectory), nan) if run.position_errors_m is None else run.position_errors_m
+    poses = np.column_stack((trajectory.xyyaw, errors_m)).tolist()
+    pose_of = dict(zip(trajectory.stamps_ns.tolist(), poses, strict=True))
+    tilts: list[Any] = [()] * len(steps)
+    if attitude is not None:
+        tilts = np.column_stack(attitude.at((stamps_ns - attitude.stamps_ns[0]).astype(np.float64))).tolist()
     columns = [
-        run.slam.steps.column(name).tolist() for name in ("index", "stamp_ns", *COLUMNS[5:12], "tracked", COLUMNS[13])
+        *(steps.column(name).tolist() for name in ("index", "stamp_ns", *COLUMNS[5:12], "tracked", COLUMNS[13])),
+        run.slam.doubtful(stamps_ns).astype(int).tolist(),
+        [UNKNOWN] * len(steps) if covariances is None else covariances.tolist(),
+        tilts,
     ]
-    columns.append(run.slam.doubtful(run.slam.steps.column("stamp_ns")).astype(int).tolist())
-    covariances = run.slam.covariances
-    columns.append([()] * len(run.slam.steps) if covariances is None else covariances.tolist())
-    tilts, names = _attitudes(run), () if run.log.attitude is None else ATTITUDE_COLUMNS
     with path.open("w", encoding="ascii", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
-        rows.writerow((*COLUMNS, *names))
-        rows.writerows((*_csv_row(row, poses.get(row[1])), *next(tilts)) for row in zip(*columns, strict=True))
+        rows.writerow(COLUMNS if attitude is None else (*COLUMNS, *ATTITUDE_COLUMNS))
+        rows.writerows(_csv_row(pose_of.get(row[1], UNKNOWN[:4]), *row) for row in zip(*columns, strict=True))
 
 
-def _attitudes(run: RunResult) -> Iterator[tuple[str, ...]]:
-    """Yield the fields of a scan's attitude for each scan; none where the log has none."""
-    attitude, stamps_ns = run.log.attitude, run.slam.steps.column("stamp_ns")
-    if attitude is None:
-        yield from ((),) * len(stamps_ns)
-        return
-    for values in np.column_stack(attitude.at((stamps_ns - attitude.stamps_ns[0]).astype(np.float64))).tolist():
-        yield tuple(f"{value:z.6f}" if isfinite(value) else "" for value in values)
-
-
-def _csv_row(row: tuple[Any, ...], placed: list[float] | None) -> tuple[object, ...]:
-    """Return a row of the table; ``placed`` is x, y, yaw, and the position error if there is a truth."""
-    index, stamp_ns, cost_m2, beams, inliers, evaluations, iterations, *flags, threshold_m2, doubtful, covariance = row
-    pose = ("", "", "") if placed is None else (f"{v:z.9f}" for v in placed[:3])
-    error_m = placed[3] if placed and len(placed) > 3 else nan
-    cost, threshold = (f"{value:.9g}" if isfinite(value) else "" for value in (cost_m2, threshold_m2))
-    effort = (evaluations, iterations)
+def _csv_row(pose_and_error: Sequence[float], index: int, stamp_ns: int, *values: Any) -> tuple[object, ...]:  # noqa: ANN401
+    """Return a row of the table, of x, y, yaw and position error, and what is known of the scan."""
+    cost_m2, beams, inliers, evaluations, iterations, *flags, threshold_m2, doubtful, covariance, attitude = values
+    *pose, error_m = pose_and_error
     return (
-        index,
-        seconds(stamp_ns),
-        *pose,
-        cost,
-        beams,
-        f"{inliers:.6f}",
-        *effort,
-        *map(int, flags),
-        threshold,
-        doubtful,
-        *(f"{value:z.4g}" if isfinite(value) else "" for value in covariance or UNKNOWN),
-        f"{error_m:.6f}" if isfinite(error_m) else "",
+        *(index, seconds(stamp_ns), *(_field(value, "z.9f") for value in pose)),
+        *(_field(cost_m2, ".9g"), beams, f"{inliers:.6f}", evaluations, iterations),
+        *(*map(int, flags), _field(threshold_m2, ".9g"), doubtful),
+        *(_field(value, "z.4g") for value in covariance),
+        *(_field(error_m, ".6f"), *(_field(value, "z.6f") for value in attitude)),
     )
+
+
+def _field(value: float, form: str) -> str:
+    """Write a number; empty where it is not known."""
+    return format(value, form) if isfinite(value) else ""
+
+
+def write_graph(run: RunResult, path: Path) -> None:
+    """Write key frames, the motion between them and the closed loops for g2o, GTSAM and Ceres; m, rad.
+
+    A vertex is numbered as its scan in trajectory.csv, at its final pose. Raises ValueError if no loops were searched.
+    """
+    path.write_text("".join(_graph_lines(run)), encoding="ascii")
+
+
+def _graph_lines(run: RunResult) -> Iterator[str]:
+    graph = run.slam.loops.graph
+    if graph is None:
+        raise ValueError("no loops were looked for")
+    numbers = run.slam.steps.column("index")[run.slam.steps.column("tracked")]
+    names = numbers[list(graph.rows)].tolist()
+    for name, (x, y, yaw) in zip(names, run.slam.trajectory.xyyaw[list(graph.rows)].tolist(), strict=True):
+        yield f"VERTEX_SE2 {name} {x:z.9f} {y:z.9f} {yaw:z.9f}\n"
+    yield f"FIX {names[0]}\n"
+    for edge in graph.edges:
+        yield f"EDGE_SE2 {names[edge.start]} {names[edge.end]} {_edge_values(edge)}\n"
+
+
+def _edge_values(edge: Edge) -> str:
+    """Return the pose of the end seen from the start, and the upper triangle of the information matrix."""
+    x, y, yaw = edge.start_T_end
+    information = edge.sqrt_information.T @ edge.sqrt_information
+    upper = information[np.triu_indices(3)].tolist()
+    return " ".join([f"{x:z.9f} {y:z.9f} {yaw:z.9f}", *(f"{value + 0.0:.9g}" for value in upper)])
+
+
+def trajectory_file(name: str) -> str:
+    """Return the name of the file of the poses of a session."""
+    return f"session_{name}.tum"
+
+
+def recording_file(name: str) -> str:
+    """Return the name of the file of the scans of a session."""
+    return f"session_{name}.mcap"
+
+
+def write_scans(scans: Callable[[], Iterable[Scan]], path: Path) -> None:
+    """Write scans as a log with nothing else in it."""
+    message = cdr.scans("laser")
+    with write_serialized(path, {"/scan": OutputChannel(definitions.SCAN)}) as put:
+        for scan in scans():
+            put("/scan", scan.stamp_ns, message(scan))

@@ -58,21 +58,15 @@ def animate(run: RunResult, path: Path, *, force: bool = False) -> None:
     """Write the animation of a run; scans are read once more. Raises OutputError where it cannot be written."""
     check_animation(path, force=force)
     try:
+        first, *others = _frames(run)
+        times_ms = [*[FRAME_MS] * len(others), LAST_FRAME_MS]
         with beside(path, exclusive=not force) as partial:
-            _write(run, partial)
+            first.save(partial, "GIF", save_all=True, append_images=others, duration=times_ms, loop=0, optimize=False)
     except FileExistsError as error:
         raise OutputError(f"{path} exists; choose another name for the animation, or --force to replace it") from error
     except OSError as error:
         reason = error.strerror or error
         raise OutputError(f"{path} cannot be written: {reason}; make room or choose another place") from error
-
-
-def _write(run: RunResult, path: Path) -> None:
-    frames = list(_frames(run))
-    durations = [FRAME_MS] * (len(frames) - 1) + [LAST_FRAME_MS]
-    frames[0].save(
-        path, format="GIF", save_all=True, append_images=frames[1:], duration=durations, loop=0, optimize=False
-    )
 
 
 @dataclass(slots=True)

@@ -13,9 +13,9 @@ import numpy as np
 from mavnav.mapping.occupancy_grid import Grid
 from mavnav.outputs.pictures import map_axes
 from mavnav.outputs.pictures.canvas import rgb_of
-from mavnav.outputs.pictures.plot import Area, Mark, centred_legend, circle, cross, heading
+from mavnav.outputs.pictures.plot import Area, Mark, circle, cross
 from mavnav.outputs.pictures.viewport import FREE_GREY, INK, window_around
-from mavnav.pose import Pose, transform_points
+from mavnav.pose import transform_points
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from mavnav.metrics.map_difference import Change, Difference, View
     from mavnav.outputs.pictures.plot import Axes
+    from mavnav.pose import Pose
 
 WALL, GONE, NEW = "#8a929a", "#d55e00", "#0072b2"
 FREE_CELL, WALL_CELL, GONE_CELL, NEW_CELL = 1, 2, 3, 4
@@ -42,8 +43,8 @@ NUMBERED: Final = 40
 def write(a: View, b: View, a_T_b: Pose, difference: Difference, title: str, path: Path) -> None:
     """Draw the changes in the frame of the first map."""
     layers = {
-        FREE_CELL: np.concatenate([transform_points(pose, v.middles(v.known)) for v, pose in _maps(a, b, a_T_b)]),
-        WALL_CELL: np.concatenate([transform_points(pose, v.middles(v.walls)) for v, pose in _maps(a, b, a_T_b)]),
+        FREE_CELL: np.concatenate((a.middles(a.known), transform_points(a_T_b, b.middles(b.known)))),
+        WALL_CELL: np.concatenate((a.middles(a.walls), transform_points(a_T_b, b.middles(b.walls)))),
         GONE_CELL: difference.gone_xy_m,
         NEW_CELL: difference.new_xy_m,
     }
@@ -54,15 +55,7 @@ def write(a: View, b: View, a_T_b: Pose, difference: Difference, title: str, pat
     for kind, mark in MARKS.items():
         axes.mark(mark, np.array([(c.x_m, c.y_m) for c in difference.changes if c.kind == kind]).reshape(-1, 2))
     _draw_numbers(axes, difference.changes[:NUMBERED])
-    map_axes.draw_axes(axes)
-    axes.names("x [m]", "y [m]")
-    centred_legend(axes.canvas, [*MARKS.values(), *AREAS])
-    heading(axes.canvas, title, _subtitle(difference), 10.0)
-    axes.canvas.save(path)
-
-
-def _maps(a: View, b: View, a_T_b: Pose) -> tuple[tuple[View, Pose], tuple[View, Pose]]:
-    return (a, Pose()), (b, a_T_b)
+    map_axes.finish(axes, [*MARKS.values(), *AREAS], title, _subtitle(difference), path, title_pt=10.0)
 
 
 def _raster(layers: dict[int, NDArray[np.float64]], cell_m: float) -> tuple[Grid, NDArray[Any]]:

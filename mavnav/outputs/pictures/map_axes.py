@@ -11,41 +11,21 @@ from PIL import Image
 
 from mavnav.mapping.occupancy_grid import FREE
 from mavnav.mapping.tiled_arrays import identity, max_pool, where
+from mavnav.outputs.pictures import plot, viewport
 from mavnav.outputs.pictures.canvas import Canvas, draw_dashes, ramp, rgb_of, stroke
-from mavnav.outputs.pictures.plot import (
-    Area,
-    Axes,
-    Mark,
-    Style,
-    circle,
-    colour_bar,
-    cross,
-    crossed_circle,
-    label_ticks,
-    square,
-    ticks,
-)
-from mavnav.outputs.pictures.viewport import (
-    DOUBT_RED,
-    FREE_GREY,
-    GOAL_RED,
-    INK,
-    MAX_CELLS,
-    MEASURED_BLUE,
-    POSE_MAGENTA,
-    START_BLUE,
-    TRUE_ORANGE,
-    Viewport,
-)
+from mavnav.outputs.pictures.plot import Area, Axes, Mark, Style
+from mavnav.outputs.pictures.viewport import FREE_GREY, MAX_CELLS, Viewport
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.mapping.tiled_arrays import CellFunction
     from mavnav.outputs.pictures.canvas import Box
+    from mavnav.outputs.pictures.plot import Sign
 
 VIRIDIS: Final = ("#440154", "#482878", "#3e4989", "#31688e", "#26828e", "#1f9e89", "#35b779", "#6ece58", "#b5de2b")
 HIT_COLOURS: Final = ramp(VIRIDIS[::-1])
@@ -55,16 +35,16 @@ HIT_TICKS: Final = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000)
 MARGINS: Final = (100, 110, 130, 120)
 """Left, top, right and bottom of a map with a scale of hits in its picture, in pixels."""
 
-START: Final = Mark(START_BLUE, "start", partial(cross, size_pt=10.0, width_pt=2.4))
-END: Final = Mark(GOAL_RED, "end", partial(square, size_pt=9.0, width_pt=1.8))
-GOAL: Final = Mark(GOAL_RED, "goal", partial(crossed_circle, size_pt=13.0, width_pt=1.4))
-POSE: Final = Mark(POSE_MAGENTA, "estimated pose", partial(circle, size_pt=4.0, width_pt=0.8))
-TRUE_POSE: Final = Mark("#000000", "true pose", partial(cross, size_pt=3.5, width_pt=0.7))
-LOOP: Final = Style(INK, "closed loop", partial(stroke, width_pt=0.72))
-DOUBTFUL: Final = Style(DOUBT_RED, "doubtful", partial(stroke, width_pt=2.4))
-TRUE_WALL: Final = Style(TRUE_ORANGE, "true wall", draw_dashes)
+START: Final = Mark(viewport.START_BLUE, "start", partial(plot.cross, size_pt=10.0, width_pt=2.4))
+END: Final = Mark(viewport.GOAL_RED, "end", partial(plot.square, size_pt=9.0, width_pt=1.8))
+GOAL: Final = Mark(viewport.GOAL_RED, "goal", partial(plot.crossed_circle, size_pt=13.0, width_pt=1.4))
+POSE: Final = Mark(viewport.POSE_MAGENTA, "estimated pose", partial(plot.circle, size_pt=4.0, width_pt=0.8))
+TRUE_POSE: Final = Mark("#000000", "true pose", partial(plot.cross, size_pt=3.5, width_pt=0.7))
+LOOP: Final = Style(viewport.INK, "closed loop", partial(stroke, width_pt=0.72))
+DOUBTFUL: Final = Style(viewport.DOUBT_RED, "doubtful", partial(stroke, width_pt=2.4))
+TRUE_WALL: Final = Style(viewport.TRUE_ORANGE, "true wall", draw_dashes)
 KNOWN: Final = (Area(FREE_GREY, "free"), Area("#ffffff", "unknown"))
-MEASURED_WALL: Final = Style(MEASURED_BLUE, "measured by hand", draw_dashes)
+MEASURED_WALL: Final = Style(viewport.MEASURED_BLUE, "measured by hand", draw_dashes)
 
 
 def map_axes(canvas: Canvas, window: Viewport, box: Box) -> Axes:
@@ -151,7 +131,7 @@ def draw_counts(axes: Axes, grid: Grid, occupancy: NDArray[np.int8]) -> None:
     top = top_of_scale([grid])
     draw_free(axes, grid, occupancy)
     draw_hits(axes, grid, top)
-    colour_bar(axes, HIT_COLOURS, hit_ticks(top), "laser hits per cell")
+    plot.colour_bar(axes, HIT_COLOURS, hit_ticks(top), "laser hits per cell")
 
 
 def top_of_scale(grids: Iterable[Grid]) -> float:
@@ -170,4 +150,15 @@ def draw_axes(axes: Axes, most: tuple[int, int] = (9, 9)) -> None:
     """Draw border and ticks, at most so many in x and y."""
     x0, x1, y0, y1 = axes.limits
     axes.canvas.draw.rectangle(axes.box, outline=FRAME_GREY)
-    axes.ticks(label_ticks(ticks(x0, x1, most[0])), label_ticks(ticks(y0, y1, most[1])))
+    axes.ticks(plot.label_ticks(plot.ticks(x0, x1, most[0])), plot.label_ticks(plot.ticks(y0, y1, most[1])))
+
+
+def finish(
+    axes: Axes, named: Sequence[Sign], title: str, about: str, path: Path, *, title_pt: float = 12.0, about_y: int = 74
+) -> None:
+    """Draw axes, legend and heading of a picture of a map, and write it."""
+    draw_axes(axes)
+    axes.names("x [m]", "y [m]")
+    plot.centred_legend(axes.canvas, named)
+    plot.heading(axes.canvas, title, about, title_pt, about_y)
+    axes.canvas.save(path)

@@ -1,23 +1,23 @@
 """map.png: hits in colour, the estimated poses, start and end (after the paper's Figure 3).
 
 Where the true walls are known they lie on top (Figure 7); of a mission the true poses too, and its goal takes the place
-of the end.
+of the end. The map of several sessions has the path of each.
 """
 
 from __future__ import annotations
 
 from functools import partial
-from itertools import compress
+from itertools import compress, cycle
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from mavnav.outputs.pictures import map_axes
 from mavnav.outputs.pictures.canvas import stroke
-from mavnav.outputs.pictures.plot import Style, centred_legend, heading, legend_room
+from mavnav.outputs.pictures.plot import Style, legend_room
 from mavnav.outputs.pictures.viewport import wall_lines, window_of
 from mavnav.slam.result import doubtful_parts, parts_of_path
-from mavnav.units import MM
+from mavnav.units import MM, pluralize
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -25,12 +25,16 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.metrics.wall_spread import WallSpread
+    from mavnav.outputs.files.gridmap import GridMap
     from mavnav.outputs.pictures.plot import Axes, Mark, Sign
     from mavnav.outputs.run import RunResult, Truth
     from mavnav.pose import Trajectory
 
 CIRCLE_SPACING: Final = 0.018
 """Between two circles along the path, of the picture's longer side: so that they touch at most."""
+
+SESSION_COLOURS: Final = ("#d55e00", "#0072b2", "#cc79a7", "#e69f00", "#009e73", "#56b4e9", "#000000")
+"""Those of Okabe and Ito, which people with colour blindness tell apart; sessions beyond repeat them."""
 
 PATH: Final = Style(map_axes.POSE.colour, "", partial(stroke, width_pt=0.72, opacity=150 / 255))
 
@@ -49,11 +53,7 @@ def write(run: RunResult, path: Path) -> None:
     _draw_lines(axes, run)
     for mark, xy_m in marks:
         axes.mark(mark, xy_m)
-    map_axes.draw_axes(axes)
-    axes.names("x [m]", "y [m]")
-    centred_legend(axes.canvas, named)
-    heading(axes.canvas, run.name, _subtitle(run))
-    axes.canvas.save(path)
+    map_axes.finish(axes, named, run.name, _subtitle(run), path)
 
 
 def points_to_show(run: RunResult) -> NDArray[np.float64]:
@@ -122,3 +122,17 @@ def thickness_text(spread: WallSpread) -> str:
     if not spread.length_m:
         return "no straight wall to measure"
     return f"wall thickness median {spread.median_mm:.0f} mm, p95 {spread.p95_mm:.0f} mm"
+
+
+def write_merged(drawn: GridMap, paths: dict[str, Trajectory], path: Path) -> None:
+    """Draw the map of several sessions, and map_T_laser of each by its name."""
+    window = window_of(drawn.known, np.concatenate([poses.xyyaw[:, :2] for poses in paths.values()]))
+    axes = map_axes.framed_map(window, 7.5, map_axes.MARGINS, least=(960, 420))
+    map_axes.draw_counts(axes, drawn.known, drawn.cells)
+    pen, colours = partial(stroke, width_pt=1.2), cycle(SESSION_COLOURS)
+    lines = [Style(colour, name, pen) for colour, name in zip(colours, paths, strict=False)]
+    for line, poses in zip(lines, paths.values(), strict=True):
+        axes.lines(line, [poses.xyyaw[:, :2]])
+        axes.mark(map_axes.START, poses.xyyaw[:1, :2])
+    named: list[Sign] = [*lines[: len(SESSION_COLOURS)], map_axes.START]
+    map_axes.finish(axes, named, pluralize(len(paths), "session"), f"{sum(map(len, paths.values()))} scans", path)

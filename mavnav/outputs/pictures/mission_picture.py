@@ -9,8 +9,8 @@ import numpy as np
 
 from mavnav.outputs.pictures import map_axes
 from mavnav.outputs.pictures.canvas import stroke
-from mavnav.outputs.pictures.plot import Mark, Style, arrow, centred_legend, circle, legend_room
-from mavnav.outputs.pictures.viewport import INK, MUTED, PATH_GREY, POSE_MAGENTA, Viewport, wall_lines, window_around
+from mavnav.outputs.pictures.plot import Mark, Style, arrow, circle, legend_room
+from mavnav.outputs.pictures.viewport import INK, PATH_GREY, POSE_MAGENTA, Viewport, wall_lines, window_around
 from mavnav.pose import transform_points
 
 if TYPE_CHECKING:
@@ -36,19 +36,12 @@ TRUE_POSE: Final = Mark(PATH_GREY, "true path", partial(circle, size_pt=2.4, wid
 def write(run: RunResult, path: Path) -> None:
     """Draw the truth of a mission; the run must have one."""
     if run.truth is None:
-        msg = "the truth is not known"
-        raise ValueError(msg)
+        raise ValueError("the truth is not known")
     measured = [map_axes.MEASURED_WALL] if run.truth.measured_by_hand else []
     named: list[Sign] = [WALL, *measured, TRUE_POSE, map_axes.START, FIRST_HEADING, map_axes.GOAL]
     axes = map_axes.framed_map(_window(run.truth), 7.0, MARGINS, least=(legend_room(named), 0))
     _draw(axes, run.truth)
-    map_axes.draw_axes(axes)
-    axes.names("x [m]", "y [m]")
-    centred_legend(axes.canvas, named)
-    middle = axes.canvas.image.width / 2
-    axes.canvas.text((middle, 26), f"{run.name}: the true map", 12.0, bold=True)
-    axes.canvas.text((middle, 62), _subtitle(run.truth), 8.5, MUTED)
-    axes.canvas.save(path)
+    map_axes.finish(axes, named, f"{run.name}: the true map", _subtitle(run.truth), path, about_y=62)
 
 
 def _window(truth: Truth) -> Viewport:

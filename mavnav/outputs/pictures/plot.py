@@ -127,15 +127,14 @@ def _finite(line: XY) -> list[XY]:
     return [part for part in np.split(line, np.flatnonzero(np.diff(known)) + 1) if np.isfinite(part[0]).all()]
 
 
-def colour_bar(axes: Axes, colours: NDArray[np.uint8], ticks: Ticks, name: str, *, lines: bool = True) -> None:
+def colour_bar(axes: Axes, colours: NDArray[np.uint8], ticks: Ticks, name: str) -> None:
     """Draw a colour scale (n, 3) on the right of axes; ticks are shares of it, counted from below."""
     canvas, (_, top, right, bottom) = axes.canvas, axes.box
     left, right = right + 24, right + 44
     canvas.gradient((left, top, right, bottom), colours, upwards=True)
     for share, label in ticks:
         y = top + (bottom - top) * (1.0 - share)
-        if lines:
-            canvas.draw.line((right, y, right + 5, y), fill=MUTED)
+        canvas.draw.line((right, y, right + 5, y), fill=MUTED)
         canvas.text((right + 9, y), label, anchor="lm")
     canvas.text((right + 66, top + (bottom - top) * 0.5), name, 9.0, upright=True)
 
@@ -237,11 +236,11 @@ def legend_width(marks: Sequence[Sign], size_pt: float = 8.5) -> float:
     return float(sum(54 + font(size_pt).getlength(mark.name) for mark in marks))
 
 
-def heading(canvas: Canvas, title: str, subtitle: str, title_pt: float = 12.0) -> None:
+def heading(canvas: Canvas, title: str, about: str, title_pt: float = 12.0, about_y: int = 74) -> None:
     """Write the title of a picture, and below it what one has to know of it, in one or two lines."""
     middle = canvas.image.width / 2
     canvas.text((middle, 26), title, title_pt, INK, bold=True)
-    canvas.text((middle, 74), subtitle, 8.5, MUTED)
+    canvas.text((middle, about_y), about, 8.5, MUTED)
 
 
 def ticks(low: float, high: float, most: int = 9) -> list[float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from itertools import product
 from math import cos, pi, sin
 from typing import TYPE_CHECKING, Any, Final
 
@@ -11,7 +12,8 @@ from msgspec import Struct
 from PIL import Image, ImageDraw
 
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, occupancy
-from mavnav.outputs.pictures.canvas import Canvas, ramp, rgb_of, stroke
+from mavnav.mapping.tiled_arrays import max_pool
+from mavnav.outputs.pictures.canvas import SMOOTH, Canvas, ramp, rgb_of, stroke
 from mavnav.outputs.pictures.map_axes import END, START
 from mavnav.outputs.pictures.plot import Style, centred_legend, heading, stamp
 from mavnav.outputs.pictures.viewport import FREE_GREY, INK, MUTED, POSE_MAGENTA
@@ -32,7 +34,6 @@ TURN_RAD, ABOVE_RAD = -pi / 5.5, pi / 3.6
 """How far the map is turned clockwise, and the angle of the view above the floor."""
 
 LONGEST_PIXELS, MARGIN, TITLE, SCALE = 1150, 70, 120, 190
-SMOOTH: Final = 2
 LEAST_HITS: Final = 2
 MOST_BLOCKS: Final = 160
 """Columns along the longer side of the map at most: cells are pooled."""
@@ -106,21 +107,13 @@ def _blocks(slices: Slices) -> _Blocks:
     thick_m = layers[0].to_m - layers[0].from_m
     first, last = (round(layer.middle_m / thick_m) for layer in (layers[0], layers[-1]))
     factor = max(-(-max(grid.hits.shape) // MOST_BLOCKS), 1)
-    walls, free = (np.zeros((last - first + 1, *_pool(grid.hits > 0, factor).shape), np.bool_) for _ in range(2))
+    walls, free = (np.zeros((last - first + 1, *max_pool(grid.hits > 0, factor).shape), np.bool_) for _ in range(2))
     for layer in layers:
         k, cells = round(layer.middle_m / thick_m) - first, occupancy(layer.grid)
-        walls[k] = _pool((cells == OCCUPIED) & (layer.grid.hits >= LEAST_HITS), factor)
-        free[k] = _pool(cells == FREE, factor)
+        walls[k] = max_pool((cells == OCCUPIED) & (layer.grid.hits >= LEAST_HITS), factor)
+        free[k] = max_pool(cells == FREE, factor)
     levels_m = np.arange(first - 0.5, last + 1.0) * thick_m
     return _Blocks(walls, np.asarray(free.any(axis=0)), grid.origin_xy_m, grid.cell_m * factor, levels_m)
-
-
-def _pool(cells: NDArray[np.bool_], factor: int) -> NDArray[np.bool_]:
-    """Return which blocks of cells hold one."""
-    rows, cols = (-(-n // factor) for n in cells.shape)
-    padded = np.zeros((rows * factor, cols * factor), np.bool_)
-    padded[: cells.shape[0], : cells.shape[1]] = cells
-    return np.asarray(padded.reshape(rows, factor, cols, factor).any(axis=(1, 3)))
 
 
 def _corners(blocks: _Blocks) -> tuple[Floats, Floats]:
@@ -132,13 +125,9 @@ def _corners(blocks: _Blocks) -> tuple[Floats, Floats]:
 def _fit_view(blocks: _Blocks) -> tuple[_Projection, tuple[int, int]]:
     """Fit what is known into the enlarged picture; return its size too."""
     (x, y), (row, col) = _corners(blocks), np.nonzero(blocks.free | blocks.walls.any(axis=0))
-    ends = [
-        (x[col + a], y[row + b], np.full(len(row), z))
-        for a in (0, 1)
-        for b in (0, 1)
-        for z in (0.0, blocks.levels_m[-1])
-    ]
-    u, v = _project(np.concatenate([np.column_stack(end) for end in ends]))
+    corners = product((0, 1), (0, 1), (0.0, blocks.levels_m[-1]))
+    ends = [np.column_stack((x[col + a], y[row + b], np.full(len(row), z))) for a, b, z in corners]
+    u, v = _project(np.concatenate(ends))
     per_m = SMOOTH * LONGEST_PIXELS / max(float(np.ptp(u)), float(np.ptp(v)))
     width, height = (int(np.ptp(w) * per_m) // SMOOTH * SMOOTH + SMOOTH for w in (u, v))
     return _Projection(per_m, float(u.min()), float(v.max())), (width, height)
@@ -150,12 +139,8 @@ def _draw_floor(draw: Any, view: _Projection, blocks: _Blocks) -> None:  # noqa:
     for row, free in enumerate(blocks.free):
         edges = np.flatnonzero(np.diff(np.pad(free, 1).astype(np.int8)))
         for start, stop in zip(edges[::2], edges[1::2], strict=True):
-            _area(
-                draw,
-                view,
-                [(x[c], y[r], 0.0) for c, r in ((start, row), (stop, row), (stop, row + 1), (start, row + 1))],
-                rgb_of(FREE_GREY),
-            )
+            corners = ((start, row), (stop, row), (stop, row + 1), (start, row + 1))
+            _area(draw, view, [(x[c], y[r], 0.0) for c, r in corners], rgb_of(FREE_GREY))
     for a, b in _meter_lines(x, y, blocks.free):
         draw.line([tuple(p) for p in view(np.array((a, b)))], fill=rgb_of("#dfe3e8"), width=SMOOTH)
 
@@ -191,8 +176,7 @@ def _draw_columns(draw: Any, view: _Projection, blocks: _Blocks) -> None:  # noq
 
 def _colours(levels: int) -> NDArray[np.uint8]:
     """Return the colours of the slices (levels, 3), the lowest first."""
-    colours: NDArray[np.uint8] = HEIGHTS[np.linspace(0, len(HEIGHTS) - 1, levels).round().astype(int)]
-    return colours
+    return np.asarray(HEIGHTS[np.linspace(0, len(HEIGHTS) - 1, levels).round().astype(int)])
 
 
 def _shade(colour: Floats, shade: float) -> tuple[int, ...]:

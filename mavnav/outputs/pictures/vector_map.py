@@ -73,25 +73,18 @@ def outlines(cells: NDArray[np.bool_]) -> str:
     padded = np.pad(cells.astype(np.int8), ((0, 1), (1, 1)))
     row, start = np.nonzero(np.diff(padded, axis=1) == 1)
     end = np.nonzero(np.diff(padded, axis=1) == -1)[1]
+    runs_of_row: list[dict[tuple[int, int], None]] = [{} for _ in range(len(cells) + 1)]
+    for y, x0, x1 in zip(row.tolist(), start.tolist(), end.tolist(), strict=True):
+        runs_of_row[y][x0, x1] = None
     open_runs: dict[tuple[int, int], int] = {}
     shapes = []
-    for y, bounds in enumerate(_by_row(row, start, end, len(cells) + 1)):
-        for run in [run for run in open_runs if run not in bounds]:
+    for y, runs in enumerate(runs_of_row):
+        for run in [run for run in open_runs if run not in runs]:
             (x0, x1), y0 = run, open_runs.pop(run)
             shapes.append(f"M{x0} {y0}h{x1 - x0}v{y - y0}h{x0 - x1}z")
-        for run in bounds:
+        for run in runs:
             open_runs.setdefault(run, y)
     return "".join(shapes)
-
-
-def _by_row(
-    row: NDArray[np.intp], start: NDArray[np.intp], end: NDArray[np.intp], rows: int
-) -> list[dict[tuple[int, int], None]]:
-    """Return the runs of each row, in order."""
-    runs: list[dict[tuple[int, int], None]] = [{} for _ in range(rows)]
-    for y, run in zip(row.tolist(), zip(start.tolist(), end.tolist(), strict=True), strict=True):
-        runs[y][run] = None
-    return runs
 
 
 def scale_bar(most_cells: float, cell_m: float) -> tuple[float, str]:

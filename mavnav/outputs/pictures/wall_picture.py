@@ -84,14 +84,13 @@ def _draw_cuts(axes: Axes, cuts: WallCuts) -> None:
     """Draw each cut across its wall in the colour of its width, and the scale of these colours."""
     measured = np.isfinite(cuts.width_m)
     width_mm = cuts.width_m[measured] / MM
-    top_mm = max(60.0, float(np.quantile(width_mm, 0.99)) if len(width_mm) else 0.0)
-    top_mm = 10.0 * ceil(top_mm / 10.0)
-    colours = THICKNESS
-    level = np.minimum(width_mm / top_mm, 1.0) * (len(colours) - 1)
+    widest_mm = float(np.quantile(width_mm, 0.99)) if len(width_mm) else 0.0
+    top_mm = 10.0 * ceil(max(60.0, widest_mm) / 10.0)
+    level = np.minimum(width_mm / top_mm, 1.0) * (len(THICKNESS) - 1)
     # at least a few pixels long wherever the map is large
     _draw_lines(axes, cuts, ~measured, np.zeros((int((~measured).sum()), 3), np.uint8))
-    _draw_lines(axes, cuts, measured, colours[level.round().astype(int)])
-    colour_bar(axes, colours, [(t / top_mm, f"{t:g}") for t in ticks(0.0, top_mm, 8)], "wall thickness [mm]")
+    _draw_lines(axes, cuts, measured, THICKNESS[level.round().astype(int)])
+    colour_bar(axes, THICKNESS, [(t / top_mm, f"{t:g}") for t in ticks(0.0, top_mm, 8)], "wall thickness [mm]")
 
 
 def _draw_lines(axes: Axes, cuts: WallCuts, which: NDArray[np.bool_], colours: NDArray[np.uint8]) -> None:

@@ -16,8 +16,7 @@ from mavnav.outputs.files import wall_table
 from mavnav.outputs.files.gridmap import read_npz
 from mavnav.outputs.files.trajectory import ATTITUDE_COLUMNS, TRUE_WALLS_FILE
 from mavnav.outputs.pictures.viewport import wall_lines
-from mavnav.outputs.run import Truth
-from mavnav.pose import Trajectory
+from mavnav.outputs.run import WallShapes
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -90,6 +89,7 @@ def load(cell: dict[str, Any], base: Path) -> Entry | Failure:
     folder = base / str(cell["directory"])
     try:
         document = read_json(folder / RUN_FILE)
+        true_walls, goal_xy_m = _truth(document, folder)
         return Entry(
             log=log,
             name=name,
@@ -97,8 +97,8 @@ def load(cell: dict[str, Any], base: Path) -> Entry | Failure:
             grid=read_npz(folder / "hits.npz"),
             scans=_scans(folder / "trajectory.csv"),
             cuts=wall_table.read(folder / wall_table.WALLS_FILE),
-            true_walls=_true_walls(folder),
-            goal_xy_m=_goal_xy_m(document, folder),
+            true_walls=true_walls,
+            goal_xy_m=goal_xy_m,
             view_3d=_view_3d(folder / "map_3d.png"),
         )
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
@@ -134,16 +134,10 @@ def _view_3d(path: Path) -> Image.Image | None:
         return picture.convert("RGB")
 
 
-def _goal_xy_m(document: dict[str, Any], folder: Path) -> NDArray[np.float64]:
+def _truth(document: dict[str, Any], folder: Path) -> tuple[list[NDArray[np.float64]], NDArray[np.float64]]:
+    """Return the true walls as lines, and the goal of a mission, (1, 2); as far as they are known."""
     path = folder / TRUE_WALLS_FILE
-    goal = read_json(path).get("goal") if document.get("mission") and path.is_file() else None
-    return np.array([goal] if goal else [], np.float64).reshape(-1, 2)
-
-
-def _true_walls(folder: Path) -> list[NDArray[np.float64]]:
-    path = folder / TRUE_WALLS_FILE
-    if not path.is_file():
-        return []
-    walls = read_json(path)
+    walls = read_json(path) if path.is_file() else {"segments": [], "arcs": []}
     segments, arcs = (np.array(walls[key], np.float64).reshape(-1, n) for key, n in (("segments", 4), ("arcs", 5)))
-    return wall_lines(Truth(Trajectory.of([], []), segments, arcs, (0.0, 0.0)))
+    goal = [walls["goal"]] if document.get("mission") and walls.get("goal") else []
+    return wall_lines(WallShapes(segments, arcs)), np.array(goal, np.float64).reshape(-1, 2)

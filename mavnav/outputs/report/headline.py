@@ -4,19 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from mavnav.outputs.documents.quantities import (
-    DOUBT,
-    NAMED,
-    QUANTITIES,
-    by_cell_mm,
-    comparable,
-    number,
-    probably_wrong,
-    size_note,
-    why_not_meaningful,
-    winners,
-)
-from mavnav.outputs.report import columns
+from mavnav.outputs.documents import quantities
+from mavnav.outputs.documents.quantities import comparable, number
+from mavnav.outputs.report import tables
+from mavnav.units import pluralize
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,9 +15,9 @@ if TYPE_CHECKING:
     from mavnav.outputs.documents.quantities import Quantity
     from mavnav.outputs.report.entry import Entry
 
-QUALITY: Final = tuple(q for q in QUANTITIES if not q.cost)
-P95: Final = NAMED["wall_thickness.spread.p95_mm"]
-TIME: Final = NAMED["timing.cpu_s"]
+QUALITY: Final = tuple(q for q in quantities.QUANTITIES if not q.cost)
+P95: Final = quantities.NAMED["wall_thickness.spread.p95_mm"]
+TIME: Final = quantities.NAMED["timing.cpu_s"]
 
 SMALL_SHARE: Final = 0.03
 """Maps are called as good as equal if no metric differs by this share, apart from those that differ within noise."""
@@ -38,37 +29,32 @@ def headline(entries: Sequence[Entry]) -> str:
         return "No run gave a map: each failed, for the reason below."
     if len(entries) == 1:
         return _mission(entries[0]) + _of_one(entries[0])
-    sound = [e for e in entries if not why_not_meaningful(e.document)]
+    sound = [e for e in entries if not quantities.why_not_meaningful(e.document)]
     if not sound:
         return f"None of the {len(entries)} maps is worth comparing; the table says why."
     if len(sound) == 1:
         only = f"Only {sound[0].name} gives a map worth looking at; the table says what is wrong with the others."
         return only + _doubts(sound)
     left_out = len(entries) - len(sound)
-    return _of_many(sound) + _doubts(sound) + (f" {_runs(left_out)} left out: the table says why." if left_out else "")
+    runs = f"{pluralize(left_out, 'run')} {'is' if left_out == 1 else 'are'}"
+    return _of_many(sound) + _doubts(sound) + (f" {runs} left out: the table says why." if left_out else "")
 
 
 def _doubts(sound: Sequence[Entry]) -> str:
     """Return the sentence on the runs whose track is probably wrong; empty if there are none."""
-    doubtful = [e for e in sound if probably_wrong(e.document)]
+    doubtful = [e for e in sound if quantities.probably_wrong(e.document)]
     if not doubtful:
         return ""
-    of = _list([e.name for e in doubtful])
-    if len(doubtful) == 1:
-        return f" The track of {of} is {_wrong(doubtful)}."
-    return f" The tracks of {of} are {_wrong(doubtful)}."
+    tracks, are = ("track", "is") if len(doubtful) == 1 else ("tracks", "are")
+    return f" The {tracks} of {_list([e.name for e in doubtful])} {are} {_wrong(doubtful)}."
 
 
 def _wrong(doubtful: Sequence[Entry]) -> str:
     """Return the probability that tracks are wrong, its range if it is that of several, and the reasons."""
-    shown = sorted({DOUBT.text_of(e.document) for e in doubtful})
+    shown = sorted({quantities.DOUBT.text_of(e.document) for e in doubtful})
     reasons = dict.fromkeys(r["reason"] for e in doubtful for r in e.document["tracking"]["doubt"].get("reasons") or [])
     why = f": {', '.join(reasons)}" if reasons else ""
     return f"probably wrong (probability {' to '.join(dict.fromkeys((shown[0], shown[-1])))}){why}"
-
-
-def _runs(count: int) -> str:
-    return "1 run is" if count == 1 else f"{count} runs are"
 
 
 def _mission(entry: Entry) -> str:
@@ -80,8 +66,8 @@ def _mission(entry: Entry) -> str:
 def _of_one(entry: Entry) -> str:
     scans = entry.document["scans"]
     accepted = f"{entry.name} accepted {scans['accepted']} of {scans['processed']} scans"
-    doubt = f"; the track is {_wrong([entry])}" if probably_wrong(entry.document) else ""
-    why = why_not_meaningful(entry.document)
+    doubt = f"; the track is {_wrong([entry])}" if quantities.probably_wrong(entry.document) else ""
+    why = quantities.why_not_meaningful(entry.document)
     if why:
         return f"{accepted}; the map is not reliable: {why}{doubt}."
     p95_mm = P95.of(entry.document)
@@ -91,7 +77,7 @@ def _of_one(entry: Entry) -> str:
 
 
 def _mm(value_mm: float) -> str:
-    return f"{columns.text(value_mm, 0)} mm"
+    return f"{tables.text(value_mm, 0)} mm"
 
 
 def _ghosts(entry: Entry) -> str:
@@ -103,11 +89,11 @@ def _ghosts(entry: Entry) -> str:
 
 def _of_many(sound: Sequence[Entry]) -> str:
     """Return the sentences for several maps, of which those of one cell size are compared by more metrics."""
-    groups = by_cell_mm(e.document for e in sound)
+    groups = quantities.by_cell_mm(e.document for e in sound)
     if len(groups) < 2:
         return _ranking(sound, QUALITY, "measure here")
     everywhere = tuple(q for q in QUALITY if not q.per_cell)
-    why = size_note(e.document for e in sound)
+    why = quantities.size_note(e.document for e in sound)
     within = (
         f"Cells of {cell_mm:g} mm: {_ranking([sound[k] for k in group], QUALITY, 'measure here')}"
         for cell_mm, group in groups.items()
@@ -119,13 +105,12 @@ def _of_many(sound: Sequence[Entry]) -> str:
 
 def _ranking(sound: Sequence[Entry], quality: Sequence[Quantity], measure: str) -> str:
     """Return the sentence for several maps: the run that is best by most metrics, if there is one."""
-    won = {q.title: winners(q, [e.document for e in sound]) for q in quality}
+    won = {q.title: quantities.winners(q, [e.document for e in sound]) for q in quality}
     contested = [title for title, best in won.items() if best]
+    names = _list([e.name for e in sound])
     if not contested:
-        names = _list([e.name for e in sound])
         return f"The maps of {names} are equally good by every {measure}{_fewest_evaluations(sound)}."
     if max(_spread(sound, q) for q in quality if won[q.title]) < SMALL_SHARE:
-        names = _list([e.name for e in sound])
         most = max(_spread(sound, q) for q in quality)
         differ = f"no measure differs by more than {100 * most:.1f} %"
         return f"The maps of {names} are as good as equal: {differ}{_fewest_evaluations(sound)}."
@@ -133,8 +118,8 @@ def _ranking(sound: Sequence[Entry], quality: Sequence[Quantity], measure: str) 
     leaders = [k for k, wins in enumerate(score) if wins == max(score)]
     best, of = sound[leaders[0]], f"of the {len(contested)} measures that differ"
     if len(leaders) > 1:
-        names = _list([sound[k].name for k in leaders])
-        return f"No run stands out: {names} are each best at {max(score)} {of}{_fewest_evaluations(sound)}."
+        equal = _list([sound[k].name for k in leaders])
+        return f"No run stands out: {equal} are each best at {max(score)} {of}{_fewest_evaluations(sound)}."
     measures = _list([title for title in contested if leaders[0] in won[title]])
     lead = "by the one measure that differs" if len(contested) == 1 else f"best at {max(score)} {of}"
     return f"{best.name} gives the best map, {lead} ({measures}){_walls(sound, best)}. {_cost(sound, best)}".rstrip()
@@ -155,7 +140,7 @@ def _list(names: Sequence[str]) -> str:
 
 def _walls(sound: Sequence[Entry], best: Entry) -> str:
     """Return the comparison of a run's wall thickness with that of the coarsest grid of its method; may be empty."""
-    coarse = columns.coarsest(sound, best)
+    coarse = tables.coarsest(sound, best)
     ours, theirs = P95.of(best.document), P95.of(coarse.document)
     if coarse is best or ours is None or theirs is None or not comparable(P95, [best.document, coarse.document]):
         return ""
@@ -166,7 +151,7 @@ def _walls(sound: Sequence[Entry], best: Entry) -> str:
 
 
 def _cost(sound: Sequence[Entry], best: Entry) -> str:
-    times, coarse = columns.relative_cost(sound, best), columns.coarsest(sound, best)
+    times, coarse = tables.relative_cost(sound, best), tables.coarsest(sound, best)
     if coarse is best:
         finer = sum(e.document.get("method") == best.document.get("method") for e in sound) > 1
         return "It has the coarsest grid of its method: a finer one does not pay here." if finer else ""

@@ -149,12 +149,10 @@ def legend_panel(top_hits: float, *, truth: bool, ghost: bool, doubtful: bool, e
     axes.ticks(map_axes.hit_ticks(top_hits), length=5)
     canvas.text((box[0], box[1] - 8), "laser hits per cell", FONT_PT, MUTED, "ls")
     named = (PATH, map_axes.DOUBTFUL, map_axes.TRUE_WALL, GHOST)
-    marks: list[Mark | Style] = list(compress(named, (True, doubtful, truth, ghost)))
-    first = (canvas.image.height - (len(marks) - 1) * LINE) // 2
-    for k, mark in enumerate(marks):
-        legend(canvas, [mark], first + k * LINE, box[2] + 24, FONT_PT)
+    lines: list[Mark | Style] = list(compress(named, (True, doubtful, truth, ghost)))
     places = list(compress((map_axes.START, map_axes.END, map_axes.GOAL), (ends, ends, ends and goal)))
-    first = (canvas.image.height - (len(places) - 1) * LINE) // 2
-    for k, mark in enumerate(places):
-        legend(canvas, [mark], first + k * LINE, box[2] + 250, FONT_PT)
+    for marks, left in ((lines, 24), (places, 250)):
+        first = (canvas.image.height - (len(marks) - 1) * LINE) // 2
+        for k, mark in enumerate(marks):
+            legend(canvas, [mark], first + k * LINE, box[2] + left, FONT_PT)
     return canvas.image

@@ -9,12 +9,10 @@ from msgspec import Struct
 
 from mavnav.atomic_files import beside
 from mavnav.errors import OutputError
-from mavnav.outputs.documents.facts import facts
-from mavnav.outputs.report import details, panels
-from mavnav.outputs.report.columns import RunTable, table
+from mavnav.outputs.report import panels, tables
 from mavnav.outputs.report.entry import Entry, Failure, load
 from mavnav.outputs.report.headline import headline
-from mavnav.outputs.report.html import environment, inline
+from mavnav.outputs.report.html import environment, facts, inline
 from mavnav.outputs.report.pictures import Pictures, draw
 from mavnav.version import __version__
 
@@ -36,21 +34,14 @@ class LogSection(Struct, frozen=True):
     facts: str
     entries: list[Entry]
     failures: list[Failure]
-    table: RunTable
+    table: tables.RunTable
     pictures: Pictures | None
 
 
 def single(document: dict[str, Any], directory: str = ".") -> dict[str, Any]:
     """Return a comparison document with one run, whose files are in ``directory``."""
-    cell = {
-        "log": document["input"]["path"],
-        "method": document["method"],
-        "grid": document["grid"],
-        "azimuth": document["azimuth"],
-        "status": "done",
-        "exit_code": document["exit_code"],
-        "directory": directory,
-    }
+    cell = {key: document[key] for key in ("method", "grid", "azimuth", "exit_code")}
+    cell |= {"log": document["input"]["path"], "status": "done", "directory": directory}
     return {"schema_version": 1, "mavnav_version": document["mavnav_version"], "cells": [cell]}
 
 
@@ -85,7 +76,7 @@ def _section(log: str, loaded: list[Entry | Failure]) -> LogSection:
         facts=facts([e.document for e in entries]),
         entries=entries,
         failures=[e for e in loaded if isinstance(e, Failure)],
-        table=table(entries),
+        table=tables.table(entries),
         pictures=draw(entries) if entries else None,
     )
 
@@ -104,7 +95,7 @@ def _page(comparison: dict[str, Any], sections: list[LogSection]) -> str:
     return templates.get_template("report.html").render(
         title=_title(sections),
         sections=sections,
-        details=details,
+        tables=tables,
         style=style,
         script=None,
         version=comparison.get("mavnav_version") or __version__,

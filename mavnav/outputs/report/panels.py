@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Final
 from PIL import Image
 
 from mavnav.outputs.pictures.canvas import Canvas
-from mavnav.outputs.pictures.plot import Axes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -49,18 +48,10 @@ def panel(size: tuple[int, int], title: str, margins: Box = MAP_MARGINS) -> tupl
     return canvas, (left, top, left + width, top + height)
 
 
-def chart(title: str, limits: tuple[float, float, float, float], names: tuple[str, str], name_left: int) -> Axes:
-    """Return the axes of a new panel, with limits and names of x and y, and the offset of the name of y in pixels."""
-    axes = Axes.chart(*panel(CHART, title, CHART_MARGINS), limits)
-    axes.names(*names, FONT_PT, name_left)
-    return axes
-
-
 def sheet(panels: Sequence[Image.Image], columns: int | None = None) -> Image.Image:
     """Return an image of panels in rows on white, with ``columns`` panels per row, by default as many as fit."""
     width, height = (max(p.size[k] for p in panels) + GAP_PIXELS for k in (0, 1))
-    per_row = columns or max(1, SHEET_PIXELS // width)
-    per_row = min(per_row, len(panels))
+    per_row = min(columns or max(1, SHEET_PIXELS // width), len(panels))
     rows = -(-len(panels) // per_row)
     canvas = Image.new("RGB", (per_row * width, rows * height), "white")
     for k, panel in enumerate(panels):

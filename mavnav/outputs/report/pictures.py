@@ -10,12 +10,10 @@ from msgspec import Struct
 from mavnav.outputs.documents.quantities import why_not_meaningful
 from mavnav.outputs.pictures.map_axes import top_of_scale
 from mavnav.outputs.pictures.viewport import Viewport
+from mavnav.outputs.report.charts import caption, cost_panels, motion_panel, thickness_panels
 from mavnav.outputs.report.closeups import MIN_SIDE_M, differing_places
-from mavnav.outputs.report.cost_panel import caption, cost_panels
 from mavnav.outputs.report.map_panel import closeup_panel, common_window, ghosts, legend_panel, map_panel, shape
-from mavnav.outputs.report.motion_panel import motion_panel
 from mavnav.outputs.report.panels import sheet, stack
-from mavnav.outputs.report.thickness_panel import thickness_panels
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -54,13 +52,8 @@ class Pictures(Struct, frozen=True):
     @property
     def count(self) -> int:
         """Number of pictures on the page."""
-        return (
-            3 * len(self.maps)
-            + 1
-            + (self.motion is not None)
-            + len(self.views_3d)
-            + sum(len(c.images) for c in self.closeups)
-        )
+        closeups = sum(len(c.images) for c in self.closeups)
+        return 3 * len(self.maps) + 1 + (self.motion is not None) + len(self.views_3d) + closeups
 
     def sheets(self) -> dict[str, Image]:
         """Return the pictures that are also written as files, by name."""

@@ -10,7 +10,7 @@ from mavnav.units import pluralize
 from mavnav.version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable
     from pathlib import Path
 
 
@@ -64,7 +64,7 @@ def merge_summary(document: dict[str, Any], picture: bytes) -> Summary:
     head = ("session", "input", "scans", "joined to", "key frames that agree", "residual", "tracked", "doubt", "damage")
     table = PageTable("Sessions", head, tuple(_session_row(each) for each in sessions))
     refused = tuple((each["name"], each["input"], each["why"]) for each in sessions if not each["joined"])
-    others = (PageTable("Not joined", ("session", "input", "reason"), refused, prose=True),) if refused else ()
+    others = _unless_empty("Not joined", ("session", "input", "reason"), refused, prose=True)
     return Summary(", ".join(each["name"] for each in sessions), headline, (table, *others), picture)
 
 
@@ -97,7 +97,7 @@ def diff_summary(document: dict[str, Any], picture: bytes | None) -> Summary:
         f"{100 * document['same_share']:.1f} % of the walls are the same."
     )
     head = ("change", "kind", "x", "y", "area", "length", "moved with")
-    rows = (
+    rows = tuple(
         (
             str(change["number"]),
             change["kind"],
@@ -109,12 +109,8 @@ def diff_summary(document: dict[str, Any], picture: bytes | None) -> Summary:
         )
         for change in document["changes"]
     )
-    placed = (
-        f"{pose['x_m']:z.3f} m",
-        f"{pose['y_m']:z.3f} m",
-        f"{pose['yaw_deg']:z.2f} deg",
-        f"{pose['rms_mm']:.0f} mm",
-    )
+    x, y = (f"{pose[key]:z.3f} m" for key in ("x_m", "y_m"))
+    placed = (x, y, f"{pose['yaw_deg']:z.2f} deg", f"{pose['rms_mm']:.0f} mm")
     alignment = PageTable("Pose of the second map in the first", ("x", "y", "yaw", "RMS of the walls"), (placed,))
     return Summary(title, headline, (*_unless_empty("Changes", head, rows), alignment), picture)
 
@@ -128,7 +124,7 @@ def calibration_summary(document: dict[str, Any], title: str, picture: bytes | N
     rows = tuple(_calibrated_row(each) for each in measured)
     refused = tuple((_quantity_name(each)[0], each["refused"]) for each in every if each["refused"])
     head = ("quantity", "value", "95 % interval", "log or configuration", "difference")
-    missing = (PageTable("Not determined", ("quantity", "reason"), refused, prose=True),) if refused else ()
+    missing = _unless_empty("Not determined", ("quantity", "reason"), refused, prose=True)
     tables = _unless_empty("Quantities", head, rows) + missing
     return Summary(title, headline, tables, picture, tuple(filter(None, document["lines"].values())))
 
@@ -152,16 +148,16 @@ def _quantity_name(row: dict[str, Any]) -> tuple[str, int]:
 def _calibrated_row(row: dict[str, Any]) -> tuple[str, ...]:
     """Return name and unit, value, half-width of the interval, what the log says, and the difference."""
     name, digits = _quantity_name(row)
-    value, within, in_log, difference = (
-        _text(row.get(key), digits) for key in ("value", "ci95", "in_log", "difference")
-    )
+    keys = ("value", "ci95", "in_log", "difference")
+    value, within, in_log, difference = (_text(row.get(key), digits) for key in keys)
     unit = f", {row['unit']}" if row.get("unit") else ""
     return f"{name}{unit}", value, f"± {within}" if within else "", in_log, difference
 
 
-def _unless_empty(heading: str, head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> tuple[PageTable, ...]:
-    body = tuple(rows)
-    return (PageTable(heading, head, body),) if body else ()
+def _unless_empty(
+    heading: str, head: tuple[str, ...], rows: tuple[tuple[str, ...], ...], *, prose: bool = False
+) -> tuple[PageTable, ...]:
+    return (PageTable(heading, head, rows, prose),) if rows else ()
 
 
 def _text(value: float | None, digits: int) -> str:

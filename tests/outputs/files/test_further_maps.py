@@ -11,8 +11,8 @@ from PIL import Image
 from mavnav.errors import UsageError
 from mavnav.ground_truth.map_file import read_map
 from mavnav.mapping.occupancy_grid import OCCUPIED
-from mavnav.outputs.files import graph_file
 from mavnav.outputs.files.gridmap import write_pgm, write_yaml
+from mavnav.outputs.files.trajectory import write_graph
 from mavnav.outputs.pictures import scale_map, vector_map
 from mavnav.outputs.writers import GROUPS, check_groups, write_run
 from mavnav.pose import Pose
@@ -79,7 +79,7 @@ def looped(run):
 
 
 def test_the_graph_has_vertices_and_edges_by_scan(looped, tmp_path):
-    graph_file.write(looped, tmp_path / "g.g2o")
+    write_graph(looped, tmp_path / "g.g2o")
     first, second, fixed, edge, weak = (line.split() for line in (tmp_path / "g.g2o").read_text().splitlines())
     steps = [step for step in looped.slam.steps if step.tracked]
     assert [first[:2], second[:2]] == [["VERTEX_SE2", "0"], ["VERTEX_SE2", str(steps[9].index)]]

@@ -18,7 +18,7 @@ from mavnav.outputs.files.trajectory import write_csv, write_true_walls
 from mavnav.outputs.pictures import map_axes
 from mavnav.outputs.pictures.canvas import rgb_of
 from mavnav.outputs.pictures.viewport import MUTED, Viewport
-from mavnav.outputs.report import columns, cost_panel, details, motion_panel, panels, single, write_report
+from mavnav.outputs.report import charts, panels, single, tables, write_report
 from mavnav.outputs.report.closeups import differing_places
 from mavnav.outputs.report.entry import Entry, load
 from mavnav.outputs.report.headline import headline
@@ -149,25 +149,25 @@ def test_a_scan_is_rejected_unless_it_is_lost(entries):
     scans = replace(entries[0].scans, time_s=np.arange(6.0), tracked=np.array([1, 0, 1, 0, 0, 0], bool))
     lost = {"intervals": [{"start_s": 4.0, "end_s": 5.0}]}
     entry = with_document(replace(entries[0], scans=scans), tracking=lost)
-    assert np.flatnonzero(cost_panel.rejected_scans(entry)).tolist() == [1, 3]
+    assert np.flatnonzero(charts.rejected_scans(entry)).tolist() == [1, 3]
 
 
 def test_a_short_scale_of_costs_is_named_too():
-    assert cost_panel.named_costs(90.0, 1100.0) == [(100, "100"), (200, "200"), (500, "500"), (1000, "1000")]
-    assert cost_panel.between_powers(90.0, 1100.0) == [90.0, *range(200, 1000, 100)]
+    assert charts.named_costs(90.0, 1100.0) == [(100, "100"), (200, "200"), (500, "500"), (1000, "1000")]
+    assert charts.between_powers(90.0, 1100.0) == [90.0, *range(200, 1000, 100)]
 
 
 def test_a_long_scale_of_costs_is_named_by_few_powers_of_ten():
-    assert [name for _, name in cost_panel.named_costs(0.2, 3e5)] == ["1e0", "1e1", "1e2", "1e3", "1e4", "1e5"]
-    assert [name for _, name in cost_panel.named_costs(0.05, 3e8)] == ["1e0", "1e2", "1e4", "1e6", "1e8"]
+    assert [name for _, name in charts.named_costs(0.2, 3e5)] == ["1e0", "1e1", "1e2", "1e3", "1e4", "1e5"]
+    assert [name for _, name in charts.named_costs(0.05, 3e8)] == ["1e0", "1e2", "1e4", "1e6", "1e8"]
 
 
 def test_the_scale_of_costs_ends_near_the_data(entries):
     scans = entries[0].scans
     level = replace(scans, cost_mm2=np.full(len(scans.time_s), 500.0), threshold_mm2=np.full(len(scans.time_s), np.nan))
-    (panel,) = map(np.asarray, cost_panel.cost_panels([with_document(replace(entries[0], scans=level), tracking=None)]))
-    blue = np.abs(panel.astype(int) - rgb_of(cost_panel.COST.colour)).sum(axis=2) < 90
-    row, top = np.flatnonzero(blue.sum(axis=1) > 300).mean(), panels.CHART_MARGINS[1] + cost_panel.LEGEND_ROW
+    (panel,) = map(np.asarray, charts.cost_panels([with_document(replace(entries[0], scans=level), tracking=None)]))
+    blue = np.abs(panel.astype(int) - rgb_of(charts.COST.colour)).sum(axis=2) < 90
+    row, top = np.flatnonzero(blue.sum(axis=1) > 300).mean(), panels.CHART_MARGINS[1] + charts.LEGEND_ROW
     assert row == pytest.approx(top + panels.CHART[1] / 2, abs=2)  # half and double are the ends
 
 
@@ -175,12 +175,12 @@ def test_the_caption_of_the_costs_explains_what_is_drawn(entries):
     scans = entries[0].scans
     every = replace(scans, tracked=np.ones(len(scans.time_s), bool), cost_mm2=np.ones(len(scans.time_s)))
     plain = with_document(replace(entries[0], scans=every), tracking=None)
-    assert cost_panel.caption([plain]) == ""
+    assert charts.caption([plain]) == ""
     tracked = every.tracked.copy()
     tracked[3] = False
     lost = {"intervals": [{"start_s": 1e6, "end_s": 1e6}]}
     other = with_document(replace(entries[0], scans=replace(every, tracked=tracked)), tracking=lost, method="paper")
-    shown = cost_panel.caption([plain, other])
+    shown = charts.caption([plain, other])
     assert shown == (
         "Crosses: rejected scans that were matched. Shaded: stretches where the track was lost. "
         "Costs compare within a method only."
@@ -190,8 +190,8 @@ def test_the_caption_of_the_costs_explains_what_is_drawn(entries):
 def test_the_curve_of_costs_lies_where_its_ticks_say(entries):
     scans = entries[0].scans
     level = replace(scans, time_s=np.linspace(0.0, 2.0, len(scans.time_s)), cost_mm2=np.full(len(scans.time_s), 200.0))
-    (panel,) = cost_panel.cost_panels([with_document(replace(entries[0], scans=level), tracking=None)])
-    blue = np.abs(np.asarray(panel).astype(int) - rgb_of(cost_panel.COST.colour)).sum(axis=2) < 90
+    (panel,) = charts.cost_panels([with_document(replace(entries[0], scans=level), tracking=None)])
+    blue = np.abs(np.asarray(panel).astype(int) - rgb_of(charts.COST.colour)).sum(axis=2) < 90
     row = np.flatnonzero(blue.sum(axis=1) > 300).mean()
     ink = np.asarray(panel).astype(int).sum(axis=2) < 450
     ticks = np.flatnonzero(ink[:, 89:93].all(axis=1))  # on the left of the axis, labels end before
@@ -232,8 +232,8 @@ def test_close_ups_do_not_overlap():
 
 
 def test_the_winner_is_marked_and_named(entries):
-    rows = {row.name: row for row in columns.table(entries).rows}
-    titles = [c.title for c in columns.table(entries).columns]
+    rows = {row.name: row for row in tables.table(entries).rows}
+    titles = [c.title for c in tables.table(entries).columns]
     ghost = titles.index("ghosts")
     assert rows["robust 40/20x20"].fields[ghost].best
     assert not rows["robust 20/5x5"].fields[ghost].best
@@ -249,8 +249,8 @@ def test_the_cost_is_relative_to_the_coarsest_grid(entries):
     coarse = entries[0]
     fine = with_document(entries[1], search=search, timing=timing | {"cpu_s": 3.0 * timing["cpu_s"]})
     search_0 = coarse.document["search"]["evaluations_per_scan"]["mean"]
-    assert columns.relative_cost([coarse, fine], fine) == pytest.approx(20_000.0 / search_0)
-    assert columns.table([coarse, fine]).rows[1].relative_costs == pytest.approx((20_000.0 / search_0, 3.0))
+    assert tables.relative_cost([coarse, fine], fine) == pytest.approx(20_000.0 / search_0)
+    assert tables.table([coarse, fine]).rows[1].relative_costs == pytest.approx((20_000.0 / search_0, 3.0))
     assert f"{20_000.0 / search_0:.1f} times the evaluations of robust 20/5x5" in headline([coarse, fine])
 
 
@@ -264,7 +264,7 @@ def test_the_coarsest_grid_of_two_may_win(entries):
 def test_equal_maps_have_no_winner(entries):
     same = with_document(entries[1], grid="5x5")
     assert "equally good" in headline([entries[1], same])
-    assert not any(f.best for row in columns.table([entries[1], same]).rows for f in row.fields)
+    assert not any(f.best for row in tables.table([entries[1], same]).rows for f in row.fields)
 
 
 def test_a_small_difference_is_called_small(entries):
@@ -282,7 +282,7 @@ def test_a_difference_within_the_noise_does_not_count(entries):
         return with_document(entries[1], wall_thickness={"spread": {"p95_mm": p95_mm}})
 
     def best(*runs):
-        table = columns.table(runs)
+        table = tables.table(runs)
         p95 = [c.title for c in table.columns].index("wall p95")
         return [row.fields[p95].best for row in table.rows]
 
@@ -292,9 +292,9 @@ def test_a_difference_within_the_noise_does_not_count(entries):
 
 def test_the_table_has_the_doubt_of_each_track(entries):
     doubtful = with_document(entries[0], tracking={"lost": False, "doubt": {"probability": 0.814, "reasons": []}})
-    table = columns.table([entries[1], doubtful])
+    table = tables.table([entries[1], doubtful])
     doubt = [c.title for c in table.columns].index("doubt")
-    assert table.rows[1].fields[doubt] == columns.Field("0.81", best=False)
+    assert table.rows[1].fields[doubt] == tables.Field("0.81", best=False)
     assert not any(row.fields[doubt].best for row in table.rows)
 
 
@@ -308,9 +308,9 @@ def test_doubtful_stretches_are_drawn_on_the_map(entries):
 
 
 def test_the_legend_of_the_costs_lies_above_the_axes(entries, monkeypatch):
-    (panel,) = map(np.asarray, cost_panel.cost_panels(entries[:1]))
-    monkeypatch.setattr(cost_panel, "legend", lambda *_: None)
-    (bare,) = map(np.asarray, cost_panel.cost_panels(entries[:1]))
+    (panel,) = map(np.asarray, charts.cost_panels(entries[:1]))
+    monkeypatch.setattr(charts, "legend", lambda *_: None)
+    (bare,) = map(np.asarray, charts.cost_panels(entries[:1]))
     top_of_axes = np.flatnonzero((bare[:, panels.CHART_MARGINS[0]] == rgb_of(MUTED)).all(axis=1))[0]
     legend = np.flatnonzero((panel != bare).any(axis=(1, 2)))
     assert len(legend) and legend[-1] < top_of_axes
@@ -324,15 +324,15 @@ def test_headline_and_mark_agree_on_what_is_the_same(entries):
         return with_document(entries[1], grid=grid, wall_thickness=spread, map_quality=quality(ghosts=ghosts))
 
     fine, coarse = walls(63.4, "20x20", 0.0), walls(66.6, "5x5", 1.0)
-    titles = [c.title for c in columns.table([coarse, fine]).columns]
-    assert columns.table([coarse, fine]).rows[1].fields[titles.index("wall p95")].best
+    titles = [c.title for c in tables.table([coarse, fine]).columns]
+    assert tables.table([coarse, fine]).rows[1].fields[titles.index("wall p95")].best
     assert "its walls are thinner than those of" in headline([coarse, fine])
 
 
 def test_a_map_of_nothing_never_wins(entries):
     nothing = with_document(entries[1], map_quality=quality(meaningful=False))
     assert "Only robust 20/5x5" in headline([entries[0], nothing])
-    assert not any(f.best for f in columns.table([entries[0], nothing]).rows[1].fields)
+    assert not any(f.best for f in tables.table([entries[0], nothing]).rows[1].fields)
     assert "None of the 2 maps" in headline([nothing, nothing])
     assert "each failed" in headline([])
 
@@ -341,7 +341,7 @@ def test_a_run_without_the_profile_is_judged_by_its_scans(entries):
     bare = with_document(entries[1], map_quality=None)
     few = with_document(bare, map={"accepted_share": 0.02})
     lost = with_document(bare, tracking={"lost": True})
-    whys = [row.why_not for row in columns.table([bare, few, lost]).rows]
+    whys = [row.why_not for row in tables.table([bare, few, lost]).rows]
     assert whys == ["", "only 2 % of the scans were accepted", "the track was lost for good"]
 
 
@@ -376,7 +376,7 @@ def test_a_run_directory_that_is_gone_is_a_failed_run(comparison, base, tmp_path
 def test_settings_that_differ_are_told_apart(entries):
     coarse = with_document(entries[0], config={"grid": "5x5", "cell": 20, "paper": {"gate_mm2": 400.0}})
     fine = with_document(entries[1], config={"grid": "20x20", "cell": 20, "paper": {"gate_mm2": 400.0}})
-    found = details.settings([coarse, fine])
+    found = tables.settings([coarse, fine])
     assert found.differing == [("grid", ["5x5", "20x20"])]
     assert found.common == [("cell", "20")]
 
@@ -391,20 +391,20 @@ def test_speed_is_that_between_the_poses_before_and_after():
     time_s = np.array([0.0, 0.1, 0.2, 0.3, 3.0, 3.1])
     xy_m = np.column_stack((0.5 * time_s, np.zeros(6)))
     xy_m[2] = np.nan
-    found = motion_panel.speeds(time_s, xy_m)
+    found = charts.speeds(time_s, xy_m)
     np.testing.assert_allclose(found[1], 0.5)
     assert np.isnan(found[[0, 2, 3, 4, 5]]).all()  # no pose, next to a gap, and the ends
-    assert np.isnan(motion_panel.speeds(time_s[:2], xy_m[:2])).all()
+    assert np.isnan(charts.speeds(time_s[:2], xy_m[:2])).all()
 
 
 def test_the_motion_has_a_curve_of_the_error_where_the_truth_is_known(entries):
     scans = entries[0].scans
     yaw = replace(scans, yaw_rad=np.linspace(3.0, 4.0, len(scans.time_s)) % (2 * np.pi) - np.pi)
-    names = [curve.name for curve in motion_panel.curves(replace(entries[0], scans=yaw))]
+    names = [curve.name for curve in charts.curves(replace(entries[0], scans=yaw))]
     assert names == ["x [m]", "y [m]", "yaw [deg]", "speed [m/s]"]
     known = replace(yaw, error_m=np.full(len(scans.time_s), 0.02))
-    curves = motion_panel.curves(replace(entries[0], scans=known))
+    curves = charts.curves(replace(entries[0], scans=known))
     assert (curves[-1].name, curves[-1].values[0]) == ("error [mm]", pytest.approx(20.0))
     assert np.abs(np.diff(curves[2].values)).max() < 90.0  # unwrapped
-    with_error, without = (motion_panel.motion_panel(replace(entries[0], scans=s)) for s in (known, yaw))
+    with_error, without = (charts.motion_panel(replace(entries[0], scans=s)) for s in (known, yaw))
     assert with_error.height > without.height

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from mavnav.errors import OutputError, UsageError
+from mavnav.outputs.directory import check_file, write_file
 from mavnav.outputs.report.summary_page import (
     Summary,
     calibration_summary,
@@ -19,7 +20,6 @@ from mavnav.outputs.report.summary_page import (
     merge_summary,
     write_summary,
 )
-from mavnav.outputs.single_file import check_file, write_file
 
 PNG = b"\x89PNG picture"
 SESSION: dict[str, Any] = {

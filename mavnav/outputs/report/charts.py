@@ -1,18 +1,25 @@
-"""The cost panel: cost of the matches of a run over time, rejected scans, and intervals without a track."""
+"""The charts of a report: cost of the matches, wall thickness, and the motion of a run.
+
+Cost is over time, with rejected scans and intervals without a track; thickness is a histogram in m of wall per bin;
+motion is position, heading and speed over time, and position error and attitude if they are known.
+"""
 
 from __future__ import annotations
 
 from functools import partial
 from itertools import compress
 from math import ceil, floor, log10
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
+from mavnav.outputs.documents.quantities import number
 from mavnav.outputs.pictures.canvas import draw_dashes, stroke
 from mavnav.outputs.pictures.plot import Axes, Mark, Style, cross, label_ticks, legend, ticks
 from mavnav.outputs.pictures.viewport import GOAL_RED, MUTED
+from mavnav.outputs.pictures.wall_picture import BAR_COLOUR, P95_COLOUR
 from mavnav.outputs.report.panels import CHART, CHART_MARGINS, FONT_PT, panel
+from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,6 +28,8 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
     from mavnav.outputs.report.entry import Entry
+
+    Floats = NDArray[np.float64]
 
 LEGEND_PT: Final = 7.0
 LEGEND_ROW: Final = 28
@@ -38,6 +47,16 @@ SHORT_SCALE: Final = 100.0
 MAX_POWERS: Final = 7
 """Maximum number of powers of ten with a label."""
 
+P95: Final = Style(P95_COLOUR, "", partial(stroke, width_pt=1.6))
+BIN_MM: Final = 10.0
+
+CURVE_HEIGHT, CURVE_GAP = 120, 28
+"""Height of the axes of each curve, and gap between two of them, in pixels."""
+
+CURVE: Final = Style("#2f6690", "", partial(stroke, width_pt=1.0))
+MAX_PERIODS: Final = 2.5
+"""Maximum time between poses for which a speed is computed, in scan periods."""
+
 
 def cost_panels(entries: Sequence[Entry]) -> list[Image]:
     """Draw the cost over time for each run, all on the same scale."""
@@ -46,7 +65,7 @@ def cost_panels(entries: Sequence[Entry]) -> list[Image]:
     low = float(np.quantile(costs, BELOW_SCALE_SHARE)) if costs.size else 1.0
     limits = (0.5 * low, 2.0 * max([float(costs.max(initial=low)), *map(float, thresholds)]))
     end_s = max(float(e.scans.time_s.max(initial=0.1)) for e in entries)
-    return [_panel(e, limits, end_s) for e in entries]
+    return [_cost_panel(e, limits, end_s) for e in entries]
 
 
 def caption(entries: Sequence[Entry]) -> str:
@@ -62,7 +81,7 @@ def caption(entries: Sequence[Entry]) -> str:
     return " ".join(compress(sentences, sentences.values()))
 
 
-def _panel(entry: Entry, limits: tuple[float, float], end_s: float) -> Image:
+def _cost_panel(entry: Entry, limits: tuple[float, float], end_s: float) -> Image:
     canvas, (left, top, right, bottom) = panel((CHART[0], CHART[1] + LEGEND_ROW), entry.name, CHART_MARGINS)
     box = (left, top + LEGEND_ROW, right, bottom)
     axes = Axes.chart(canvas, box, (0.0, end_s, log10(limits[0]), log10(limits[1])))
@@ -76,7 +95,7 @@ def _panel(entry: Entry, limits: tuple[float, float], end_s: float) -> Image:
     return canvas.image
 
 
-def _draw_scans(axes: Axes, entry: Entry, cost: NDArray[np.float64]) -> list[Mark | Style]:
+def _draw_scans(axes: Axes, entry: Entry, cost: Floats) -> list[Mark | Style]:
     """Draw costs, rejected scans, acceptance thresholds and lost intervals; return the marks of the legend."""
     scans, shown = entry.scans, rejected_scans(entry) & np.isfinite(cost)
     points = np.column_stack((scans.time_s, np.log10(cost)))
@@ -131,3 +150,116 @@ def _draw_lost(axes: Axes, entry: Entry) -> bool:
         if x0 < right:
             axes.canvas.draw.rectangle((max(x0, left), top, min(x1, right), bottom), fill=LOST.colour)
     return bool(_intervals(entry))
+
+
+def thickness_panels(entries: Sequence[Entry]) -> list[Image]:
+    """Draw a histogram for each run, all on the same scale."""
+    widths = [e.cuts.width_m[np.isfinite(e.cuts.width_m)] / MM for e in entries]
+    bins = max(6, ceil(max((w.max(initial=0.0) for w in widths), default=0.0) / BIN_MM))
+    metres = [_metres(e, bins) for e in entries]
+    max_m = max(float(m.max(initial=0.0)) for m in metres)
+    return [_thickness_panel(e, m, max_m) for e, m in zip(entries, metres, strict=True)]
+
+
+def _metres(entry: Entry, bins: int) -> Floats:
+    """Return the length of wall in each bin of thickness, (bins,), m."""
+    measured = np.isfinite(entry.cuts.width_m)
+    place = np.minimum(entry.cuts.width_m[measured] / (BIN_MM * MM), bins - 1).astype(np.intp)
+    return np.bincount(place, entry.cuts.length_m[measured], bins).astype(np.float64)
+
+
+def _thickness_panel(entry: Entry, metres: Floats, max_m: float) -> Image:
+    limits = (0.0, len(metres) * BIN_MM, 0.0, max(max_m * 1.12, 0.1))
+    axes = Axes.chart(*panel(CHART, entry.name, CHART_MARGINS), limits)
+    axes.names("thickness [mm]", "wall [m]", FONT_PT, 60)
+    left_mm = np.arange(len(metres)) * BIN_MM
+    axes.bars(np.column_stack((left_mm + 0.05 * BIN_MM, left_mm + 0.95 * BIN_MM)), metres, BAR_COLOUR)
+    p95_mm = number(entry.document, "wall_thickness.spread.p95_mm")
+    if p95_mm is None:
+        axes.canvas.text((axes.box[0] + CHART[0] / 2, axes.box[1] + CHART[1] / 2), "no straight wall to measure", 9.0)
+    else:
+        _mark_p95(axes, p95_mm)
+    axes.borders()
+    axes.ticks(label_ticks(ticks(*limits[:2])), label_ticks(ticks(*limits[2:], 6)))
+    return axes.canvas.image
+
+
+def _mark_p95(axes: Axes, p95_mm: float) -> None:
+    """Draw a line at the p95, with its value on the side with more space."""
+    line = np.column_stack(((p95_mm, p95_mm), axes.limits[2:]))
+    axes.lines(P95, [line])
+    x, y = axes.to_canvas(line)[1]
+    beside, anchor = (-10, "ra") if p95_mm > axes.limits[1] / 2 else (10, "la")
+    axes.canvas.text((x + beside, y + 3), f"p95 {p95_mm:.0f} mm", 8.0, P95.colour, anchor)
+
+
+class Curve(NamedTuple):
+    """A curve over time: its name with the unit, and a value (n,) for each scan, NaN if there is none."""
+
+    name: str
+    values: Floats
+
+
+def curves(entry: Entry) -> list[Curve]:
+    """Return the curves of a run."""
+    scans = entry.scans
+    known = np.isfinite(scans.yaw_rad)
+    yaw = scans.yaw_rad.copy()
+    yaw[known] = np.unwrap(yaw[known])
+    always = [
+        Curve("x [m]", scans.xy_m[:, 0]),
+        Curve("y [m]", scans.xy_m[:, 1]),
+        Curve("yaw [deg]", yaw / DEG),
+        Curve("speed [m/s]", speeds(scans.time_s, scans.xy_m)),
+    ]
+    roll, pitch, height_m = scans.roll_pitch_height.T
+    more = [
+        Curve("error [mm]", scans.error_m / MM),
+        Curve("roll [deg]", roll / DEG),
+        Curve("pitch [deg]", pitch / DEG),
+        Curve("height [m]", height_m),
+    ]
+    return always + [curve for curve in more if np.isfinite(curve.values).any()]
+
+
+def speeds(time_s: Floats, xy_m: Floats) -> Floats:
+    """Return the speed at each scan, (n,), from the poses before and after it; NaN next to gaps."""
+    out = np.full(len(time_s), np.nan)
+    rows = np.flatnonzero(np.isfinite(xy_m[:, 0]))
+    if len(rows) < 3:
+        return out
+    took_s = time_s[rows[2:]] - time_s[rows[:-2]]
+    moved_m = np.hypot(*(xy_m[rows[2:]] - xy_m[rows[:-2]]).T)
+    near = took_s <= 2.0 * MAX_PERIODS * np.median(np.diff(time_s[rows]))
+    out[rows[1:-1]] = np.where(near, moved_m / took_s, np.nan)
+    return out
+
+
+def motion_panel(entry: Entry) -> Image:
+    """Draw the curves of a run below one another, with a common time axis."""
+    shown = curves(entry)
+    height = len(shown) * (CURVE_HEIGHT + CURVE_GAP) - CURVE_GAP
+    canvas, (left, top, right, _) = panel((CHART[0], height), entry.name, CHART_MARGINS)
+    end_s = max(float(entry.scans.time_s.max(initial=0.1)), 0.1)
+    for k, curve in enumerate(shown):
+        y = top + k * (CURVE_HEIGHT + CURVE_GAP)
+        axes = Axes.chart(canvas, (left, y, right, y + CURVE_HEIGHT), (0.0, end_s, *_limits(curve.values)))
+        _draw_curve(axes, entry, curve, last=k == len(shown) - 1)
+    return canvas.image
+
+
+def _draw_curve(axes: Axes, entry: Entry, curve: Curve, *, last: bool) -> None:
+    axes.borders()
+    x0, x1, y0, y1 = axes.limits
+    in_x = ticks(x0, x1)
+    axes.ticks(label_ticks(in_x) if last else [(value, "") for value in in_x], label_ticks(ticks(y0, y1, 5)))
+    axes.lines(CURVE, [np.column_stack((entry.scans.time_s, curve.values))])
+    axes.names("time [s]" if last else "", curve.name, FONT_PT, 72)
+
+
+def _limits(values: Floats) -> tuple[float, float]:
+    """Return the smallest and the largest value with a margin."""
+    known = values[np.isfinite(values)]
+    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
+    margin = max(0.05 * (high - low), 1e-3)
+    return low - margin, high + margin

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from mavnav.outputs.documents.facts import facts
 from mavnav.outputs.files.document import plain, run_document
+from mavnav.outputs.report.html import facts
 
 
 def test_date_length_and_sensor(run) -> None:
