@@ -38,26 +38,22 @@ _SCAN: _Kinds = {
 """Field that is read -> its allowed types, or the fields of its message."""
 
 
-def json_decoder(_channel: Channel) -> Callable[[bytes], LaserMessage]:
-    """Return the decoder of a JSON channel; it raises DecodeError."""
-
-    def decode(data: bytes) -> LaserMessage:
-        if len(data) > _MAX_JSON_BYTES:
-            raise DecodeError(f"{len(data)} bytes of JSON; no more than {_MAX_JSON_BYTES} are read")
-        try:
-            scan = json.loads(data)
-            stamp = scan["timestamp"]
-            return _laser(
-                int(stamp["sec"]) * 1_000_000_000 + int(stamp["nsec"]),
-                str(scan.get("frame_id", "")),
-                (float(scan["start_angle"]), float(scan["end_angle"])),
-                _floats(scan["ranges"]),
-                has_pose=not _is_identity_json(scan.get("pose") or {}),
-            )
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError) as error:
-            raise DecodeError(f"no foxglove.LaserScan in JSON ({type(error).__name__}: {error})") from error
-
-    return decode
+def decode_json(data: bytes) -> LaserMessage:
+    """Decode a message in JSON; raises DecodeError."""
+    if len(data) > _MAX_JSON_BYTES:
+        raise DecodeError(f"{len(data)} bytes of JSON; no more than {_MAX_JSON_BYTES} are read")
+    try:
+        scan = json.loads(data)
+        stamp = scan["timestamp"]
+        return _laser(
+            int(stamp["sec"]) * 1_000_000_000 + int(stamp["nsec"]),
+            str(scan.get("frame_id", "")),
+            (float(scan["start_angle"]), float(scan["end_angle"])),
+            _floats(scan["ranges"]),
+            has_pose=not _is_identity_json(scan.get("pose") or {}),
+        )
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError) as error:
+        raise DecodeError(f"no foxglove.LaserScan in JSON ({type(error).__name__}: {error})") from error
 
 
 def _floats(values: list[Any]) -> NDArray[np.float64]:
