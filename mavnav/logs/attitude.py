@@ -40,11 +40,6 @@ class AttitudeTrack(Struct):
     stamps: Stamps = field(default_factory=Stamps)
     numbers: array[float] = field(default_factory=lambda: array("f"))
 
-    def add(self, message: TransformMessage, log_ns: int) -> None:
-        """Take in one pose."""
-        self.stamps.add(message.stamp_ns, log_ns)
-        self.numbers.extend((*message.xyzw, message.xyz[2]))
-
 
 class TopicAttitude(NamedTuple):
     """What one topic says: ``ups`` (n, 3) in the frame of the body, ``height_m`` (n,) of it, NaN if unknown."""
@@ -57,12 +52,11 @@ class TopicAttitude(NamedTuple):
     height_m: Floats
 
 
-class AttitudeTracks:
+class AttitudeTracks(Struct):
     """All attitudes of a log by topic, but those of inertial sensors; ``wanted`` is auto, off, or a topic."""
 
-    def __init__(self, wanted: str = "auto") -> None:
-        self.wanted = wanted
-        self.topics: dict[str, AttitudeTrack] = {}
+    wanted: str = "auto"
+    topics: dict[str, AttitudeTrack] = field(default_factory=dict)
 
     @property
     def is_named(self) -> bool:
@@ -78,9 +72,11 @@ class AttitudeTracks:
 
     def add(self, topic: str, message: TransformMessage, log_ns: int) -> None:
         """Take in a pose."""
-        if topic not in self.topics:
-            self.topics[topic] = AttitudeTrack(topic, frame_name(message.child))
-        self.topics[topic].add(message, log_ns)
+        track = self.topics.get(topic)
+        if track is None:
+            track = self.topics[topic] = AttitudeTrack(topic, frame_name(message.child))
+        track.stamps.add(message.stamp_ns, log_ns)
+        track.numbers.extend((*message.xyzw, message.xyz[2]))
 
     def sources(self, imus: ImuTracks, topics: Iterable[Topic]) -> list[TopicAttitude]:
         """Return what can be used, the best first; raises TopicError where the named topic holds no attitude."""

@@ -101,11 +101,10 @@ def usual_topic(names: list[str]) -> str | None:
     return next((name for name in USUAL_NAMES if name in names), names[0] if len(names) == 1 else None)
 
 
-class ImuTracks:
+class ImuTracks(Struct):
     """All inertial sensors of a log, by topic."""
 
-    def __init__(self) -> None:
-        self.topics: dict[str, ImuTrack] = {}
+    topics: dict[str, ImuTrack] = field(default_factory=dict)
 
     def add(self, topic: str, message: ImuMessage, log_ns: int) -> None:
         """Take in a message."""

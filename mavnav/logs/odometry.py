@@ -97,16 +97,15 @@ def without_resets(odom_T_base: Trajectory, topic: str, warn: Callable[[str], No
     return Trajectory.of(odom_T_base.stamps_ns.tolist(), poses)
 
 
-class OdometryTracks:
+class OdometryTracks(Struct):
     """All odometry of a log: nav_msgs/Odometry by topic, and the edges of /tf that start at an ``odom`` frame.
 
     Single poses and transforms, as of motion capture, are odometry on the ``wanted`` topic alone.
     """
 
-    def __init__(self, wanted: str = "auto") -> None:
-        self.wanted = wanted
-        self.topics: dict[str, OdometryTrack] = {}
-        self.transforms: dict[str, OdometryTrack] = {}
+    wanted: str = "auto"
+    topics: dict[str, OdometryTrack] = field(default_factory=dict)
+    transforms: dict[str, OdometryTrack] = field(default_factory=dict)
 
     def takes(self, channel: Channel) -> bool:
         """Return whether the poses of a channel are wanted as odometry."""

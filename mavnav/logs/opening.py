@@ -111,8 +111,8 @@ def choose(
         return _multi_laser_log(survey, names, odom, extrinsic)
     name = chosen_topic(survey, topic)
     scans = survey.scans[name]
-    if scans.doubt:
-        raise NoScansError(f"{survey.path}: {name}: {scans.doubt}")
+    if doubt := scans.scan_filter.doubt:
+        raise NoScansError(f"{survey.path}: {name}: {doubt}")
     timeline = scans.timeline(survey.window_s)
     if timeline.first is None:
         raise NoScansError(no_usable(survey, name, scans, timeline))
@@ -125,11 +125,6 @@ def choose(
     period_s, gaps = period_and_gaps(timeline.stamps_ns)
     skipped = dict(sorted((scans.refused + timeline.skipped).items()))
     log = Log(
-        path=survey.path,
-        format=survey.format,
-        size_bytes=survey.size_bytes,
-        sha256=survey.sha256,
-        topics=survey.topics,
         topic=name,
         frame_id=frame_id,
         sensor=sensor,
@@ -140,21 +135,10 @@ def choose(
         period_s=period_s,
         gaps=gaps,
         stamp_source=timeline.source,
-        window_s=survey.window_s,
-        base_T_laser=None,
-        mounting_source=None,
-        base_frame=None,
-        upside_down=False,
-        odometry=None,
-        imu=None,
-        attitude=None,
-        truth=None,
-        damage=survey.damage,
-        warnings=survey.warnings,
-        strict=survey.strict,
         _order=timeline.order,
         _stamps_ns=timeline.stamps_ns,
         _ranges=scans.ranges,
+        **{name: getattr(survey, name) for name in Survey.__struct_fields__ if name in Log.__struct_fields__},
     )
     return _with_motion(log, survey, odom, extrinsic, upside_down=upside_down)
 
@@ -163,9 +147,9 @@ def _multi_laser_log(survey: Survey, topics: list[str], odom: str, extrinsic: Po
     """Merge the scans of several lasers; raises TopicError where a mounting is not known."""
     if extrinsic is not None:
         raise TopicError("--extrinsic is the pose of one laser; several --topic are merged by /tf_static")
-    if survey.attitudes.is_named:
+    if survey.motion.attitudes.is_named:
         raise TopicError("--attitude is that of one laser; several --topic are merged as they are: name one of them")
-    survey = replace(survey, attitudes=AttitudeTracks("off"))
+    survey = replace(survey, motion=replace(survey.motion, attitudes=AttitudeTracks("off")))
     logs = tuple(choose(_same_window(survey, topics[0], topic), topic=topic, odom=odom) for topic in topics)
     first, bases = logs[0], {log.base_frame for log in logs}
     unmounted = [log.topic for log in logs if log.base_T_laser is None]
@@ -248,14 +232,14 @@ def _with_motion(log: Log, survey: Survey, odom: str, extrinsic: Pose | None, *,
     """Add mounting and odometry, and what there is to warn about time."""
     warnings = [*log.warnings, *_scan_warnings(log)]
     laser = frame_name((log._merged or (log,))[0].frame_id)  # noqa: SLF001  the log is made here
-    track = survey.odometry.choose(
-        odom, warnings.append, lambda base: bool(base) and survey.frames.find(base, laser) is not None
+    track = survey.motion.odometry.choose(
+        odom, warnings.append, lambda base: bool(base) and survey.motion.frames.find(base, laser) is not None
     )
-    bases = [track.base_frame] if track and track.base_frame else survey.frames.bases(laser)
+    bases = [track.base_frame] if track and track.base_frame else survey.motion.frames.bases(laser)
     place, of_mounting = len(warnings), list[str]()
-    mounted = mounting(survey.frames, log.frame_id, bases, of_mounting.append)
+    mounted = mounting(survey.motion.frames, log.frame_id, bases, of_mounting.append)
     base_frame, base_T_laser, overhead = mounted or (bases[0] if track else None, None, False)
-    if mounted and not extrinsic and survey.frames.contradicts(mounted.base_frame, laser):
+    if mounted and not extrinsic and survey.motion.frames.contradicts(mounted.base_frame, laser):
         warnings.append(
             f"/tf_static gives several transforms from {base_frame!r} to {log.frame_id!r}; the last is used: see what "
             "publishes them, or give the mounting with --extrinsic x,y,yaw"
@@ -274,20 +258,20 @@ def _with_motion(log: Log, survey: Survey, odom: str, extrinsic: Pose | None, *,
     odometry = _odometry(track, log, base_frame, base_T_laser, warnings.append) if track else None
     upside_down = upside_down or (overhead and extrinsic is None)
     attitude = laser_attitude(
-        survey.attitudes.sources(survey.imus, survey.topics),
-        survey.frames,
+        survey.motion.attitudes.sources(survey.motion.imus, survey.topics),
+        survey.motion.frames,
         log.frame_id,
         log.mounting.stamps_ns,
         log.stamp_source,
-        named=survey.attitudes.is_named,
+        named=survey.motion.attitudes.is_named,
         upside_down=upside_down,
         warn=warnings.append,
     )
     if attitude is None:  # else a tilted mounting is levelled as well
         warnings[place:place] = of_mounting
     imu = _imu(log, survey, odom, warnings.append)
-    known = survey.truth.choose(survey.topics)
-    sources = (log.stamp_source, log.frame_id, survey.frames, base_T_laser, extrinsic, warnings.append)
+    known = survey.motion.truth.choose(survey.topics)
+    sources = (log.stamp_source, log.frame_id, survey.motion.frames, base_T_laser, extrinsic, warnings.append)
     log = replace(
         log,
         truth=laser_truth(known, *sources) if known else None,
@@ -325,7 +309,7 @@ def _odometry(
 def _imu(log: Log, survey: Survey, odom: str, warn: Callable[[str], None]) -> Imu | None:
     """Return the inertial sensor of a log, seen at mid-sweep; None without one."""
     half_sweep_ns = round(0.5 * log.sensor.sweep_s / NS)
-    imu = survey.imus.choose(odom, log.stamp_source, half_sweep_ns, warn)
+    imu = survey.motion.imus.choose(odom, log.stamp_source, half_sweep_ns, warn)
     if imu and not _share_time(imu.rotation.stamps_ns, log):
         warn(f"{imu.topic}: inertial sensor and scans share no time; it is not used, check its clock")
         return None

@@ -68,5 +68,5 @@ def no_usable(survey: Survey, name: str, scans: TopicScans, timeline: Timeline) 
     if any(end is not None for end in survey.window_s) and len(stamps_ns := scans.timeline().stamps_ns):
         hint = f"; the scans last {(stamps_ns[-1] - stamps_ns[0]) * NS:.1f} s: check --start and --end"
     elif scans.refused["no_valid_beam"] * 2 > scans.total:
-        hint = f"; {scans.invalid}"
+        hint = f"; {scans.scan_filter.invalid}"
     return f"{survey.path}: none of the {scans.total} scans on {name} is usable ({reasons}){hint}"
