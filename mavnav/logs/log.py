@@ -143,6 +143,10 @@ class Log(Struct, frozen=True, eq=False, kw_only=True):
         """Whether the scans are read at once, and kept."""
         return 8 * self.sensor.beams * len(self._order) <= KEPT_BYTES
 
+    def shares_time(self, stamps_ns: NDArray[np.int64]) -> bool:
+        """Return whether some time between the first stamp and the last, (n,), is one of the scans."""
+        return len(stamps_ns) > 0 and bool(stamps_ns[0] <= self.last_ns and stamps_ns[-1] >= self.first_ns)
+
     def __iter__(self) -> Iterator[Scan]:
         """Read the usable scans, as `scans` does."""
         return self.scans()

@@ -10,6 +10,7 @@ from msgspec import Struct, field
 
 from mavnav.errors import TopicError
 from mavnav.logs.messages.definitions import POSE, TRANSFORM
+from mavnav.logs.records import Odometry
 from mavnav.logs.stamps import Stamps, in_order
 from mavnav.logs.transforms import frame_name, planar_pose
 from mavnav.pose import Pose, Trajectory, motions
@@ -18,6 +19,7 @@ from mavnav.units import NS
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from mavnav.logs.log import Log
     from mavnav.logs.messages.records import TransformMessage
     from mavnav.logs.records import Channel
     from mavnav.logs.stamps import StampSource
@@ -64,7 +66,7 @@ class OdometryTrack(PoseTrack):
     source: Literal["odom", "tf"] = "odom"
 
 
-def jump(odom_T_base: Trajectory) -> str:
+def _jump(odom_T_base: Trajectory) -> str:
     """Return where the odometry moves farther than any vehicle; empty where it does not."""
     step_m = np.hypot(*np.diff(odom_T_base.xyyaw[:, :2], axis=0).T)
     (far,) = (step_m > _JUMP_M + _FASTEST_M_S * NS * np.diff(odom_T_base.stamps_ns)).nonzero()
@@ -74,7 +76,7 @@ def jump(odom_T_base: Trajectory) -> str:
     return f"jumps by {step_m[far[0]]:.3g} m, {since_s:.3f} s after its start"
 
 
-def without_resets(odom_T_base: Trajectory, topic: str, warn: Callable[[str], None]) -> Trajectory:
+def _without_resets(odom_T_base: Trajectory, topic: str, warn: Callable[[str], None]) -> Trajectory:
     """Return the odometry without single steps that no wheels make: it was reset there, or a pose is wrong.
 
     The step before takes the place of each. Odometry with many such steps stays as it is.
@@ -175,3 +177,23 @@ class OdometryTracks(Struct):
         """Return the track of the laser's vehicle, of several the one with the most poses."""
         rank = {child: (leads_to_laser(child), len(track.stamps)) for child, track in self.transforms.items()}
         return self.transforms[max(rank, key=rank.__getitem__)] if rank else None
+
+
+def laser_odometry(
+    track: OdometryTrack, log: Log, base_frame: str | None, base_T_laser: Pose | None, warn: Callable[[str], None]
+) -> Odometry | None:
+    """Return the odometry of a track, without resets; None, with a warning, where it does not fit the scans."""
+    odom_T_base = track.trajectory(log.stamp_source, warn)
+    if not len(odom_T_base):
+        return None
+    if not log.shares_time(odom_T_base.stamps_ns):
+        warn(f"{track.topic}: odometry and scans share no time; it is not used, check its clock")
+        return None
+    if text := _jump(odom_T_base):
+        warn(f"{track.topic}: the odometry {text}; it is not used, check it or write --odom off")
+        return None
+    if base_T_laser is None:
+        text = f"no transform from {base_frame!r} to {log.frame_id!r}; the odometry is taken as the laser's own"
+        warn(f"{text} (give the mounting with --extrinsic x,y,yaw)")
+    odom_T_base = _without_resets(odom_T_base, track.topic, warn)
+    return Odometry(track.topic, track.source, odom_T_base, odom_T_base.compose(base_T_laser or Pose()))

@@ -14,7 +14,7 @@ from mavnav.errors import MavnavError
 from mavnav.logs.attitude import AttitudeTracks
 from mavnav.logs.content import check_file, check_window, size_and_sha256, unreadable
 from mavnav.logs.formats import detect
-from mavnav.logs.imu import ImuTracks
+from mavnav.logs.imu import ImuTrack
 from mavnav.logs.messages.decode import decoder, is_laser, scan_topic
 from mavnav.logs.messages.definitions import IMU, ODOMETRY, POSE
 from mavnav.logs.messages.other_scans import OTHER_TYPES
@@ -60,7 +60,7 @@ class Motion(Struct):
     odometry: OdometryTracks
     truth: TruthTracks
     attitudes: AttitudeTracks
-    imus: ImuTracks = field(default_factory=ImuTracks)
+    imus: dict[str, ImuTrack] = field(default_factory=dict)
     frames: FrameTree = field(default_factory=FrameTree)
 
     def takes(self, channel: Channel) -> bool:
@@ -74,7 +74,9 @@ class Motion(Struct):
         if self.truth.takes(channel):
             self.truth.add(channel.topic, decoded[0], log_ns)
         elif channel.type == IMU:
-            self.imus.add(channel.topic, decoded, log_ns)
+            if channel.topic not in self.imus:
+                self.imus[channel.topic] = ImuTrack(channel.topic, decoded.frame_id)
+            self.imus[channel.topic].add(decoded, log_ns)
         elif channel.type == ODOMETRY or self.odometry.takes(channel):
             self.odometry.add_odometry(channel.topic, decoded[0], log_ns)
         elif channel.type != POSE:

@@ -17,9 +17,9 @@ from mavnav.pose import Pose
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
+    from mavnav.logs.log import Log
     from mavnav.logs.messages.records import TransformMessage
     from mavnav.logs.records import Channel, Topic
-    from mavnav.logs.stamps import StampSource
     from mavnav.logs.transforms import FrameTree
 
 AUTO: Final = "auto"
@@ -68,17 +68,14 @@ class TruthTracks(Struct):
             names = ", ".join(f"{name} ({len(track.stamps)})" for name, track in tracks.items())
             raise TopicError(f"several ground truth topics: {names}; choose one with --truth topic:NAME")
         poses = ", ".join(f"{t.name} ({t.type}, {t.count})" for t in topics if t.type in TYPES) or "none"
-        if self.wanted == AUTO:
-            missing = "no topic is named like a ground truth"
-        else:
-            missing = f"no ground truth on topic {self.wanted!r}"
+        on = f"no ground truth on topic {self.wanted!r}"
+        missing = "no topic is named like a ground truth" if self.wanted == AUTO else on
         raise TopicError(f"{missing}; topics with poses: {poses}; give --truth topic:NAME, or a file")
 
 
 def laser_truth(
     track: PoseTrack,
-    stamp_source: StampSource,
-    laser_frame: str,
+    log: Log,
     frames: FrameTree,
     base_T_laser: Pose | None,
     extrinsic: Pose | None,
@@ -90,13 +87,13 @@ def laser_truth(
     ``extrinsic``, else by the transforms from the body's frame, else like the base of the log. Without any of them the
     poses are taken as the laser's own, with a warning.
     """
-    body_T_laser = Pose() if track.base_frame and track.base_frame == frame_name(laser_frame) else extrinsic
+    body_T_laser = Pose() if track.base_frame and track.base_frame == frame_name(log.frame_id) else extrinsic
     if body_T_laser is None and track.base_frame:
-        mounted = mounting(frames, laser_frame, [track.base_frame], warn)
+        mounted = mounting(frames, log.frame_id, [track.base_frame], warn)
         body_T_laser = mounted.base_T_laser if mounted else None
     body_T_laser = body_T_laser or base_T_laser
     if body_T_laser is None:
-        text = f"no mounting of {laser_frame!r} is known; the ground truth is taken as the laser's own"
+        text = f"no mounting of {log.frame_id!r} is known; the ground truth is taken as the laser's own"
         warn(f"{track.topic}: {text} (give the mounting with --extrinsic x,y,yaw)")
-    world_T_laser = track.trajectory(stamp_source, warn).compose(body_T_laser or Pose())
+    world_T_laser = track.trajectory(log.stamp_source, warn).compose(body_T_laser or Pose())
     return RecordedTruth(track.topic, track.base_frame or None, world_T_laser)
