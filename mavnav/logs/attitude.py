@@ -111,10 +111,9 @@ def _no_attitude(wanted: str, topics: Iterable[Topic]) -> str:
 
 
 def _of_poses(track: AttitudeTrack) -> TopicAttitude:
-    numbers = np.array(track.numbers, np.float64).reshape(-1, 5)
+    xyzw, height_m = np.split(np.array(track.numbers, np.float64).reshape(-1, 5), [4], axis=1)
     kind: Literal["pose", "odom"] = "odom" if track.body_frame else "pose"
-    ups = ups_of_quaternions(numbers[:, :4])
-    return TopicAttitude(track.topic, kind, track.body_frame, track.stamps, ups, numbers[:, 4])
+    return TopicAttitude(track.topic, kind, track.body_frame, track.stamps, ups_of_quaternions(xyzw), height_m[:, 0])
 
 
 def _of_imu(track: ImuTrack) -> TopicAttitude:

@@ -15,13 +15,12 @@ from mavnav.logs.log import Log
 from mavnav.logs.merging import FRAME, partners, virtual_laser
 from mavnav.logs.messages.decode import LASER_TYPES, scan_topics
 from mavnav.logs.messages.other_scans import OTHER_TYPES
-from mavnav.logs.odometry import laser_odometry
 from mavnav.logs.preprocessing import KINDS
 from mavnav.logs.records import ScanCounts
 from mavnav.logs.stamps import REPEATED_SHARE, comes_in_bursts, period_and_gaps
 from mavnav.logs.survey import Survey, survey
+from mavnav.logs.trajectories import laser_odometry, laser_truth
 from mavnav.logs.transforms import frame_name, mounting
-from mavnav.logs.truth import laser_truth
 from mavnav.pose import Pose
 from mavnav.units import NS
 
@@ -177,19 +176,16 @@ def _no_scans(survey: Survey) -> str:
         return f"{survey.path}: no usable scans; {reason.what} ({reason.where})"
     others = [t.name for t in survey.topics if t.type in OTHER_TYPES and t.count]
     if others:
-        return (
-            f"{survey.path}: no LaserScan messages; choose the messages to take scans from with --topic: "
-            f"{_some(others)}"
-        )
+        advice = f"choose the messages to take scans from with --topic: {_some(others)}"
+        return f"{survey.path}: no LaserScan messages; {advice}"
     kinds = [f"{t.name} ({t.type or 'no type'} in {t.encoding or 'no encoding'}, {t.count})" for t in survey.topics]
     return f"{survey.path}: no LaserScan messages; topics here: {_some(kinds) or 'none'}"
 
 
 def _no_usable(survey: Survey, name: str, scans: TopicScans, timeline: Timeline) -> str:
     """Say why none of a topic's scans is usable."""
-    reasons = ", ".join(
-        f"{count} {reason.replace('_', ' ')}" for reason, count in (scans.refused + timeline.skipped).items()
-    )
+    skipped = scans.refused + timeline.skipped
+    reasons = ", ".join(f"{count} {reason.replace('_', ' ')}" for reason, count in skipped.items())
     hint = ""
     if any(end is not None for end in survey.window_s) and len(stamps_ns := scans.timeline().stamps_ns):
         hint = f"; the scans last {(stamps_ns[-1] - stamps_ns[0]) * NS:.1f} s: check --start and --end"
@@ -225,10 +221,8 @@ def _multi_laser_log(survey: Survey, topics: list[str], odom: str, extrinsic: Po
         _kept=[],
     )
     warnings = [*(text for log in logs for text in log.warnings), *_unpaired_warnings(logs)]
-    log = _with_motion(log, survey, odom, Pose())
-    return replace(
-        log, base_frame=first.base_frame, mounting_source="tf_static", warnings=tuple(dict.fromkeys(warnings))
-    )
+    log = replace(_with_motion(log, survey, odom, Pose()), warnings=tuple(dict.fromkeys(warnings)))
+    return replace(log, base_frame=first.base_frame, mounting_source="tf_static")
 
 
 def _same_window(survey: Survey, first: str, topic: str) -> Survey:
@@ -243,13 +237,9 @@ def _same_window(survey: Survey, first: str, topic: str) -> Survey:
         return survey
     later_s, half_s = int(stamps_ns[0] - others_ns[0]) * NS, 0.5 * period_and_gaps(stamps_ns)[0]
     start_s, end_s = survey.window_s
-    return replace(
-        survey,
-        window_s=(
-            None if start_s is None else start_s + later_s - half_s,
-            None if end_s is None else end_s + later_s + half_s,
-        ),
-    )
+    start_s = None if start_s is None else start_s + later_s - half_s
+    end_s = None if end_s is None else end_s + later_s + half_s
+    return replace(survey, window_s=(start_s, end_s))
 
 
 def _unpaired_warnings(lasers: Sequence[Log]) -> list[str]:
@@ -300,14 +290,11 @@ def _with_motion(log: Log, survey: Survey, odom: str, extrinsic: Pose | None, *,
             "publishes them, or give the mounting with --extrinsic x,y,yaw"
         )
     if overhead and not upside_down:
-        done = (
-            "used as recorded, as --extrinsic knows the plane alone"
-            if extrinsic
-            else "turned over (not with --extrinsic x,y,yaw)"
-        )
-        warnings.append(
-            f"the transforms say that the laser ({log.frame_id}) is mounted upside down; its scans are {done}"
-        )
+        done = "turned over (not with --extrinsic x,y,yaw)"
+        if extrinsic:
+            done = "used as recorded, as --extrinsic knows the plane alone"
+        text = f"the transforms say that the laser ({log.frame_id}) is mounted upside down"
+        warnings.append(f"{text}; its scans are {done}")
     base_T_laser = extrinsic or base_T_laser
     odometry = laser_odometry(track, log, base_frame, base_T_laser, warnings.append) if track else None
     log = replace(log, upside_down=upside_down or (overhead and extrinsic is None))

@@ -179,16 +179,9 @@ class ScanFilter:
 
     def _make_spec(self, message: LaserMessage) -> LaserSpec:
         self._check(message)
-        low, high = _limits(message)
-        return LaserSpec(
-            message.angle_min_rad,
-            message.angle_step_rad,
-            len(message.ranges_m),
-            low,
-            high,
-            self._time_increment_s(message),
-            _finite_or_zero(message.scan_time_s),
-        )
+        geometry = (message.angle_min_rad, message.angle_step_rad, len(message.ranges_m))
+        times = (self._time_increment_s(message), _finite_or_zero(message.scan_time_s))
+        return LaserSpec(*geometry, *_limits(message), *times)
 
     def _time_increment_s(self, message: LaserMessage) -> float:
         """Return the time between two beams; 0 if the message gives none, or an impossible one."""

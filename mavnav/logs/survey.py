@@ -19,13 +19,12 @@ from mavnav.logs.messages.decode import decoder, is_laser, scan_topic
 from mavnav.logs.messages.definitions import IMU, ODOMETRY, POSE
 from mavnav.logs.messages.other_scans import OTHER_TYPES
 from mavnav.logs.messages.records import DecodeError
-from mavnav.logs.odometry import OdometryTracks
 from mavnav.logs.preprocessing import ScanFilter
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel, Damage, RawMessage, Topic
 from mavnav.logs.stamps import TopicScans
+from mavnav.logs.trajectories import OdometryTracks, TruthTracks
 from mavnav.logs.transforms import FrameTree
-from mavnav.logs.truth import TruthTracks
 from mavnav.profiling import timed
 
 if TYPE_CHECKING:

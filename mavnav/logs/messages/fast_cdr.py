@@ -153,8 +153,7 @@ class _CdrFields(Struct):
         """Read a header, the child frame if there is one, and the pose of the child."""
         stamp_ns = self.stamp_ns()
         parent, name = self.text(), self.text() if child else ""
-        x, y, z, *turn = self.doubles(7)
-        qx, qy, qz, qw = turn
+        x, y, z, qx, qy, qz, qw = self.doubles(7)
         return TransformMessage(stamp_ns, parent, name, (x, y, z), (qx, qy, qz, qw))
 
     def stamp_ns(self) -> int:

@@ -110,13 +110,10 @@ def _message_class(channel: Channel) -> Any:  # noqa: ANN401  (generated at run 
 def _check_fields(descriptor: Any, wanted: _Kinds, above: str) -> None:  # noqa: ANN401
     """Raise TypeError with the name of a field that is missing or has an unsupported type."""
     for name, kinds in wanted.items():
-        kind, field = _kind(descriptor, name), f"field {above}{name}"
-        if not isinstance(kinds, dict):
-            if kind not in kinds:
-                raise TypeError(f"{field} is {kind}, it should be {kinds[0]}")
-        elif kind != "message":
-            raise TypeError(f"{field} is {kind}, it should be a message")
-        else:
+        kind, nested = _kind(descriptor, name), isinstance(kinds, dict)
+        if kind not in (("message",) if nested else kinds):
+            raise TypeError(f"field {above}{name} is {kind}, it should be {'a message' if nested else kinds[0]}")
+        if nested:
             _check_fields(descriptor.fields_by_name[name].message_type, kinds, f"{above}{name}.")
 
 

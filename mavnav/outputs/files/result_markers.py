@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.logs.messages.markers import LINE_LIST, LINE_STRIP, TEXT, Marker
+from mavnav.logs.messages.cdr import LINE_LIST, LINE_STRIP, TEXT, Marker
 from mavnav.slam.result import doubtful_parts
 from mavnav.units import DEG, NS
 
