@@ -93,3 +93,12 @@ def test_a_scan_of_more_than_a_second_of_nanoseconds_is_one_if_its_type_says_so(
     scan = decoder(Channel("/scan", SCAN, encoding))(bytes(data))
     stamp = _deserialize(bytes(data), encoding, SCAN).header.stamp
     assert scan.stamp_ns == stamp.sec * 10**9 + 2_000_000_001
+
+
+def test_a_transform_of_ros1_may_be_later_than_2038() -> None:
+    types = store(1)
+    one = build(next(message for message in MESSAGES if message.type == TF), 1).transforms[0]
+    data = bytearray(types.serialize_ros1(one, TRANSFORM))
+    data[4:8] = (2**31 + 5).to_bytes(4, "little")  # seconds after the sequence number, without a sign in ROS 1
+    (found,) = decoder(Channel("/t", TRANSFORM, "ros1"), poses=True)(bytes(data))
+    assert found.stamp_ns // 10**9 == 2**31 + 5
