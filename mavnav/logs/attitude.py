@@ -1,8 +1,9 @@
-"""Tilt and height of bodies in a log: collected in one pass, for `levelling` to choose from."""
+"""Tilt and height of bodies in a log: collected in one pass, then the best source checked and brought to the laser."""
 
 from __future__ import annotations
 
 from array import array
+from math import pi
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import numpy as np
@@ -10,19 +11,23 @@ from msgspec import Struct, field
 
 from mavnav.errors import TopicError
 from mavnav.logs.imu import usual_topic
+from mavnav.logs.levelling import MOST_RAD, RecordedAttitude
 from mavnav.logs.messages.definitions import IMU, ODOMETRY, POSE
-from mavnav.logs.stamps import Stamps
+from mavnav.logs.stamps import Stamps, in_order
 from mavnav.logs.transforms import frame_name
 from mavnav.pose import ups_of_quaternions
+from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable, Iterator
 
     from numpy.typing import NDArray
 
-    from mavnav.logs.imu import ImuTracks
+    from mavnav.logs.imu import ImuTrack
+    from mavnav.logs.log import Log
     from mavnav.logs.messages.records import TransformMessage
     from mavnav.logs.records import Channel, Topic
+    from mavnav.logs.transforms import FrameTree
 
     Floats = NDArray[np.float64]
 
@@ -30,6 +35,9 @@ NAME: Final = "attitude"
 """The topic that ``auto`` uses however little the laser tilts."""
 
 TYPES: Final = frozenset({POSE, ODOMETRY, IMU})
+
+LEAST_RAD, LEAST_SHARE = 5 * DEG, 0.1
+"""Sensors of other names are used if so much of the time the laser tilts by more than this from how it usually is."""
 
 
 class AttitudeTrack(Struct):
@@ -39,11 +47,6 @@ class AttitudeTrack(Struct):
     body_frame: str
     stamps: Stamps = field(default_factory=Stamps)
     numbers: array[float] = field(default_factory=lambda: array("f"))
-
-    def add(self, message: TransformMessage, log_ns: int) -> None:
-        """Take in one pose."""
-        self.stamps.add(message.stamp_ns, log_ns)
-        self.numbers.extend((*message.xyzw, message.xyz[2]))
 
 
 class TopicAttitude(NamedTuple):
@@ -57,12 +60,11 @@ class TopicAttitude(NamedTuple):
     height_m: Floats
 
 
-class AttitudeTracks:
+class AttitudeTracks(Struct):
     """All attitudes of a log by topic, but those of inertial sensors; ``wanted`` is auto, off, or a topic."""
 
-    def __init__(self, wanted: str = "auto") -> None:
-        self.wanted = wanted
-        self.topics: dict[str, AttitudeTrack] = {}
+    wanted: str = "auto"
+    topics: dict[str, AttitudeTrack] = field(default_factory=dict)
 
     @property
     def is_named(self) -> bool:
@@ -78,19 +80,21 @@ class AttitudeTracks:
 
     def add(self, topic: str, message: TransformMessage, log_ns: int) -> None:
         """Take in a pose."""
-        if topic not in self.topics:
-            self.topics[topic] = AttitudeTrack(topic, frame_name(message.child))
-        self.topics[topic].add(message, log_ns)
+        track = self.topics.get(topic)
+        if track is None:
+            track = self.topics[topic] = AttitudeTrack(topic, frame_name(message.child))
+        track.stamps.add(message.stamp_ns, log_ns)
+        track.numbers.extend((*message.xyzw, message.xyz[2]))
 
-    def sources(self, imus: ImuTracks, topics: Iterable[Topic]) -> list[TopicAttitude]:
+    def sources(self, imus: dict[str, ImuTrack], topics: Iterable[Topic]) -> list[TopicAttitude]:
         """Return what can be used, the best first; raises TopicError where the named topic holds no attitude."""
         if self.wanted == "off":
             return []
         wanted = frame_name(self.wanted if self.is_named else NAME)
         poses = sorted(self.topics.values(), key=lambda track: frame_name(track.topic) != wanted)
         sources = [_of_poses(track) for track in poses]
-        imu = usual_topic([name for name in imus.topics if not self.is_named or frame_name(name) == wanted])
-        sources += [] if imu is None else [_of_imu(imus, imu)]
+        imu = usual_topic([name for name in imus if not self.is_named or frame_name(name) == wanted])
+        sources += [] if imu is None else [_of_imu(imus[imu])]
         if self.is_named and not sources:
             raise TopicError(_no_attitude(self.wanted, topics))
         return sources
@@ -107,14 +111,123 @@ def _no_attitude(wanted: str, topics: Iterable[Topic]) -> str:
 
 
 def _of_poses(track: AttitudeTrack) -> TopicAttitude:
-    numbers = np.array(track.numbers, np.float64).reshape(-1, 5)
+    xyzw, height_m = np.split(np.array(track.numbers, np.float64).reshape(-1, 5), [4], axis=1)
     kind: Literal["pose", "odom"] = "odom" if track.body_frame else "pose"
-    ups = ups_of_quaternions(numbers[:, :4])
-    return TopicAttitude(track.topic, kind, track.body_frame, track.stamps, ups, numbers[:, 4])
+    return TopicAttitude(track.topic, kind, track.body_frame, track.stamps, ups_of_quaternions(xyzw), height_m[:, 0])
 
 
-def _of_imu(imus: ImuTracks, topic: str) -> TopicAttitude:
-    track = imus.topics[topic]
+def _of_imu(track: ImuTrack) -> TopicAttitude:
     ups = ups_of_quaternions(np.array(track.numbers, np.float64).reshape(-1, 10)[:, 6:])
     unknown = np.full(len(ups), np.nan)
-    return TopicAttitude(topic, "imu", frame_name(track.frame_id), track.stamps, ups, unknown)
+    return TopicAttitude(track.topic, "imu", frame_name(track.frame_id), track.stamps, ups, unknown)
+
+
+def laser_attitude(
+    tracks: AttitudeTracks, imus: dict[str, ImuTrack], frames: FrameTree, log: Log, warn: Callable[[str], None]
+) -> RecordedAttitude | None:
+    """Return the attitude of the laser of ``log`` from the first source that can be used; None without any.
+
+    Poses (PoseStamped) are those of the laser. Orientations of another frame are brought to the laser by the static
+    transforms, without which only a topic that the user names is used. Scans without an attitude, and what else is
+    odd, are reported to ``warn``.
+
+    Raises
+    ------
+    TopicError
+        The named topic holds nothing that can be used.
+    """
+    stamps_ns, laser_frame = log.mounting.stamps_ns, frame_name(log.frame_id)
+    for source in tracks.sources(imus, log.topics):
+        body_T_laser = _mounting(source, frames, laser_frame)
+        left_out: list[str] = []
+        mounted = np.eye(4) if body_T_laser is None else body_T_laser
+        attitude = _recorded_attitude(source, mounted, log, left_out.append)
+        wanted = tracks.is_named or frame_name(source.topic) == NAME
+        if not wanted and not _tilts(attitude):
+            continue
+        if body_T_laser is None:
+            text = f"{source.topic}: no transform from {source.body_frame!r} to {laser_frame!r}"
+            if not wanted:
+                warn(f"{text}; its tilt is not used (record /tf_static, or give --attitude {source.topic})")
+                continue
+            warn(f"{text}; their axes are taken as parallel")
+        problem = _problem(attitude, stamps_ns)
+        if problem and tracks.is_named:
+            raise TopicError(f"{source.topic}: {problem}, or write --attitude off")
+        for text in [f"{problem}; it is not used"] if problem else _oddities(source, attitude, stamps_ns):
+            warn(f"{source.topic}: {text}")
+        for text in left_out:
+            warn(text)
+        return None if problem else attitude
+    return None
+
+
+def _mounting(source: TopicAttitude, frames: FrameTree, laser_frame: str) -> NDArray[np.floating] | None:
+    if source.kind == "pose" or source.body_frame == laser_frame:
+        return np.eye(4)
+    return frames.find(source.body_frame, laser_frame)
+
+
+def _recorded_attitude(
+    source: TopicAttitude, body_T_laser: NDArray[np.floating], log: Log, warn: Callable[[str], None]
+) -> RecordedAttitude:
+    """Return the attitude of the laser, as seen from above, without messages that are not finite or not in order."""
+    finite = _finite(source)
+    stamps_ns, recorded_ns = (each[finite] for each in source.stamps.by(log.stamp_source))
+    order = in_order(stamps_ns, recorded_ns, source.topic, warn)
+    stamps_ns, ups, height_m = stamps_ns[order], source.ups[finite][order], source.height_m[finite][order]
+    height_m = height_m + ups @ body_T_laser[:3, 3]
+    if len(height_m) and height_m.min() <= 0.0:
+        height_m = np.full(len(height_m), np.nan)
+    x, y, z = (ups @ body_T_laser[:3, :3]).T
+    if log.upside_down and source.kind != "pose":
+        y, z = -y, -z
+    return RecordedAttitude(
+        source.topic, source.kind, stamps_ns, np.arctan2(y, z), -np.arcsin(np.clip(x, -1.0, 1.0)), height_m
+    )
+
+
+def _tilts(attitude: RecordedAttitude) -> bool:
+    """Return whether the laser tilts often and by much from how it usually is."""
+    if not len(attitude.stamps_ns):
+        return False
+    off = [(v - np.median(v) + pi) % (2 * pi) - pi for v in (attitude.roll_rad, attitude.pitch_rad)]
+    return float((np.hypot(*off) > LEAST_RAD).mean()) >= LEAST_SHARE
+
+
+def _problem(attitude: RecordedAttitude, stamps_ns: NDArray[np.int64]) -> str:
+    """Return why an attitude cannot be used at all; empty if it can."""
+    if not len(attitude.stamps_ns):
+        return "no attitude in it is finite; see what publishes it"
+    known = attitude.known_at(stamps_ns)
+    if not known.any():
+        return "attitude and scans share no time; check its clock"
+    if (attitude.tilts_at(stamps_ns[known]) > MOST_RAD).all():
+        return "all scans are tilted by more than 60 deg; check its axes (x forward, z up) and the mounting"
+    return ""
+
+
+def _oddities(source: TopicAttitude, attitude: RecordedAttitude, stamps_ns: NDArray[np.int64]) -> Iterator[str]:
+    """Say what of an attitude, or of which scans, is not used."""
+    n, known = len(stamps_ns), attitude.known_at(stamps_ns)
+    bad = int((~_finite(source)).sum())
+    if bad:
+        yield f"{bad} of {len(source.ups)} attitudes are not finite; they are left out, see what publishes them"
+    if not known.all():
+        first_s, last_s = ((stamps_ns[~known] - stamps_ns[0]) * NS)[[0, -1]]
+        text = f"{int((~known).sum())} of {n} scans, from {first_s:.1f} to {last_s:.1f} s, have no attitude in 0.5 s"
+        yield f"{text}; they are not used: record it for the whole log, or cut the log with --start and --end"
+    tilts_rad = attitude.tilts_at(stamps_ns[known])
+    if (steep := tilts_rad > MOST_RAD).any():
+        text = (
+            f"{int(steep.sum())} of {n} scans are tilted by more than 60 deg, by up to {tilts_rad.max() / DEG:.0f} deg"
+        )
+        yield f"{text}; they are not used, check its axes (x forward, z up) and the mounting"
+    if source.kind != "imu" and not attitude.has_heights:
+        yield "the heights (position.z) are not all above the floor; they are not used, and there are no slices"
+
+
+def _finite(source: TopicAttitude) -> NDArray[np.bool_]:
+    """Return which attitudes are finite, (n,); an inertial sensor knows no height."""
+    known = np.isfinite(source.ups).all(axis=1)
+    return np.asarray(known if source.kind == "imu" else known & np.isfinite(source.height_m))

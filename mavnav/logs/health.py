@@ -83,14 +83,9 @@ def sensor_health(log: Log, far_m: float = inf) -> SensorHealth:
     sectors = _sectors(seen.covered & ~seen.returned) if len(seen.valid) >= SECTOR_SCANS else []
     usual = float(np.median(seen.valid)) if len(seen.valid) else 0.0
     findings = [
-        *_sparse(share, usual),
-        *_partial_scans(partial, seen.stamps_ns),
-        *_dead_sectors(sectors),
-        *_repeated_scans(log),
-        *_saturation(seen.largest_m, len(seen.valid)),
-        *_far(seen, far_m),
-        *_rate(log),
-        *_stamps(log, jitter),
+        *_missing_returns(share, usual, partial, sectors, seen.stamps_ns),
+        *_odd_returns(log, seen, far_m),
+        *_times(log, jitter),
     ]
     return SensorHealth(
         healthy=not findings,
@@ -174,16 +169,19 @@ def _sectors(dead: NDArray[np.bool_]) -> list[tuple[float, float]]:
     return [(float(a % 360), float(a % 360 + b - a)) for a, b in pairs if b - a >= SECTOR_DEG]
 
 
-def _sparse(share: float, median: float) -> Iterator[Finding]:
+def _missing_returns(
+    share: float,
+    median: float,
+    partial: NDArray[np.intp],
+    sectors: list[tuple[float, float]],
+    stamps_ns: NDArray[np.int64],
+) -> Iterator[Finding]:
     if share < LEAST_SHARE or median < LEAST_BEAMS:
         yield Finding(
             "sparse",
             f"{100 * share:.0f} % of the beams are valid, {median:.0f} a scan in the median",
             "clean the window, see that walls are in range, and check range_min and range_max; turn slowly",
         )
-
-
-def _partial_scans(partial: NDArray[np.intp], stamps_ns: NDArray[np.int64]) -> Iterator[Finding]:
     early = partial[partial < FIRST_SCANS]
     if len(early) or len(partial) > SOME_SHARE * len(stamps_ns):
         where = ", at the beginning" if len(early) == len(partial) else ""
@@ -196,9 +194,6 @@ def _partial_scans(partial: NDArray[np.intp], stamps_ns: NDArray[np.int64]) -> I
             if len(early)
             else "keep the view of the laser free, and check its power and cable",
         )
-
-
-def _dead_sectors(sectors: list[tuple[float, float]]) -> Iterator[Finding]:
     if sectors:
         where = ", ".join(f"{a:.0f} to {b:.0f} deg" for a, b in sectors[:4]) + ", ..." * (len(sectors) > 4)
         yield Finding(
@@ -208,29 +203,21 @@ def _dead_sectors(sectors: list[tuple[float, float]]) -> Iterator[Finding]:
         )
 
 
-def _repeated_scans(log: Log) -> Iterator[Finding]:
-    repeated, usable = log.counts.repeated, log.counts.usable
+def _odd_returns(log: Log, seen: _Seen, far_m: float) -> Iterator[Finding]:
+    repeated, usable, scans = log.counts.repeated, log.counts.usable, len(seen.valid)
     if repeated > REPEATED_SHARE * usable:
         yield Finding(
             "repeated",
             f"{repeated} of {usable} scans equal the one before",
             "check the driver: it publishes old scans, or faster than the laser turns",
         )
-
-
-def _saturation(largest_m: Counter[float], scans: int) -> Iterator[Finding]:
-    if scans < SECTOR_SCANS or not largest_m:
-        return
-    ((range_m, count),) = largest_m.most_common(1)
-    if count > SAME_SCANS * scans:
+    range_m, count = next(iter(seen.largest_m.most_common(1)), (0.0, 0))
+    if scans >= SECTOR_SCANS and count > SAME_SCANS * scans:
         yield Finding(
             "saturated",
             f"in {count} of {scans} scans many beams have the same largest range, {range_m:g} m",
             f"if that stands for no return, replay with --set robust.far_mm={1e3 * range_m - 1.0:g}",
         )
-
-
-def _far(seen: _Seen, far_m: float) -> Iterator[Finding]:
     share = seen.far / max(int(seen.valid.sum()), 1)
     if share > FAR_SHARE:
         beyond = f"farther than {far_m:g} m, up to {seen.farthest_m:.0f} m"
@@ -241,7 +228,7 @@ def _far(seen: _Seen, far_m: float) -> Iterator[Finding]:
         )
 
 
-def _rate(log: Log) -> Iterator[Finding]:
+def _times(log: Log, jitter: float) -> Iterator[Finding]:
     if log.gaps:
         longest = max(gap.duration_s for gap in log.gaps)
         yield Finding(
@@ -251,9 +238,6 @@ def _rate(log: Log) -> Iterator[Finding]:
         )
     if log.period_s * SLOW_HZ > 1.0:
         yield Finding("slow", f"only {1.0 / log.period_s:.2f} scans a second", "record odometry, or move slowly")
-
-
-def _stamps(log: Log, jitter: float) -> Iterator[Finding]:
     kinds = ("backward_stamp", "duplicate_stamp", "impossible_stamp")
     odd = {kind: log.counts.skipped[kind] for kind in kinds if log.counts.skipped.get(kind)}
     if odd or log.stamp_source == "log":

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from mavnav.logs.log import Log
     from mavnav.logs.messages.records import ImuMessage
     from mavnav.logs.stamps import StampSource
 
@@ -101,31 +102,20 @@ def usual_topic(names: list[str]) -> str | None:
     return next((name for name in USUAL_NAMES if name in names), names[0] if len(names) == 1 else None)
 
 
-class ImuTracks:
-    """All inertial sensors of a log, by topic."""
+def laser_rotation(tracks: dict[str, ImuTrack], log: Log, odom: str, warn: Callable[[str], None]) -> Imu | None:
+    """Return the sensor to use of those of a log, by topic, at mid-sweep; None without one, or with ``odom`` off.
 
-    def __init__(self) -> None:
-        self.topics: dict[str, ImuTrack] = {}
-
-    def add(self, topic: str, message: ImuMessage, log_ns: int) -> None:
-        """Take in a message."""
-        if topic not in self.topics:
-            self.topics[topic] = ImuTrack(topic, message.frame_id)
-        self.topics[topic].add(message, log_ns)
-
-    def choose(
-        self, odom: str, stamp_source: StampSource, half_sweep_ns: int, warn: Callable[[str], None]
-    ) -> Imu | None:
-        """Return the sensor to use, with its stamps half a sweep earlier; None without one, or with ``odom`` off.
-
-        Of several without a usual name none is used, with a warning.
-        """
-        names = [name for name, track in self.topics.items() if len(track.stamps)]
-        if odom == "off" or not names:
-            return None
-        usual = usual_topic(names)
-        if usual is None:
-            warn(f"several Imu topics, none is used: {', '.join(names)}")
-            return None
-        rotation = self.topics[usual].rotation(stamp_source, half_sweep_ns, warn)
-        return None if rotation is None else Imu(usual, rotation)
+    Of several without a usual name none is used, with a warning.
+    """
+    names = [name for name, track in tracks.items() if len(track.stamps)]
+    if odom == "off" or not names:
+        return None
+    usual = usual_topic(names)
+    if usual is None:
+        warn(f"several Imu topics, none is used: {', '.join(names)}")
+        return None
+    rotation = tracks[usual].rotation(log.stamp_source, round(0.5 * log.sensor.sweep_s / NS), warn)
+    if rotation and not log.shares_time(rotation.stamps_ns):
+        warn(f"{usual}: inertial sensor and scans share no time; it is not used, check its clock")
+        return None
+    return Imu(usual, rotation) if rotation else None

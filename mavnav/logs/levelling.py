@@ -1,29 +1,23 @@
-"""The attitude of the laser by its best source in a log: checked, brought to the laser, and used to level scans."""
+"""The attitude of the laser over time, by which scans are levelled, and the ceiling, where a tilted laser sees it."""
 
 from __future__ import annotations
 
-from math import inf, pi
+from itertools import islice
+from math import inf
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from mavnav.errors import TopicError
-from mavnav.logs.attitude import NAME
-from mavnav.logs.stamps import in_order
-from mavnav.logs.transforms import frame_name
 from mavnav.scan import level_scan
 from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Iterable
 
     from numpy.typing import NDArray
 
-    from mavnav.logs.attitude import TopicAttitude
-    from mavnav.logs.stamps import StampSource
-    from mavnav.logs.transforms import FrameTree
     from mavnav.scan import Scan
 
     Floats = NDArray[np.float64]
@@ -34,8 +28,20 @@ GAP_NS: Final = 500_000_000
 MOST_RAD: Final = 60 * DEG
 """Scans that are tilted by more are not used: their plane meets hardly any wall."""
 
-LEAST_RAD, LEAST_SHARE = 5 * DEG, 0.1
-"""Sensors of other names are used if so much of the time the laser tilts by more than this from how it usually is."""
+MOST_SCANS: Final = 3000
+"""The ceiling, many returns at one height and hardly any above, is sought in the first so many scans."""
+
+LEAST_TILT_RAD: Final = 2 * DEG
+HIGHEST_M: Final = 100.0
+BIN_M: Final = 0.05
+WIDTHS: Final = (1, 2, 4)
+"""Heights are counted in bins of this size, of which a ceiling fills so many, by the noise of the attitude."""
+
+LEAST_RETURNS, TIMES_BELOW, BELOW, SHARE_ABOVE = 100, 2.0, 6, 0.05
+"""A ceiling has so many returns, so many times as dense as in the next bins below, and that share of them above."""
+
+LEAST_SPREAD_RAD: Final = 1.5 * DEG
+"""Standard deviation of the tilts that show it: at one tilt a wall is met at one height, too."""
 
 
 class RecordedAttitude(Struct, frozen=True):
@@ -107,123 +113,42 @@ def _tilts_rad(roll_rad: Floats, pitch_rad: Floats) -> Floats:
     return np.asarray(np.arccos(np.cos(roll_rad) * np.cos(pitch_rad)))
 
 
-def laser_attitude(
-    sources: Iterable[TopicAttitude],
-    frames: FrameTree,
-    laser_frame: str,
-    stamps_ns: NDArray[np.int64],
-    stamp_source: StampSource,
-    *,
-    named: bool,
-    upside_down: bool,
-    warn: Callable[[str], None],
-) -> RecordedAttitude | None:
-    """Return the attitude of the laser from the first source that can be used; None without any.
-
-    Poses (PoseStamped) are those of the laser. Orientations of another frame are brought to the laser by the static
-    transforms, without which only a topic that the user names is used. ``stamps_ns`` (m,) are those of the scans.
-    Scans without an attitude, and what else is odd, are reported to ``warn``.
-
-    Raises
-    ------
-    TopicError
-        The named topic holds nothing that can be used.
-    """
-    for source in sources:
-        body_T_laser = _mounting(source, frames, laser_frame)
-        left_out: list[str] = []
-        mounted = np.eye(4) if body_T_laser is None else body_T_laser
-        attitude = _recorded_attitude(source, mounted, stamp_source, upside_down, left_out.append)
-        wanted = named or frame_name(source.topic) == NAME
-        if not wanted and not _tilts(attitude):
-            continue
-        if body_T_laser is None:
-            text = f"{source.topic}: no transform from {source.body_frame!r} to {frame_name(laser_frame)!r}"
-            if not wanted:
-                warn(f"{text}; its tilt is not used (record /tf_static, or give --attitude {source.topic})")
-                continue
-            warn(f"{text}; their axes are taken as parallel")
-        problem = _problem(attitude, stamps_ns)
-        if problem and named:
-            raise TopicError(f"{source.topic}: {problem}, or write --attitude off")
-        for text in [f"{problem}; it is not used"] if problem else _oddities(source, attitude, stamps_ns):
-            warn(f"{source.topic}: {text}")
-        for text in left_out:
-            warn(text)
-        return None if problem else attitude
-    return None
+def with_ceiling(attitude: RecordedAttitude, scans: Iterable[Scan]) -> RecordedAttitude:
+    """Add the height of the ceiling that scans show, which are not levelled."""
+    return replace(attitude, ceiling_m=ceiling_height_m(scans, attitude)) if attitude.has_heights else attitude
 
 
-def _mounting(source: TopicAttitude, frames: FrameTree, laser_frame: str) -> NDArray[np.floating] | None:
-    if source.kind == "pose" or source.body_frame == frame_name(laser_frame):
-        return np.eye(4)
-    return frames.find(source.body_frame, frame_name(laser_frame))
+def ceiling_height_m(scans: Iterable[Scan], attitude: RecordedAttitude) -> float:
+    """Return the height of the ceiling above the floor, m, from scans that are not levelled; inf if none is seen."""
+    if attitude.tilt_rad.max() < LEAST_TILT_RAD or attitude.height_m.max() > HIGHEST_M:
+        return inf
+    above = [_above(scan, attitude) for scan in islice(scans, MOST_SCANS)]
+    heights_m, tilts_rad = np.concatenate([np.zeros((0, 2)), *above]).T
+    counts = np.bincount((heights_m / BIN_M).astype(np.int64))
+    for width in WIDTHS:
+        peak = _peak(counts, width)
+        if peak:
+            within = np.abs(heights_m / BIN_M - peak + 0.5 * width) <= 0.5 * width
+            return float(heights_m[within].mean()) if tilts_rad[within].std() >= LEAST_SPREAD_RAD else inf
+    return inf
 
 
-def _recorded_attitude(
-    source: TopicAttitude,
-    body_T_laser: NDArray[np.floating],
-    stamp_source: StampSource,
-    upside_down: bool,
-    warn: Callable[[str], None],
-) -> RecordedAttitude:
-    """Return the attitude of the laser, as seen from above, without messages that are not finite or not in order."""
-    finite = _finite(source)
-    stamps_ns, recorded_ns = (each[finite] for each in source.stamps.by(stamp_source))
-    order = in_order(stamps_ns, recorded_ns, source.topic, warn)
-    stamps_ns, ups, height_m = stamps_ns[order], source.ups[finite][order], source.height_m[finite][order]
-    height_m = height_m + ups @ body_T_laser[:3, 3]
-    if len(height_m) and height_m.min() <= 0.0:
-        height_m = np.full(len(height_m), np.nan)
-    x, y, z = (ups @ body_T_laser[:3, :3]).T
-    if upside_down and source.kind != "pose":
-        y, z = -y, -z
-    return RecordedAttitude(
-        source.topic, source.kind, stamps_ns, np.arctan2(y, z), -np.arcsin(np.clip(x, -1.0, 1.0)), height_m
-    )
+def _peak(counts: NDArray[np.int64], width: int) -> int:
+    """Return the end of the highest bins, of a width, that may be a ceiling; 0 if there are none."""
+    for end in range(len(counts), BELOW + width - 1, -1):
+        here, above = int(counts[end - width : end].sum()), int(counts[end:].sum())
+        below = counts[end - width - BELOW : end - width].mean() * width
+        if above > SHARE_ABOVE * max(here, LEAST_RETURNS):
+            return 0
+        if here >= LEAST_RETURNS and here >= TIMES_BELOW * below:
+            return end
+    return 0
 
 
-def _tilts(attitude: RecordedAttitude) -> bool:
-    """Return whether the laser tilts often and by much from how it usually is."""
-    if not len(attitude.stamps_ns):
-        return False
-    off = [(v - np.median(v) + pi) % (2 * pi) - pi for v in (attitude.roll_rad, attitude.pitch_rad)]
-    return float((np.hypot(*off) > LEAST_RAD).mean()) >= LEAST_SHARE
-
-
-def _problem(attitude: RecordedAttitude, stamps_ns: NDArray[np.int64]) -> str:
-    """Return why an attitude cannot be used at all; empty if it can."""
-    if not len(attitude.stamps_ns):
-        return "no attitude in it is finite; see what publishes it"
-    known = attitude.known_at(stamps_ns)
-    if not known.any():
-        return "attitude and scans share no time; check its clock"
-    if (attitude.tilts_at(stamps_ns[known]) > MOST_RAD).all():
-        return "all scans are tilted by more than 60 deg; check its axes (x forward, z up) and the mounting"
-    return ""
-
-
-def _oddities(source: TopicAttitude, attitude: RecordedAttitude, stamps_ns: NDArray[np.int64]) -> Iterator[str]:
-    """Say what of an attitude, or of which scans, is not used."""
-    n, known = len(stamps_ns), attitude.known_at(stamps_ns)
-    bad = int((~_finite(source)).sum())
-    if bad:
-        yield f"{bad} of {len(source.ups)} attitudes are not finite; they are left out, see what publishes them"
-    if not known.all():
-        first_s, last_s = ((stamps_ns[~known] - stamps_ns[0]) * NS)[[0, -1]]
-        text = f"{int((~known).sum())} of {n} scans, from {first_s:.1f} to {last_s:.1f} s, have no attitude in 0.5 s"
-        yield f"{text}; they are not used: record it for the whole log, or cut the log with --start and --end"
-    tilts_rad = attitude.tilts_at(stamps_ns[known])
-    if (steep := tilts_rad > MOST_RAD).any():
-        text = (
-            f"{int(steep.sum())} of {n} scans are tilted by more than 60 deg, by up to {tilts_rad.max() / DEG:.0f} deg"
-        )
-        yield f"{text}; they are not used, check its axes (x forward, z up) and the mounting"
-    if source.kind != "imu" and not attitude.has_heights:
-        yield "the heights (position.z) are not all above the floor; they are not used, and there are no slices"
-
-
-def _finite(source: TopicAttitude) -> NDArray[np.bool_]:
-    """Return which attitudes are finite, (n,); an inertial sensor knows no height."""
-    known = np.isfinite(source.ups).all(axis=1)
-    return np.asarray(known if source.kind == "imu" else known & np.isfinite(source.height_m))
+def _above(scan: Scan, attitude: RecordedAttitude) -> Floats:
+    """Return height, m, and tilt, rad, of the returns that lie above the laser, (n, 2)."""
+    roll, pitch, height = (v[0] for v in attitude.at(np.array([float(scan.stamp_ns - int(attitude.stamps_ns[0]))])))
+    up = np.array([-np.sin(pitch), np.sin(roll) * np.cos(pitch)])
+    rise_m = scan.points() @ up
+    heights_m = height + rise_m[rise_m > 2 * BIN_M]
+    return np.column_stack((heights_m, np.full(len(heights_m), np.hypot(*up))))

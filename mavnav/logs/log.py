@@ -27,13 +27,13 @@ if TYPE_CHECKING:
 
     from mavnav.logs.levelling import RecordedAttitude
     from mavnav.logs.messages.records import LaserMessage
-    from mavnav.logs.records import Damage, Gap, Imu, Odometry, RecordedTruth, ScanCounts, Topic
+    from mavnav.logs.records import Channel, Damage, Gap, Imu, Odometry, RecordedTruth, ScanCounts, Topic
 
 _MOST_WAITING: Final = 64
 _WAITING_BYTES: Final = 64 << 20
 
 
-class Log(Struct, frozen=True, eq=False):
+class Log(Struct, frozen=True, eq=False, kw_only=True):
     """One scan topic of a log. Iterate it for its scans, as often as needed.
 
     Attributes
@@ -110,14 +110,14 @@ class Log(Struct, frozen=True, eq=False):
     gaps: tuple[Gap, ...]
     stamp_source: StampSource
     window_s: tuple[float | None, float | None]
-    base_T_laser: Pose | None
-    mounting_source: Literal["tf_static", "option"] | None
-    base_frame: str | None
-    upside_down: bool
-    odometry: Odometry | None
-    imu: Imu | None
-    attitude: RecordedAttitude | None
-    truth: RecordedTruth | None
+    base_T_laser: Pose | None = None
+    mounting_source: Literal["tf_static", "option"] | None = None
+    base_frame: str | None = None
+    upside_down: bool = False
+    odometry: Odometry | None = None
+    imu: Imu | None = None
+    attitude: RecordedAttitude | None = None
+    truth: RecordedTruth | None = None
     damage: tuple[Damage, ...]
     warnings: tuple[str, ...]
     strict: bool
@@ -142,6 +142,10 @@ class Log(Struct, frozen=True, eq=False):
     def is_short(self) -> bool:
         """Whether the scans are read at once, and kept."""
         return 8 * self.sensor.beams * len(self._order) <= KEPT_BYTES
+
+    def shares_time(self, stamps_ns: NDArray[np.int64]) -> bool:
+        """Return whether some time between the first stamp and the last, (n,), is one of the scans."""
+        return len(stamps_ns) > 0 and bool(stamps_ns[0] <= self.last_ns and stamps_ns[-1] >= self.first_ns)
 
     def __iter__(self) -> Iterator[Scan]:
         """Read the usable scans, as `scans` does."""
@@ -198,25 +202,18 @@ class Log(Struct, frozen=True, eq=False):
     def _reread(self) -> Iterator[tuple[LaserSpec, NDArray[np.float64]]]:
         report = ReadReport()  # the survey reported everything already
         scan_filter = ScanFilter(self.topic, report.warn)
-        for message in _laser_messages(self.path, self.topic, report, strict=self.strict):
-            admitted = scan_filter.admit(message)
+        decoders: dict[Channel, Callable[[bytes], LaserMessage] | None] = {}
+        for message in detect.read(self.path, report):
+            channel = message.channel
+            if scan_topic(channel, self.topic) is None or (self.strict and message.suspect):
+                continue
+            try:
+                if channel not in decoders:
+                    decoders[channel] = None
+                    decoders[channel] = decoder(channel, topic=self.topic)
+                decode = decoders[channel]
+                admitted = scan_filter.admit(decode(message.data)) if decode else ""
+            except DecodeError:
+                continue
             if not isinstance(admitted, str):
-                spec, ranges_m, _ = admitted
-                yield spec, ranges_m
-
-
-def _laser_messages(path: Path, topic: str, report: ReadReport, *, strict: bool) -> Iterator[LaserMessage]:
-    decoders: dict[object, Callable[[bytes], LaserMessage] | None] = {}
-    for message in detect.read(path, report):
-        channel = message.channel
-        if scan_topic(channel, topic) is None or (strict and message.suspect):
-            continue
-        try:
-            if channel not in decoders:
-                decoders[channel] = None
-                decoders[channel] = decoder(channel, topic=topic)
-            decode = decoders[channel]
-            if decode is not None:
-                yield decode(message.data)
-        except DecodeError:
-            continue
+                yield admitted[:2]

@@ -108,17 +108,13 @@ def _returns(
     scan: Scan, base_T_laser: Pose, laser: LaserSpec, stamp_ns: int
 ) -> tuple[NDArray[np.intp], Floats, Floats]:
     """Return for every return of a scan the virtual beam, its range, m, and its time since ``stamp_ns``, s."""
-    x, y = _on_base(scan, base_T_laser)
+    c, s = np.cos(base_T_laser.yaw_rad), np.sin(base_T_laser.yaw_rad)
+    x, y = (scan.ranges_m[:, None] * scan.spec.directions).T
+    x, y = base_T_laser.x_m + c * x - s * y, base_T_laser.y_m + s * x + c * y
     beam, range_m, kept = on_bearings(x, y, laser, scan.spec.angle_step_rad)
     since_s = (scan.stamp_ns - stamp_ns) * NS
     time_s: Floats = since_s + scan.spec.time_increment_s * np.arange(scan.spec.beams, dtype=np.float64)
     return beam[kept], range_m[kept], time_s[kept]
-
-
-def _on_base(scan: Scan, base_T_laser: Pose) -> tuple[Floats, Floats]:
-    c, s = np.cos(base_T_laser.yaw_rad), np.sin(base_T_laser.yaw_rad)
-    x, y = (scan.ranges_m[:, None] * scan.spec.directions).T
-    return base_T_laser.x_m + c * x - s * y, base_T_laser.y_m + s * x + c * y
 
 
 def virtual_scans(lasers: Sequence[Mounted], streams: Sequence[Iterator[Scan]], laser: LaserSpec) -> Iterator[Scan]:

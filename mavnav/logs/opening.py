@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Final
 
 from msgspec.structs import replace
 
-from mavnav.errors import NoScansError, TopicError
-from mavnav.logs.attitude import AttitudeTracks
-from mavnav.logs.ceiling import with_ceiling
-from mavnav.logs.levelling import laser_attitude
+from mavnav.errors import NoScansError, SeveralTopicsError, TopicError
+from mavnav.logs.attitude import AttitudeTracks, laser_attitude
+from mavnav.logs.imu import laser_rotation
+from mavnav.logs.levelling import with_ceiling
 from mavnav.logs.log import Log
 from mavnav.logs.merging import FRAME, partners, virtual_laser
-from mavnav.logs.messages.decode import scan_topics
-from mavnav.logs.odometry import jump, without_resets
+from mavnav.logs.messages.decode import LASER_TYPES, scan_topics
+from mavnav.logs.messages.other_scans import OTHER_TYPES
 from mavnav.logs.preprocessing import KINDS
-from mavnav.logs.records import Imu, Odometry, ScanCounts
+from mavnav.logs.records import ScanCounts
 from mavnav.logs.stamps import REPEATED_SHARE, comes_in_bursts, period_and_gaps
 from mavnav.logs.survey import Survey, survey
-from mavnav.logs.topic_choice import chosen_topic, no_usable
+from mavnav.logs.trajectories import laser_odometry, laser_truth
 from mavnav.logs.transforms import frame_name, mounting
-from mavnav.logs.truth import laser_truth
 from mavnav.pose import Pose
 from mavnav.units import NS
 
@@ -29,13 +28,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
-    import numpy as np
-    from numpy.typing import NDArray
+    from mavnav.logs.stamps import Timeline, TopicScans
 
-    from mavnav.logs.odometry import OdometryTrack
-
-LEAST_CONSTANT = 10
+LEAST_CONSTANT: Final = 10
 """Number of scans of one stamp, besides the first, that make no log."""
+
+_MOST_NAMED: Final = 8
 
 
 def open_log(
@@ -109,13 +107,13 @@ def choose(
                 "upside_down is of one laser; several --topic are merged by /tf_static, which turns them over"
             )
         return _multi_laser_log(survey, names, odom, extrinsic)
-    name = chosen_topic(survey, topic)
+    name = _chosen_topic(survey, topic)
     scans = survey.scans[name]
-    if scans.doubt:
-        raise NoScansError(f"{survey.path}: {name}: {scans.doubt}")
+    if doubt := scans.scan_filter.doubt:
+        raise NoScansError(f"{survey.path}: {name}: {doubt}")
     timeline = scans.timeline(survey.window_s)
     if timeline.first is None:
-        raise NoScansError(no_usable(survey, name, scans, timeline))
+        raise NoScansError(_no_usable(survey, name, scans, timeline))
     if timeline.skipped["duplicate_stamp"] >= scans.total - 1 >= LEAST_CONSTANT:
         raise NoScansError(
             f"{survey.path}: all {scans.total} scans on {name} have one stamp and one time of recording; nothing "
@@ -125,11 +123,6 @@ def choose(
     period_s, gaps = period_and_gaps(timeline.stamps_ns)
     skipped = dict(sorted((scans.refused + timeline.skipped).items()))
     log = Log(
-        path=survey.path,
-        format=survey.format,
-        size_bytes=survey.size_bytes,
-        sha256=survey.sha256,
-        topics=survey.topics,
         topic=name,
         frame_id=frame_id,
         sensor=sensor,
@@ -140,32 +133,74 @@ def choose(
         period_s=period_s,
         gaps=gaps,
         stamp_source=timeline.source,
-        window_s=survey.window_s,
-        base_T_laser=None,
-        mounting_source=None,
-        base_frame=None,
-        upside_down=False,
-        odometry=None,
-        imu=None,
-        attitude=None,
-        truth=None,
-        damage=survey.damage,
-        warnings=survey.warnings,
-        strict=survey.strict,
         _order=timeline.order,
         _stamps_ns=timeline.stamps_ns,
         _ranges=scans.ranges,
+        **{name: getattr(survey, name) for name in Survey.__struct_fields__ if name in Log.__struct_fields__},
     )
     return _with_motion(log, survey, odom, extrinsic, upside_down=upside_down)
+
+
+def _chosen_topic(survey: Survey, topic: str | None) -> str:
+    """Return the scan topic to use; several to choose from are listed."""
+    if topic is not None and topic not in survey.scans:
+        named = [t for t in survey.topics if t.name == topic]
+        lasers = {t.name for t in survey.topics if t.type in LASER_TYPES and t.count}
+        if not named or survey.scans or (lasers and topic not in lasers):
+            raise TopicError(f"{survey.path}: no scans on topic {topic!r}; {_list_topics(survey)}")
+    if topic is None and len(survey.scans) > 1:
+        raise SeveralTopicsError(f"{survey.path}: several scan topics: {_counts(survey)}; choose one with --topic NAME")
+    if not survey.scans:
+        raise NoScansError(_no_scans(survey))
+    return topic if topic is not None else next(iter(survey.scans))
+
+
+def _counts(survey: Survey) -> str:
+    return _some([f"{name} ({scans.total} scans)" for name, scans in sorted(survey.scans.items())])
+
+
+def _some(names: list[str]) -> str:
+    """List names in a line that a person still reads."""
+    return ", ".join(names[:_MOST_NAMED]) + (f" and {len(names) - _MOST_NAMED} more" if names[_MOST_NAMED:] else "")
+
+
+def _list_topics(survey: Survey) -> str:
+    lasers = [f"{t.name} ({t.count} scans)" for t in survey.topics if t.type.endswith("LaserScan")]
+    return f"scan topics here: {_some(lasers) or 'none'}"
+
+
+def _no_scans(survey: Survey) -> str:
+    lasers = {topic.name for topic in survey.topics if topic.type in LASER_TYPES and topic.count}
+    reason = next((d for d in survey.damage if d.where in lasers or not any(t.count for t in survey.topics)), None)
+    if reason is not None:
+        return f"{survey.path}: no usable scans; {reason.what} ({reason.where})"
+    others = [t.name for t in survey.topics if t.type in OTHER_TYPES and t.count]
+    if others:
+        advice = f"choose the messages to take scans from with --topic: {_some(others)}"
+        return f"{survey.path}: no LaserScan messages; {advice}"
+    kinds = [f"{t.name} ({t.type or 'no type'} in {t.encoding or 'no encoding'}, {t.count})" for t in survey.topics]
+    return f"{survey.path}: no LaserScan messages; topics here: {_some(kinds) or 'none'}"
+
+
+def _no_usable(survey: Survey, name: str, scans: TopicScans, timeline: Timeline) -> str:
+    """Say why none of a topic's scans is usable."""
+    skipped = scans.refused + timeline.skipped
+    reasons = ", ".join(f"{count} {reason.replace('_', ' ')}" for reason, count in skipped.items())
+    hint = ""
+    if any(end is not None for end in survey.window_s) and len(stamps_ns := scans.timeline().stamps_ns):
+        hint = f"; the scans last {(stamps_ns[-1] - stamps_ns[0]) * NS:.1f} s: check --start and --end"
+    elif scans.refused["no_valid_beam"] * 2 > scans.total:
+        hint = f"; {scans.scan_filter.invalid}"
+    return f"{survey.path}: none of the {scans.total} scans on {name} is usable ({reasons}){hint}"
 
 
 def _multi_laser_log(survey: Survey, topics: list[str], odom: str, extrinsic: Pose | None) -> Log:
     """Merge the scans of several lasers; raises TopicError where a mounting is not known."""
     if extrinsic is not None:
         raise TopicError("--extrinsic is the pose of one laser; several --topic are merged by /tf_static")
-    if survey.attitudes.is_named:
+    if survey.motion.attitudes.is_named:
         raise TopicError("--attitude is that of one laser; several --topic are merged as they are: name one of them")
-    survey = replace(survey, attitudes=AttitudeTracks("off"))
+    survey = replace(survey, motion=replace(survey.motion, attitudes=AttitudeTracks("off")))
     logs = tuple(choose(_same_window(survey, topics[0], topic), topic=topic, odom=odom) for topic in topics)
     first, bases = logs[0], {log.base_frame for log in logs}
     unmounted = [log.topic for log in logs if log.base_T_laser is None]
@@ -186,10 +221,8 @@ def _multi_laser_log(survey: Survey, topics: list[str], odom: str, extrinsic: Po
         _kept=[],
     )
     warnings = [*(text for log in logs for text in log.warnings), *_unpaired_warnings(logs)]
-    log = _with_motion(log, survey, odom, Pose())
-    return replace(
-        log, base_frame=first.base_frame, mounting_source="tf_static", warnings=tuple(dict.fromkeys(warnings))
-    )
+    log = replace(_with_motion(log, survey, odom, Pose()), warnings=tuple(dict.fromkeys(warnings)))
+    return replace(log, base_frame=first.base_frame, mounting_source="tf_static")
 
 
 def _same_window(survey: Survey, first: str, topic: str) -> Survey:
@@ -204,13 +237,9 @@ def _same_window(survey: Survey, first: str, topic: str) -> Survey:
         return survey
     later_s, half_s = int(stamps_ns[0] - others_ns[0]) * NS, 0.5 * period_and_gaps(stamps_ns)[0]
     start_s, end_s = survey.window_s
-    return replace(
-        survey,
-        window_s=(
-            None if start_s is None else start_s + later_s - half_s,
-            None if end_s is None else end_s + later_s + half_s,
-        ),
-    )
+    start_s = None if start_s is None else start_s + later_s - half_s
+    end_s = None if end_s is None else end_s + later_s + half_s
+    return replace(survey, window_s=(start_s, end_s))
 
 
 def _unpaired_warnings(lasers: Sequence[Log]) -> list[str]:
@@ -246,92 +275,43 @@ def _scan_warnings(log: Log) -> Iterator[str]:
 
 def _with_motion(log: Log, survey: Survey, odom: str, extrinsic: Pose | None, *, upside_down: bool = False) -> Log:
     """Add mounting and odometry, and what there is to warn about time."""
-    warnings = [*log.warnings, *_scan_warnings(log)]
+    motion, warnings = survey.motion, [*log.warnings, *_scan_warnings(log)]
     laser = frame_name((log._merged or (log,))[0].frame_id)  # noqa: SLF001  the log is made here
-    track = survey.odometry.choose(
-        odom, warnings.append, lambda base: bool(base) and survey.frames.find(base, laser) is not None
+    track = motion.odometry.choose(
+        odom, warnings.append, lambda base: bool(base) and motion.frames.find(base, laser) is not None
     )
-    bases = [track.base_frame] if track and track.base_frame else survey.frames.bases(laser)
+    bases = [track.base_frame] if track and track.base_frame else motion.frames.bases(laser)
     place, of_mounting = len(warnings), list[str]()
-    mounted = mounting(survey.frames, log.frame_id, bases, of_mounting.append)
+    mounted = mounting(motion.frames, log.frame_id, bases, of_mounting.append)
     base_frame, base_T_laser, overhead = mounted or (bases[0] if track else None, None, False)
-    if mounted and not extrinsic and survey.frames.contradicts(mounted.base_frame, laser):
+    if mounted and not extrinsic and motion.frames.contradicts(mounted.base_frame, laser):
         warnings.append(
             f"/tf_static gives several transforms from {base_frame!r} to {log.frame_id!r}; the last is used: see what "
             "publishes them, or give the mounting with --extrinsic x,y,yaw"
         )
     if overhead and not upside_down:
-        done = (
-            "used as recorded, as --extrinsic knows the plane alone"
-            if extrinsic
-            else "turned over (not with --extrinsic x,y,yaw)"
-        )
-        warnings.append(
-            f"the transforms say that the laser ({log.frame_id}) is mounted upside down; its scans are {done}"
-        )
+        done = "turned over (not with --extrinsic x,y,yaw)"
+        if extrinsic:
+            done = "used as recorded, as --extrinsic knows the plane alone"
+        text = f"the transforms say that the laser ({log.frame_id}) is mounted upside down"
+        warnings.append(f"{text}; its scans are {done}")
     base_T_laser = extrinsic or base_T_laser
-    source: Literal["tf_static", "option"] | None = "tf_static" if mounted else None
-    odometry = _odometry(track, log, base_frame, base_T_laser, warnings.append) if track else None
-    upside_down = upside_down or (overhead and extrinsic is None)
-    attitude = laser_attitude(
-        survey.attitudes.sources(survey.imus, survey.topics),
-        survey.frames,
-        log.frame_id,
-        log.mounting.stamps_ns,
-        log.stamp_source,
-        named=survey.attitudes.is_named,
-        upside_down=upside_down,
-        warn=warnings.append,
-    )
+    odometry = laser_odometry(track, log, base_frame, base_T_laser, warnings.append) if track else None
+    log = replace(log, upside_down=upside_down or (overhead and extrinsic is None))
+    attitude = laser_attitude(motion.attitudes, motion.imus, motion.frames, log, warnings.append)
     if attitude is None:  # else a tilted mounting is levelled as well
         warnings[place:place] = of_mounting
-    imu = _imu(log, survey, odom, warnings.append)
-    known = survey.truth.choose(survey.topics)
-    sources = (log.stamp_source, log.frame_id, survey.frames, base_T_laser, extrinsic, warnings.append)
+    imu = laser_rotation(motion.imus, log, odom, warnings.append)
+    known = motion.truth.choose(survey.topics)
+    placing = (log, motion.frames, base_T_laser, extrinsic, warnings.append)
     log = replace(
         log,
-        truth=laser_truth(known, *sources) if known else None,
+        truth=laser_truth(known, *placing) if known else None,
         base_T_laser=base_T_laser,
-        mounting_source="option" if extrinsic else source,
+        mounting_source="option" if extrinsic else "tf_static" if mounted else None,
         base_frame=base_frame,
-        upside_down=upside_down,
         odometry=odometry,
         imu=imu.without_tilt() if imu and attitude else imu,
         warnings=tuple(dict.fromkeys(warnings)),
     )
     return log if attitude is None else replace(log, attitude=with_ceiling(attitude, log), _kept=[])
-
-
-def _odometry(
-    track: OdometryTrack, log: Log, base_frame: str | None, base_T_laser: Pose | None, warn: Callable[[str], None]
-) -> Odometry | None:
-    """Return the odometry of a track, without resets; None, with a warning, where it does not fit the scans."""
-    odom_T_base = track.trajectory(log.stamp_source, warn)
-    if not len(odom_T_base):
-        return None
-    if not _share_time(odom_T_base.stamps_ns, log):
-        warn(f"{track.topic}: odometry and scans share no time; it is not used, check its clock")
-        return None
-    if text := jump(odom_T_base):
-        warn(f"{track.topic}: the odometry {text}; it is not used, check it or write --odom off")
-        return None
-    if base_T_laser is None:
-        text = f"no transform from {base_frame!r} to {log.frame_id!r}; the odometry is taken as the laser's own"
-        warn(f"{text} (give the mounting with --extrinsic x,y,yaw)")
-    odom_T_base = without_resets(odom_T_base, track.topic, warn)
-    return Odometry(track.topic, track.source, odom_T_base, odom_T_base.compose(base_T_laser or Pose()))
-
-
-def _imu(log: Log, survey: Survey, odom: str, warn: Callable[[str], None]) -> Imu | None:
-    """Return the inertial sensor of a log, seen at mid-sweep; None without one."""
-    half_sweep_ns = round(0.5 * log.sensor.sweep_s / NS)
-    imu = survey.imus.choose(odom, log.stamp_source, half_sweep_ns, warn)
-    if imu and not _share_time(imu.rotation.stamps_ns, log):
-        warn(f"{imu.topic}: inertial sensor and scans share no time; it is not used, check its clock")
-        return None
-    return imu
-
-
-def _share_time(stamps_ns: NDArray[np.int64], log: Log) -> bool:
-    """Return whether some time between the first stamp and the last is one of the log's scans."""
-    return len(stamps_ns) > 0 and bool(stamps_ns[0] <= log.last_ns and stamps_ns[-1] >= log.first_ns)

@@ -130,7 +130,8 @@ class ScanFilter:
         if self._looked_at < _LOOKED_AT:
             self._look_at_units(message.ranges_m)
         if reason := _refusal(message):
-            if reason == "impossible_geometry" and _in_degrees(message):
+            turn = abs(message.angle_step_rad) * (len(message.ranges_m) - 1)
+            if reason == "impossible_geometry" and 20.0 < turn <= 400.0:
                 self._turns = (
                     f"{len(message.ranges_m)} beams of angle_increment {message.angle_step_rad:g} are more than a turn:"
                     " the angles look like degrees, and LaserScan is in radians"
@@ -178,16 +179,9 @@ class ScanFilter:
 
     def _make_spec(self, message: LaserMessage) -> LaserSpec:
         self._check(message)
-        low, high = _limits(message)
-        return LaserSpec(
-            message.angle_min_rad,
-            message.angle_step_rad,
-            len(message.ranges_m),
-            low,
-            high,
-            self._time_increment_s(message),
-            _finite_or_zero(message.scan_time_s),
-        )
+        geometry = (message.angle_min_rad, message.angle_step_rad, len(message.ranges_m))
+        times = (self._time_increment_s(message), _finite_or_zero(message.scan_time_s))
+        return LaserSpec(*geometry, *_limits(message), *times)
 
     def _time_increment_s(self, message: LaserMessage) -> float:
         """Return the time between two beams; 0 if the message gives none, or an impossible one."""
@@ -222,11 +216,6 @@ def _refusal(message: LaserMessage) -> str | None:
         return "zero_angle_increment"
     too_wide = abs(message.angle_step_rad) * max(beams - 1, 1) > _MOST_TURNS * tau
     return "impossible_geometry" if too_wide or abs(message.angle_min_rad) > 2 * tau else None
-
-
-def _in_degrees(message: LaserMessage) -> bool:
-    turn = abs(message.angle_step_rad) * (len(message.ranges_m) - 1)
-    return 20.0 < turn <= 400.0
 
 
 def _limits(message: LaserMessage) -> tuple[float, float]:

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from mavnav.logs.messages.records import LaserMessage
+    from mavnav.logs.preprocessing import ScanFilter
     from mavnav.scan import LaserSpec
 
 StampSource = Literal["header", "log"]
@@ -74,13 +76,6 @@ class Stamps(Struct):
         return (header_ns if source == "header" else log_ns), log_ns
 
 
-def _later_than_before(stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return which stamps (n,) are later than all before them."""
-    later = np.ones(len(stamps_ns), np.bool_)
-    later[1:] = stamps_ns[1:] > np.maximum.accumulate(stamps_ns)[:-1]
-    return later
-
-
 def ascending(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
     """Choose the most elements that ascend strictly.
 
@@ -100,7 +95,8 @@ def ascending(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
     steps_ns = np.diff(stamps_ns)
     if (steps_ns > 0).all():
         return np.arange(len(stamps_ns))
-    greedy = np.flatnonzero(_later_than_before(stamps_ns))
+    later = stamps_ns[1:] > np.maximum.accumulate(stamps_ns)[:-1]
+    greedy = np.flatnonzero(np.concatenate(([True], later)))
     if (steps_ns >= 0).all():
         return greedy
     longest = _longest_ascending(stamps_ns.tolist())
@@ -171,14 +167,12 @@ class TopicScans(Struct):
     """The scans of one topic: those that the filter admitted in the order of the file, and the number of all others.
 
     Some 50 bytes a scan. ``ranges`` are the admitted scans themselves, so that a short log is read once; None where
-    they would take more than `KEPT_BYTES`. ``doubt`` says why the whole topic cannot be what it claims, as where its
-    unit is wrong, and ``invalid`` what the ranges of scans without a valid one are.
+    they would take more than `KEPT_BYTES`.
     """
 
+    scan_filter: ScanFilter
     total: int = 0
     refused: Counter[str] = field(default_factory=Counter)
-    doubt: str = ""
-    invalid: str = ""
     ranges: list[tuple[LaserSpec, NDArray[np.float64]]] | None = field(default_factory=list)
     _stamps: Stamps = field(default_factory=Stamps)
     _kind: array[int] = field(default_factory=lambda: array("I"))
@@ -188,25 +182,29 @@ class TopicScans(Struct):
     _cleaning: array[int] = field(default_factory=lambda: array("I"))
     _kinds: list[tuple[LaserSpec, str]] = field(default_factory=list)
 
-    def keep(self, spec: LaserSpec, ranges_m: NDArray[np.float64]) -> None:
-        """Keep an admitted scan, as long as there are few, and note whether it repeats the one before."""
-        last_m = self._last_m
-        repeats = last_m is not None and ranges_m.tobytes() == last_m.tobytes()
-        self._repeated.append(repeats)  # to the last bit, NaN too
-        self._last_m = ranges_m
+    def refuse(self, reason: str) -> None:
+        """Count a scan that is not used."""
+        self.total += 1
+        self.refused[reason] += 1
+
+    def take(self, laser: LaserMessage, log_ns: int, *, suspect: bool) -> None:
+        """Take in a scan recorded at ``log_ns`` if the filter admits it; keep it as long as there are few."""
+        admitted = self.scan_filter.admit(laser)
+        if isinstance(admitted, str):
+            self.refuse(admitted)
+            return
+        self.total += 1
+        spec, ranges_m, counts = admitted
+        last_m, self._last_m = self._last_m, ranges_m
+        self._repeated.append(last_m is not None and ranges_m.tobytes() == last_m.tobytes())  # NaN too
         if self.ranges is not None:
             self.ranges.append((spec, ranges_m))
             if ranges_m.nbytes * len(self.ranges) > KEPT_BYTES:
                 self.ranges = None
-
-    def add(
-        self, stamps_ns: tuple[int, int], spec: LaserSpec, frame_id: str, counts: tuple[int, ...], *, suspect: bool
-    ) -> None:
-        """Take in an admitted scan; ``stamps_ns`` are its own and that of its recording."""
-        kind = (spec, frame_id)
+        kind = (spec, laser.frame_id)
         if not self._kinds or self._kinds[-1] != kind:
             self._kinds.append(kind)
-        self._stamps.add(*stamps_ns)
+        self._stamps.add(laser.stamp_ns, log_ns)
         self._kind.append(len(self._kinds) - 1)
         self._suspect.append(suspect)
         self._cleaning.extend(counts)

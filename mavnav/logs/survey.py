@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from contextlib import suppress
-from functools import partial
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
@@ -15,25 +14,22 @@ from mavnav.errors import MavnavError
 from mavnav.logs.attitude import AttitudeTracks
 from mavnav.logs.content import check_file, check_window, size_and_sha256, unreadable
 from mavnav.logs.formats import detect
-from mavnav.logs.imu import ImuTracks
+from mavnav.logs.imu import ImuTrack
 from mavnav.logs.messages.decode import decoder, is_laser, scan_topic
 from mavnav.logs.messages.definitions import IMU, ODOMETRY, POSE
 from mavnav.logs.messages.other_scans import OTHER_TYPES
 from mavnav.logs.messages.records import DecodeError
-from mavnav.logs.odometry import OdometryTracks
 from mavnav.logs.preprocessing import ScanFilter
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel, Damage, RawMessage, Topic
 from mavnav.logs.stamps import TopicScans
+from mavnav.logs.trajectories import OdometryTracks, TruthTracks
 from mavnav.logs.transforms import FrameTree
-from mavnav.logs.truth import TruthTracks
 from mavnav.profiling import timed
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
-
-    from mavnav.logs.messages.records import LaserMessage
 
 _PROGRESS_STEPS = 200
 
@@ -50,25 +46,53 @@ class Survey(Struct, frozen=True):
     sha256: str
     topics: tuple[Topic, ...]
     scans: dict[str, TopicScans]
-    odometry: OdometryTracks
-    imus: ImuTracks
-    truth: TruthTracks
-    attitudes: AttitudeTracks
-    frames: FrameTree
+    motion: Motion
     damage: tuple[Damage, ...]
     warnings: tuple[str, ...]
     window_s: tuple[float | None, float | None]
     strict: bool
 
 
+class Motion(Struct):
+    """What the messages of a log say about motion and mounting, besides the scans."""
+
+    odometry: OdometryTracks
+    truth: TruthTracks
+    attitudes: AttitudeTracks
+    imus: dict[str, ImuTrack] = field(default_factory=dict)
+    frames: FrameTree = field(default_factory=FrameTree)
+
+    def takes(self, channel: Channel) -> bool:
+        """Return whether single poses of a channel are wanted."""
+        return any(tracks.takes(channel) for tracks in (self.truth, self.odometry, self.attitudes))
+
+    def take(self, channel: Channel, log_ns: int, decoded: Any) -> None:  # noqa: ANN401
+        """Take in a message that is no scan."""
+        if self.attitudes.takes(channel):
+            self.attitudes.add(channel.topic, decoded[0], log_ns)
+        if self.truth.takes(channel):
+            self.truth.add(channel.topic, decoded[0], log_ns)
+        elif channel.type == IMU:
+            if channel.topic not in self.imus:
+                self.imus[channel.topic] = ImuTrack(channel.topic, decoded.frame_id)
+            self.imus[channel.topic].add(decoded, log_ns)
+        elif channel.type == ODOMETRY or self.odometry.takes(channel):
+            self.odometry.add_odometry(channel.topic, decoded[0], log_ns)
+        elif channel.type != POSE:
+            static = channel.topic.endswith("tf_static")
+            self.frames.add(decoded, static=static)
+            if not static:
+                self.odometry.add_transforms(channel.topic, decoded, log_ns)
+
+
 class _MessageKind(Struct):
     """What there is to know of a channel's messages; ``decode`` is None where there is no use for them.
 
-    ``scan_topic`` is the topic whose scans they are, None where they are none.
+    ``scans`` are those of the topic whose scans they are, None where they are none.
     """
 
     decode: Callable[[bytes], Any] | None
-    scan_topic: str | None
+    scans: TopicScans | None
     count: int = 0
 
 
@@ -77,15 +101,10 @@ class _Pass(Struct):
 
     topic: str | None
     strict: bool
-    report: ReadReport
+    motion: Motion
+    report: ReadReport = field(default_factory=ReadReport)
     kinds: dict[Channel, _MessageKind] = field(default_factory=dict)
-    filters: dict[str, ScanFilter] = field(default_factory=dict)
     scans: dict[str, TopicScans] = field(default_factory=dict)
-    odometry: OdometryTracks = field(default_factory=OdometryTracks)
-    imus: ImuTracks = field(default_factory=ImuTracks)
-    truth: TruthTracks = field(default_factory=TruthTracks)
-    attitudes: AttitudeTracks = field(default_factory=AttitudeTracks)
-    frames: FrameTree = field(default_factory=FrameTree)
 
     def take(self, message: RawMessage) -> None:
         """Take in one message; one that does not decode is noted and counted."""
@@ -95,80 +114,33 @@ class _Pass(Struct):
         if kind.decode is None:
             return
         if self.strict and message.suspect:
-            self._refuse(kind.scan_topic, "suspect")
+            if kind.scans:
+                kind.scans.refuse("suspect")
             return
         try:
             decoded = kind.decode(message.data)
         except DecodeError as error:
             self.report.damage(f"a message does not decode ({error})", f"{channel.topic}, {message.log_ns} ns")
-            self._refuse(kind.scan_topic, "undecodable")
+            if kind.scans:
+                kind.scans.refuse("undecodable")
             return
-        if kind.scan_topic is not None:
-            self._take_scan(kind.scan_topic, message, decoded)
+        if kind.scans:
+            kind.scans.take(decoded, message.log_ns, suspect=message.suspect)
         else:
-            self._take_motion(message, decoded)
+            self.motion.take(channel, message.log_ns, decoded)
 
     def _new_kind(self, channel: Channel) -> _MessageKind:
         topic = scan_topic(channel, self.topic)
-        self.kinds[channel] = _MessageKind(self._decoder(channel, topic), topic)
-        return self.kinds[channel]
-
-    def _decoder(self, channel: Channel, topic: str | None) -> Callable[[bytes], Any] | None:
-        if is_laser(channel) and topic is None:
-            return None
+        kind = self.kinds[channel] = _MessageKind(None, None)
+        if topic is None and is_laser(channel):
+            return kind
         try:
-            takers = (self.truth, self.odometry, self.attitudes)
-            return decoder(channel, poses=any(taker.takes(channel) for taker in takers), topic=topic)
+            kind.decode = decoder(channel, poses=self.motion.takes(channel), topic=topic)
         except DecodeError as error:
             self.report.damage(str(error), channel.topic)
-            return None
-
-    def _take_motion(self, message: RawMessage, decoded: Any) -> None:  # noqa: ANN401
-        channel, log_ns = message.channel, message.log_ns
-        if self.attitudes.takes(channel):
-            self.attitudes.add(channel.topic, decoded[0], log_ns)
-        if self.truth.takes(channel):
-            self.truth.add(channel.topic, decoded[0], log_ns)
-        elif channel.type == IMU:
-            self.imus.add(channel.topic, decoded, log_ns)
-        elif channel.type == ODOMETRY or self.odometry.takes(channel):
-            self.odometry.add_odometry(channel.topic, decoded[0], log_ns)
-        elif channel.type != POSE:
-            static = channel.topic.endswith("tf_static")
-            self.frames.add(decoded, static=static)
-            if not static:
-                self.odometry.add_transforms(channel.topic, decoded, log_ns)
-
-    def _take_scan(self, topic: str, message: RawMessage, laser: LaserMessage) -> None:
-        scans = self._scans(topic)
-        scans.total += 1
-        admitted = self.filters[topic].admit(laser)
-        if isinstance(admitted, str):
-            scans.refused[admitted] += 1
-            return
-        spec, ranges_m, counts = admitted
-        scans.keep(spec, ranges_m)
-        scans.add((laser.stamp_ns, message.log_ns), spec, laser.frame_id, counts, suspect=message.suspect)
-
-    def _refuse(self, topic: str | None, reason: str) -> None:
-        if topic is not None:
-            scans = self._scans(topic)
-            scans.total += 1
-            scans.refused[reason] += 1
-
-    def _scans(self, topic: str) -> TopicScans:
-        if topic not in self.scans:
-            self.filters[topic] = ScanFilter(topic, self.report.warn)
-            self.scans[topic] = TopicScans()
-        return self.scans[topic]
-
-    def conclude(self) -> None:
-        """Note what shows at the end only."""
-        for topic, scans in self.scans.items():
-            scans.doubt, scans.invalid = self.filters[topic].doubt, self.filters[topic].invalid
-            if len(scans.frames) > 1:
-                names = ", ".join(sorted(scans.frames)[:4])
-                self.report.warn(f"{topic}: the frame of the scans changes on the way ({names}); the first is used")
+        if kind.decode and topic is not None:
+            kind.scans = self.scans.setdefault(topic, TopicScans(ScanFilter(topic, self.report.warn)))
+        return kind
 
 
 @timed("reading")
@@ -213,40 +185,37 @@ def survey(
     """
     check_file(path)
     check_window(start_s, end_s)
-    again = partial(_survey, window_s=(start_s, end_s), strict=strict, truth=truth, odom=odom, attitude=attitude)
-    contents = again(path, topic, progress=progress)
+
+    def read(topic: str | None) -> Survey:
+        motion = Motion(OdometryTracks(odom), TruthTracks(truth), AttitudeTracks(attitude))
+        return _survey(path, _Pass(topic, strict, motion), (start_s, end_s), progress)
+
+    contents = read(topic)
     others = [t.name for t in contents.topics if t.type in OTHER_TYPES and t.count]
     if topic is not None or contents.scans or len(others) != 1:
         return contents
-    contents = again(path, others[0], progress=progress)
+    contents = read(others[0])
     text = f"the log has no LaserScan messages; the scans are taken from {others[0]}"
     return replace(contents, warnings=(text, *contents.warnings)) if contents.scans else contents
 
 
 def _survey(
-    path: Path,
-    topic: str | None,
-    *,
-    window_s: tuple[float | None, float | None],
-    progress: Callable[[int, int], None] | None,
-    strict: bool,
-    truth: str | None,
-    odom: str,
-    attitude: str,
+    path: Path, state: _Pass, window_s: tuple[float | None, float | None], progress: Callable[[int, int], None] | None
 ) -> Survey:
-    report = ReadReport()
-    wanted = {"odometry": OdometryTracks(odom), "truth": TruthTracks(truth), "attitudes": AttitudeTracks(attitude)}
-    state = _Pass(topic, strict, report, **wanted)  # type: ignore[arg-type]
+    report = state.report
     try:
         name = detect.sniff(path)
         if name == detect.UNKNOWN:
             report.damage(detect.refusal(path), path.name)
         else:
             _run(path, state, progress)
-            state.conclude()
         size_bytes, sha256 = size_and_sha256(path)
     except OSError as error:
         raise unreadable(path, error) from error
+    for topic, scans in state.scans.items():
+        if len(scans.frames) > 1:
+            names = ", ".join(sorted(scans.frames)[:4])
+            report.warn(f"{topic}: the frame of the scans changes on the way ({names}); the first is used")
     return Survey(
         path=path,
         format=name,
@@ -254,15 +223,11 @@ def _survey(
         sha256=sha256,
         topics=_topics(report, state.kinds),
         scans=state.scans,
-        odometry=state.odometry,
-        imus=state.imus,
-        truth=state.truth,
-        attitudes=state.attitudes,
-        frames=state.frames,
+        motion=state.motion,
         damage=report.damages(),
-        warnings=tuple(report.warnings),
+        warnings=report.warnings,
         window_s=window_s,
-        strict=strict,
+        strict=state.strict,
     )
 
 

@@ -100,19 +100,9 @@ def scan_decoder(channel: Channel) -> Callable[[bytes], LaserMessage]:
             raise DecodeError(f"no line of a laser ({error})") from error
         count = len(line.ranges_m)
         start_rad, step_rad, max_range_m = line.geometry or (-pi / 2, _step_rad(count, step_deg), range_max_m)
-        return LaserMessage(
-            stamp_ns=line.stamp_ns,
-            frame_id=frame,
-            angle_min_rad=float(np.float32(start_rad)),
-            angle_step_rad=float(np.float32(step_rad)),
-            last_angle_rad=None,
-            range_min_m=0.0,
-            range_max_m=max_range_m if isfinite(max_range_m) else inf,
-            time_increment_s=0.0,
-            scan_time_s=0.0,
-            ranges_m=line.ranges_m,
-            has_limits=isfinite(max_range_m),
-        )
+        angles = (float(np.float32(start_rad)), float(np.float32(step_rad)), None)
+        limits, times = (0.0, max_range_m if isfinite(max_range_m) else inf), (0.0, 0.0)
+        return LaserMessage(line.stamp_ns, frame, *angles, *limits, *times, line.ranges_m, isfinite(max_range_m))
 
     return decode
 

@@ -8,21 +8,24 @@ from __future__ import annotations
 
 import struct
 from math import cos, sin
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from mavnav.pose import Pose
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
     from mavnav.scan import Scan
 
-LITTLE_ENDIAN: Final = b"\0\1\0\0"
+_LITTLE_ENDIAN: Final = b"\0\1\0\0"
 """The encapsulation header of plain CDR."""
+
+LINE_STRIP, LINE_LIST, TEXT = 4, 5, 9
+"""Types of visualization_msgs/Marker that are written."""
 
 _STAMP: Final = struct.Struct("<iI")
 _COUNT: Final = struct.Struct("<I")
@@ -49,13 +52,13 @@ def transforms(parent: str, child: str) -> Callable[[int, Pose], bytes]:
     """Return the function that serializes a TFMessage of one transform from stamp (ns) and ``parent_T_child``."""
     one, outer = _COUNT.pack(1), _text(12, parent, 4)
     inner = _text(12 + len(outer), child, 8)
-    return lambda stamp_ns, pose: b"".join((LITTLE_ENDIAN, one, _stamp(stamp_ns), outer, inner, _pose(pose)))
+    return lambda stamp_ns, pose: b"".join((_LITTLE_ENDIAN, one, _stamp(stamp_ns), outer, inner, _pose(pose)))
 
 
 def poses(frame: str) -> Callable[[int, Pose], bytes]:
     """Return the function that serializes a PoseStamped from stamp (ns) and pose."""
     name = _text(8, frame, 8)
-    return lambda stamp_ns, pose: b"".join((LITTLE_ENDIAN, _stamp(stamp_ns), name, _pose(pose)))
+    return lambda stamp_ns, pose: b"".join((_LITTLE_ENDIAN, _stamp(stamp_ns), name, _pose(pose)))
 
 
 def scans(frame: str) -> Callable[[Scan], bytes]:
@@ -70,7 +73,7 @@ def scans(frame: str) -> Callable[[Scan], bytes]:
             spec.angle_min_rad, last, spec.angle_step_rad, *times, spec.range_min_m, spec.range_max_m, spec.beams
         )
         ranges = scan.ranges_m.astype(np.dtype("<f4")).tobytes()
-        return b"".join((LITTLE_ENDIAN, _stamp(scan.stamp_ns), name, head, ranges, none))
+        return b"".join((_LITTLE_ENDIAN, _stamp(scan.stamp_ns), name, head, ranges, none))
 
     return write
 
@@ -79,7 +82,7 @@ def path(stamp_ns: int, frame: str, stamps_ns: NDArray[np.int64], xyyaw: NDArray
     """Serialize a Path of poses (n, 3), m and rad, with stamps (n,), ns, all in one frame."""
     head = _stamp(stamp_ns) + _text(8, frame, 4) + _COUNT.pack(len(stamps_ns))
     if not len(stamps_ns):
-        return LITTLE_ENDIAN + head
+        return _LITTLE_ENDIAN + head
     # Each pose begins where the one before ends, at a multiple of 8; only the first may need other padding.
     first, name = _text(len(head) + 8, frame, 8), _text(8, frame, 8)
     rows = np.zeros(len(stamps_ns), [("s", "<i4"), ("ns", "<u4"), ("name", f"V{len(name)}"), ("pose", "<f8", 7)])
@@ -88,7 +91,7 @@ def path(stamp_ns: int, frame: str, stamps_ns: NDArray[np.int64], xyyaw: NDArray
     rows["pose"][:, :2] = xyyaw[:, :2]
     rows["pose"][:, 5], rows["pose"][:, 6] = np.sin(xyyaw[:, 2] / 2.0), np.cos(xyyaw[:, 2] / 2.0)
     body = rows.view(np.uint8).data
-    return b"".join((LITTLE_ENDIAN, head, body[:8], first, body[8 + len(name) :]))
+    return b"".join((_LITTLE_ENDIAN, head, body[:8], first, body[8 + len(name) :]))
 
 
 def occupancy_grid(
@@ -100,4 +103,74 @@ def occupancy_grid(
     head = stamp + _text(8, frame, 4) + stamp + struct.pack("<fII", cell_m, cols, rows)
     gap = b"\0" * (-len(head) % 8)
     origin, size = _pose(Pose(*origin_xy_m)), _COUNT.pack(cells.size)
-    return b"".join((LITTLE_ENDIAN, head, gap, origin, size, np.ascontiguousarray(cells).data))
+    return b"".join((_LITTLE_ENDIAN, head, gap, origin, size, np.ascontiguousarray(cells).data))
+
+
+class Marker(NamedTuple):
+    """A marker: lines through ``points`` (n, 2), m, with ``width_m``; or a ``text`` of this height at the first point.
+
+    ``group`` and ``number`` identify it; ``rgba`` are from 0 to 1.
+    """
+
+    group: str
+    number: int
+    kind: int
+    points: NDArray[np.float64]
+    width_m: float
+    rgba: tuple[float, float, float, float]
+    text: str = ""
+
+
+def marker_array(stamp_ns: int, frame: str, markers: Sequence[Marker]) -> bytes:
+    """Serialize markers of one frame; the bytes equal those of ``ros.cdr``."""
+    out = _Writer()
+    out.put("I", len(markers))
+    for marker in markers:
+        _write_marker(out, stamp_ns, frame, marker)
+    return _LITTLE_ENDIAN + bytes(out.data)
+
+
+def _write_marker(out: _Writer, stamp_ns: int, frame: str, marker: Marker) -> None:
+    x, y = marker.points[0].tolist() if marker.kind == TEXT else (0.0, 0.0)
+    points = marker.points[:0] if marker.kind == TEXT else marker.points
+    scale = (0.0, 0.0, marker.width_m) if marker.kind == TEXT else (marker.width_m, 0.0, 0.0)
+    out.header(stamp_ns, frame)
+    out.text(marker.group)
+    out.put("iii", marker.number, marker.kind, 0)
+    out.put("10d", x, y, 0.0, 0.0, 0.0, 0.0, 1.0, *scale)
+    out.put("4fiI?", *marker.rgba, 0, 0, False)
+    out.put("I", len(points))
+    if len(points):
+        out.put(f"{3 * len(points)}d", *np.column_stack((points, np.zeros(len(points)))).ravel().tolist())
+    out.put("I", 0)  # colors
+    out.text("")  # texture
+    out.header(0, "")
+    out.text("")
+    out.put("II", 0, 0)
+    out.text(marker.text)
+    out.text("")  # mesh
+    out.text("")
+    out.put("I?", 0, False)
+
+
+class _Writer:
+    """Writer of CDR fields, each aligned to its own size."""
+
+    def __init__(self) -> None:
+        self.data = bytearray()
+
+    def put(self, kinds: str, *values: object) -> None:
+        """Append numbers, aligned to the size of the first one."""
+        size = struct.calcsize(kinds.lstrip("0123456789")[0])
+        self.data += b"\0" * (-len(self.data) % size) + struct.pack(f"<{kinds}", *values)
+
+    def text(self, text: str) -> None:
+        """Append a string."""
+        raw = text.encode() + b"\0"
+        self.put("I", len(raw))
+        self.data += raw
+
+    def header(self, stamp_ns: int, frame: str) -> None:
+        """Append a std_msgs/Header."""
+        self.put("iI", *divmod(stamp_ns, 1_000_000_000))
+        self.text(frame)

@@ -5,18 +5,20 @@ ROS messages are decoded by the standard definitions; the schema text in the log
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from mavnav.logs.formats.decompress import DecompressError, unpack_message
 from mavnav.logs.messages import carmen
 from mavnav.logs.messages.definitions import FOXGLOVE_SCAN, IMU, ODOMETRY, POSE, SCAN, TF, TF_ROS1, TRANSFORM
-from mavnav.logs.messages.fast_cdr import imu_message, imu_of, laser_of, odometry_of, pose_of, transforms_of
+from mavnav.logs.messages.fast_cdr import imu_of, laser_of, odometry_of, pose_of, transform_of, transforms_of
 from mavnav.logs.messages.other_scans import other_scan, suffix_of
-from mavnav.logs.messages.records import DecodeError, ImuMessage, LaserMessage, TransformMessage
+from mavnav.logs.messages.records import DecodeError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from mavnav.logs.messages.records import LaserMessage
     from mavnav.logs.records import Channel
 
 LASER_TYPES = frozenset({SCAN, FOXGLOVE_SCAN})
@@ -96,109 +98,46 @@ def _deserialize(data: bytes, encoding: str, type_name: str) -> Any:  # noqa: AN
         raise DecodeError(str(error)) from error
 
 
-def _ros(
-    by_layout: Callable[[bytes, str], Any], convert: Callable[[Any], Any], type_name: str
-) -> Callable[[Channel], Callable[[bytes], Any]]:
-    def make(channel: Channel) -> Callable[[bytes], Any]:
-        def decode(data: bytes) -> Any:  # noqa: ANN401
-            messages = by_layout(data, channel.encoding)
-            return convert(_deserialize(data, channel.encoding, type_name)) if messages is None else messages
+def _ros_decoder(read: Callable[[bytes, str], Any], channel: Channel) -> Callable[[bytes], Any]:
+    type_name = TF if channel.type == TF_ROS1 else channel.type
 
-        return decode
+    def decode(data: bytes) -> Any:  # noqa: ANN401
+        message = read(data, channel.encoding)
+        if message is None:
+            _deserialize(data, channel.encoding, type_name)  # it says what is wrong
+            raise DecodeError(f"no {type_name}")
+        return message
 
-    return make
-
-
-def _stamp_ns(stamp: Any) -> int:  # noqa: ANN401  (rosbags generates its classes)
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+    return decode
 
 
-def _laser(message: Any) -> LaserMessage:  # noqa: ANN401
-    return LaserMessage(
-        _stamp_ns(message.header.stamp),
-        message.header.frame_id,
-        message.angle_min,
-        message.angle_increment,
-        message.angle_max,
-        message.range_min,
-        message.range_max,
-        message.time_increment,
-        message.scan_time,
-        message.ranges,
-    )
+def _foxglove(channel: Channel) -> Callable[[bytes], LaserMessage]:
+    from mavnav.logs.messages.foxglove import decode_json, protobuf_decoder  # noqa: PLC0415
+
+    return decode_json if channel.encoding == "json" else protobuf_decoder(channel)
 
 
-def _odometry(message: Any) -> list[TransformMessage]:  # noqa: ANN401
-    p, q = message.pose.pose.position, message.pose.pose.orientation
-    header = message.header
-    stamp_ns = _stamp_ns(header.stamp)
-    return [TransformMessage(stamp_ns, header.frame_id, message.child_frame_id, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w))]
-
-
-def _imu(message: Any) -> ImuMessage:  # noqa: ANN401
-    q, w, a = message.orientation, message.angular_velocity, message.linear_acceleration
-    covariance = [0.0] * 9
-    values = (q.x, q.y, q.z, q.w, *message.orientation_covariance, w.x, w.y, w.z, *covariance, a.x, a.y, a.z)
-    return imu_message(_stamp_ns(message.header.stamp), message.header.frame_id, values)
-
-
-def _transforms(message: Any) -> list[TransformMessage]:  # noqa: ANN401
-    return [_transform(stamped) for stamped in message.transforms]
-
-
-def _transform(stamped: Any) -> TransformMessage:  # noqa: ANN401
-    t, q = stamped.transform.translation, stamped.transform.rotation
-    return TransformMessage(
-        _stamp_ns(stamped.header.stamp),
-        stamped.header.frame_id,
-        stamped.child_frame_id,
-        (t.x, t.y, t.z),
-        (q.x, q.y, q.z, q.w),
-    )
-
-
-def _pose(message: Any) -> list[TransformMessage]:  # noqa: ANN401
-    p, q = message.pose.position, message.pose.orientation
-    header = message.header
-    return [TransformMessage(_stamp_ns(header.stamp), header.frame_id, "", (p.x, p.y, p.z), (q.x, q.y, q.z, q.w))]
-
-
-def _one_transform(message: Any) -> list[TransformMessage]:  # noqa: ANN401
-    return [_transform(message)]
-
-
-def _no_layout(_data: bytes, _encoding: str) -> None:
-    """Return None, so that the message is decoded by its definition."""
-
-
-def _foxglove_json(channel: Channel) -> Callable[[bytes], LaserMessage]:
-    from mavnav.logs.messages.foxglove import json_decoder  # noqa: PLC0415
-
-    return json_decoder(channel)
-
-
-def _foxglove_protobuf(channel: Channel) -> Callable[[bytes], LaserMessage]:
-    from mavnav.logs.messages.foxglove import protobuf_decoder  # noqa: PLC0415
-
-    return protobuf_decoder(channel)
-
-
-_ROS_KINDS: dict[str, Callable[[Channel], Callable[[bytes], Any]]] = {
-    SCAN: _ros(laser_of, _laser, SCAN),
-    ODOMETRY: _ros(odometry_of, _odometry, ODOMETRY),
-    IMU: _ros(imu_of, _imu, IMU),
-    **dict.fromkeys((TF, TF_ROS1), _ros(transforms_of, _transforms, TF)),
+_ROS_READERS: dict[str, Callable[[bytes, str], Any]] = {
+    SCAN: partial(laser_of, any_stamp=True),
+    ODOMETRY: odometry_of,
+    IMU: imu_of,
+    TF: transforms_of,
+    TF_ROS1: transforms_of,
 }
 DECODERS: dict[tuple[str, str], Callable[[Channel], Callable[[bytes], Any]]] = {
-    ("json", FOXGLOVE_SCAN): _foxglove_json,
-    ("protobuf", FOXGLOVE_SCAN): _foxglove_protobuf,
-    **{(encoding, name): make for name, make in _ROS_KINDS.items() for encoding in ROS_ENCODINGS},
+    ("json", FOXGLOVE_SCAN): _foxglove,
+    ("protobuf", FOXGLOVE_SCAN): _foxglove,
+    **{
+        (encoding, name): partial(_ros_decoder, read)
+        for name, read in _ROS_READERS.items()
+        for encoding in ROS_ENCODINGS
+    },
     (carmen.ENCODING, SCAN): carmen.scan_decoder,
     (carmen.ENCODING, ODOMETRY): carmen.pose_decoder,
     (carmen.ENCODING, TF): carmen.pose_decoder,
 }
 POSE_DECODERS: dict[tuple[str, str], Callable[[Channel], Callable[[bytes], Any]]] = {
-    (encoding, name): _ros(by_layout, convert, name)
-    for name, by_layout, convert in ((POSE, pose_of, _pose), (TRANSFORM, _no_layout, _one_transform))
-    for encoding in ROS_ENCODINGS
-} | {(carmen.ENCODING, TRANSFORM): carmen.pose_decoder}
+    (carmen.ENCODING, TRANSFORM): carmen.pose_decoder,
+    **{(encoding, POSE): partial(_ros_decoder, pose_of) for encoding in ROS_ENCODINGS},
+    **{(encoding, TRANSFORM): partial(_ros_decoder, transform_of) for encoding in ROS_ENCODINGS},
+}

@@ -3,17 +3,22 @@
 The fields must fill the message exactly. The strings of a LaserScan are not checked, neither for their final null byte
 nor for UTF-8, because the ranges do not depend on them: messages that libraries reject, and messages without a stated
 type, can be read. Both versions of plain CDR give a LaserScan the same layout, because none of its fields is longer
-than four bytes (OMG DDS-XTypes 1.3, 7.6.3). Other messages are left to their definitions if anything is unusual.
+than four bytes (OMG DDS-XTypes 1.3, 7.6.3). Other messages are read as their definitions demand.
 """
 
 from __future__ import annotations
 
 import struct
+from functools import wraps
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from msgspec import Struct
 
 from mavnav.logs.messages.records import ImuMessage, LaserMessage, TransformMessage
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 _ENCAPSULATIONS = {0: (">", 0), 1: ("<", 0), 6: (">", 0), 7: ("<", 0), 8: (">", 4), 9: ("<", 4)}
 """Encapsulation kind of a CDR message -> byte order, and bytes of a header before the fields."""
@@ -23,18 +28,21 @@ _COVARIANCE, _TWIST = 36, 6
 _SECOND_NS = 1_000_000_000
 
 
-def laser_of(data: bytes, encoding: str) -> LaserMessage | None:
-    """Decode a sensor_msgs/LaserScan in ``cdr`` or ``ros1``; None if the bytes are none."""
+def laser_of(data: bytes, encoding: str, *, any_stamp: bool = False) -> LaserMessage | None:
+    """Decode a sensor_msgs/LaserScan in ``cdr`` or ``ros1``; None if the bytes are none.
+
+    A stamp of a second of nanoseconds or more speaks against a LaserScan, unless the type is known: ``any_stamp``.
+    """
     try:
         if encoding == "ros1":
-            return _laser(data, 4, 1, "<")
+            return _laser(data, 4, 1, "<", any_stamp)
         order, head = _ENCAPSULATIONS.get(int.from_bytes(data[:2], "big"), ("", 0))
-        return _laser(data[4 + head :], 0, 4, order) if order and len(data) > 4 else None
+        return _laser(data[4 + head :], 0, 4, order, any_stamp) if order and len(data) > 4 else None
     except struct.error:
         return None
 
 
-def _laser(body: bytes, start: int, align: int, order: str) -> LaserMessage | None:
+def _laser(body: bytes, start: int, align: int, order: str, any_stamp: bool) -> LaserMessage | None:
     """Decode the scan that fills ``body``, whose stamp begins at ``start``; raises struct.error if it is cut."""
     seconds, nanoseconds, length = struct.unpack_from(f"{order}{'i' if align > 1 else 'I'}II", body, start)
     offset = start + 12 + length
@@ -45,63 +53,63 @@ def _laser(body: bytes, start: int, align: int, order: str) -> LaserMessage | No
     offset = ranges_at + 4 * beams
     (intensities,) = struct.unpack_from(f"{order}I", body, offset)
     left = len(body) - (offset + 4 + 4 * intensities)
-    if nanoseconds >= _SECOND_NS or not 0 <= left < (_MAX_PADDING if align > 1 else 1):
+    if (nanoseconds >= _SECOND_NS and not any_stamp) or not 0 <= left < (_MAX_PADDING if align > 1 else 1):
         return None
     ranges_m = np.frombuffer(body, f"{order}f4", beams, ranges_at)
     stamp_ns = seconds * _SECOND_NS + nanoseconds
     return LaserMessage(stamp_ns, frame, first, step, last, low, high, increment_s, scan_s, ranges_m)
 
 
-def transforms_of(data: bytes, encoding: str) -> list[TransformMessage] | None:
-    """Decode a tf2_msgs/TFMessage in ``cdr`` or ``ros1``; None if the bytes are not exactly one."""
-    try:
-        fields = _CdrFields.of(data, encoding)
-        transforms = [fields.transform() for _ in range(fields.count())]
-    except (struct.error, ValueError):
-        return None
-    return transforms if fields.at_end else None
+def _exactly(read: Callable[[_CdrFields], Any]) -> Callable[[bytes, str], Any]:
+    """Return the function that decodes a message in ``cdr`` or ``ros1``; None if the bytes are not exactly one."""
+
+    @wraps(read)
+    def decode(data: bytes, encoding: str) -> Any:  # noqa: ANN401
+        try:
+            fields = _CdrFields.of(data, encoding)
+            message = read(fields)
+        except (struct.error, ValueError):
+            return None
+        return message if fields.at_end else None
+
+    return decode
 
 
-def pose_of(data: bytes, encoding: str) -> list[TransformMessage] | None:
-    """Decode a geometry_msgs/PoseStamped in ``cdr`` or ``ros1``; None if the bytes are not exactly one."""
-    try:
-        fields = _CdrFields.of(data, encoding)
-        pose = fields.transform(child=False)
-    except (struct.error, ValueError):
-        return None
-    return [pose] if fields.at_end else None
+@_exactly
+def transforms_of(fields: _CdrFields) -> list[TransformMessage]:
+    """Decode a tf2_msgs/TFMessage; None if the bytes are not exactly one."""
+    return [fields.transform() for _ in range(fields.count())]
 
 
-def odometry_of(data: bytes, encoding: str) -> list[TransformMessage] | None:
-    """Decode the pose of a nav_msgs/Odometry in ``cdr`` or ``ros1``; None if the bytes are not exactly one."""
-    try:
-        fields = _CdrFields.of(data, encoding)
-        pose = fields.transform()
-        fields.doubles(_COVARIANCE + _TWIST + _COVARIANCE)
-    except (struct.error, ValueError):
-        return None
-    return [pose] if fields.at_end else None
+@_exactly
+def transform_of(fields: _CdrFields) -> list[TransformMessage]:
+    """Decode a geometry_msgs/TransformStamped; None if the bytes are not exactly one."""
+    return [fields.transform()]
 
 
-def imu_of(data: bytes, encoding: str) -> ImuMessage | None:
-    """Decode a sensor_msgs/Imu in ``cdr`` or ``ros1``; None if the bytes are not exactly one."""
-    try:
-        fields = _CdrFields.of(data, encoding)
-        stamp_ns = fields.stamp_ns()
-        frame_id = fields.text()
-        values = fields.doubles(37)
-    except (struct.error, ValueError):
-        return None
-    return imu_message(stamp_ns, frame_id, values) if fields.at_end else None
+@_exactly
+def pose_of(fields: _CdrFields) -> list[TransformMessage]:
+    """Decode a geometry_msgs/PoseStamped; None if the bytes are not exactly one."""
+    return [fields.transform(child=False)]
 
 
-def imu_message(stamp_ns: int, frame_id: str, values: tuple[float, ...]) -> ImuMessage:
-    """Return an ImuMessage of the 37 values of an Imu: quaternion, angular velocity and acceleration.
+@_exactly
+def odometry_of(fields: _CdrFields) -> list[TransformMessage]:
+    """Decode the pose of a nav_msgs/Odometry; None if the bytes are not exactly one."""
+    pose = fields.transform()
+    fields.doubles(_COVARIANCE + _TWIST + _COVARIANCE)
+    return [pose]
 
-    Each is followed by its covariance of 9 values. A first covariance of -1 means that there is no orientation.
+
+@_exactly
+def imu_of(fields: _CdrFields) -> ImuMessage:
+    """Decode a sensor_msgs/Imu; None if the bytes are not exactly one.
+
+    Quaternion, angular velocity and acceleration are each followed by a covariance of 9 values. A first covariance of
+    -1 means that there is no orientation.
     """
-    x, y, z, w = values[:4]
-    orientation = None if values[4] == -1.0 else (x, y, z, w)
+    stamp_ns, frame_id, values = fields.stamp_ns(), fields.text(), fields.doubles(37)
+    orientation = None if values[4] == -1.0 else values[:4]
     return ImuMessage(stamp_ns, orientation, values[13:16], values[25:28], frame_id)  # type: ignore[arg-type]
 
 
@@ -145,8 +153,7 @@ class _CdrFields(Struct):
         """Read a header, the child frame if there is one, and the pose of the child."""
         stamp_ns = self.stamp_ns()
         parent, name = self.text(), self.text() if child else ""
-        x, y, z, *turn = self.doubles(7)
-        qx, qy, qz, qw = turn
+        x, y, z, qx, qy, qz, qw = self.doubles(7)
         return TransformMessage(stamp_ns, parent, name, (x, y, z), (qx, qy, qz, qw))
 
     def stamp_ns(self) -> int:

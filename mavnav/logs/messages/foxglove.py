@@ -38,26 +38,22 @@ _SCAN: _Kinds = {
 """Field that is read -> its allowed types, or the fields of its message."""
 
 
-def json_decoder(_channel: Channel) -> Callable[[bytes], LaserMessage]:
-    """Return the decoder of a JSON channel; it raises DecodeError."""
-
-    def decode(data: bytes) -> LaserMessage:
-        if len(data) > _MAX_JSON_BYTES:
-            raise DecodeError(f"{len(data)} bytes of JSON; no more than {_MAX_JSON_BYTES} are read")
-        try:
-            scan = json.loads(data)
-            stamp = scan["timestamp"]
-            return _laser(
-                int(stamp["sec"]) * 1_000_000_000 + int(stamp["nsec"]),
-                str(scan.get("frame_id", "")),
-                (float(scan["start_angle"]), float(scan["end_angle"])),
-                _floats(scan["ranges"]),
-                has_pose=not _is_identity_json(scan.get("pose") or {}),
-            )
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError) as error:
-            raise DecodeError(f"no foxglove.LaserScan in JSON ({type(error).__name__}: {error})") from error
-
-    return decode
+def decode_json(data: bytes) -> LaserMessage:
+    """Decode a message in JSON; raises DecodeError."""
+    if len(data) > _MAX_JSON_BYTES:
+        raise DecodeError(f"{len(data)} bytes of JSON; no more than {_MAX_JSON_BYTES} are read")
+    try:
+        scan = json.loads(data)
+        stamp = scan["timestamp"]
+        return _laser(
+            int(stamp["sec"]) * 1_000_000_000 + int(stamp["nsec"]),
+            str(scan.get("frame_id", "")),
+            (float(scan["start_angle"]), float(scan["end_angle"])),
+            _floats(scan["ranges"]),
+            has_pose=not _is_identity_json(scan.get("pose") or {}),
+        )
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError) as error:
+        raise DecodeError(f"no foxglove.LaserScan in JSON ({type(error).__name__}: {error})") from error
 
 
 def _floats(values: list[Any]) -> NDArray[np.float64]:
@@ -114,13 +110,10 @@ def _message_class(channel: Channel) -> Any:  # noqa: ANN401  (generated at run 
 def _check_fields(descriptor: Any, wanted: _Kinds, above: str) -> None:  # noqa: ANN401
     """Raise TypeError with the name of a field that is missing or has an unsupported type."""
     for name, kinds in wanted.items():
-        kind, field = _kind(descriptor, name), f"field {above}{name}"
-        if not isinstance(kinds, dict):
-            if kind not in kinds:
-                raise TypeError(f"{field} is {kind}, it should be {kinds[0]}")
-        elif kind != "message":
-            raise TypeError(f"{field} is {kind}, it should be a message")
-        else:
+        kind, nested = _kind(descriptor, name), isinstance(kinds, dict)
+        if kind not in (("message",) if nested else kinds):
+            raise TypeError(f"field {above}{name} is {kind}, it should be {'a message' if nested else kinds[0]}")
+        if nested:
             _check_fields(descriptor.fields_by_name[name].message_type, kinds, f"{above}{name}.")
 
 

@@ -7,7 +7,6 @@ message: ``/echoes/last``, ``/points/ring_7``, ``/points/z_-0.1_0.3``.
 from __future__ import annotations
 
 import re
-from functools import partial
 from math import inf, pi
 from typing import TYPE_CHECKING, Any, Final
 
@@ -74,18 +73,9 @@ def _echo(message: Any, part: str) -> LaserMessage:  # noqa: ANN401
     else:
         at = [-1 if part == "last" else 0] * len(echoes)
     ranges_m = np.array([beam[k] if len(beam) else inf for beam, k in zip(echoes, at, strict=True)], dtype=np.float32)
-    return LaserMessage(
-        _stamp_ns(message),
-        message.header.frame_id,
-        message.angle_min,
-        message.angle_increment,
-        message.angle_max,
-        message.range_min,
-        message.range_max,
-        message.time_increment,
-        message.scan_time,
-        ranges_m,
-    )
+    angles = (message.angle_min, message.angle_increment, message.angle_max)
+    limits, times = (message.range_min, message.range_max), (message.time_increment, message.scan_time)
+    return LaserMessage(_stamp_ns(message), message.header.frame_id, *angles, *limits, *times, ranges_m)
 
 
 def _layer(message: Any, part: str, state: dict[str, Any]) -> LaserMessage:  # noqa: ANN401
@@ -138,26 +128,18 @@ def _picker(points: dict[str, Array], part: str) -> Pick:
 
     The default is the most level ring, or, without rings, heights of at most 0.1 m above and below the sensor.
     """
+    low_m, high_m, ring = -_LAYER_HALF_M, _LAYER_HALF_M, None
     if part.startswith("z_"):
-        _, low, high = part.split("_")
-        return partial(_between, low_m=float(low), high_m=float(high))
-    if part.startswith("ring_"):
-        return partial(_in_ring, ring=int(part.removeprefix("ring_")))
-    if "ring" in points and len(rings := np.unique(points["ring"][np.isfinite(points["ring"])])) > 1:
+        low_m, high_m = map(float, part.split("_")[1:])
+    elif part.startswith("ring_"):
+        ring = int(part.removeprefix("ring_"))
+    elif "ring" in points and len(rings := np.unique(points["ring"][np.isfinite(points["ring"])])) > 1:
         level = np.abs(np.arctan2(points["z"], np.hypot(points["x"], points["y"])))
-        slopes = [np.nanmedian(level[points["ring"] == ring]) for ring in rings]
-        return partial(_in_ring, ring=int(rings[int(np.argmin(slopes))]))
-    return partial(_between, low_m=-_LAYER_HALF_M, high_m=_LAYER_HALF_M)
-
-
-def _between(points: dict[str, Array], low_m: float, high_m: float) -> NDArray[np.bool_]:
-    inside: NDArray[np.bool_] = (points["z"] >= low_m) & (points["z"] <= high_m)
-    return inside
-
-
-def _in_ring(points: dict[str, Array], ring: int) -> NDArray[np.bool_]:
-    inside: NDArray[np.bool_] = points["ring"] == ring
-    return inside
+        slopes = [np.nanmedian(level[points["ring"] == number]) for number in rings]
+        ring = int(rings[int(np.argmin(slopes))])
+    if ring is None:
+        return lambda points: (points["z"] >= low_m) & (points["z"] <= high_m)
+    return lambda points: points["ring"] == ring
 
 
 def _bearings(bearing_rad: Array) -> tuple[float, float, int]:

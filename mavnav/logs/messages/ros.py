@@ -17,14 +17,7 @@ if TYPE_CHECKING:
     from mavnav.pose import Pose
     from mavnav.scan import Attitude, Scan
 
-_OLDER = (
-    Stores.ROS2_IRON,
-    Stores.ROS2_HUMBLE,
-    Stores.ROS2_GALACTIC,
-    Stores.ROS2_FOXY,
-    Stores.ROS2_ELOQUENT,
-    Stores.ROS2_DASHING,
-)
+_OLDER = ("iron", "humble", "galactic", "foxy", "eloquent", "dashing")
 
 
 @cache
@@ -44,10 +37,12 @@ def types_ros1() -> Any:  # noqa: ANN401
 def all_types_ros2() -> Iterator[Any]:
     """Yield the type stores of ROS 2: that of ``types_ros2``, then those of older distributions, the newest first."""
     yield types_ros2()
-    yield from map(_store, _OLDER)
+    yield from map(_types_of, _OLDER)
 
 
-_store = cache(get_typestore)
+@cache
+def _types_of(distribution: str) -> Any:  # noqa: ANN401
+    return get_typestore(Stores(f"ros2_{distribution}"))
 
 
 def definition(msgtype: str, types: Any = None) -> str:  # noqa: ANN401
@@ -110,30 +105,16 @@ def attitude(stamp_ns: int, frame: str, attitude: Attitude) -> Any:  # noqa: ANN
 def odometry(stamp_ns: int, parent: str, child: str, parent_T_child: Pose) -> Any:  # noqa: ANN401
     """Return an Odometry; velocities and covariances are zero, which means unknown."""
     still = _new("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
-    twist = _new("geometry_msgs/msg/Twist", still, still)
-    return _new(
-        ODOMETRY,
-        _header(stamp_ns, parent),
-        child,
-        _new("geometry_msgs/msg/PoseWithCovariance", _pose(parent_T_child), np.zeros(36)),
-        _new("geometry_msgs/msg/TwistWithCovariance", twist, np.zeros(36)),
-    )
+    pose = _new("geometry_msgs/msg/PoseWithCovariance", _pose(parent_T_child), np.zeros(36))
+    twist = _new("geometry_msgs/msg/TwistWithCovariance", _new("geometry_msgs/msg/Twist", still, still), np.zeros(36))
+    return _new(ODOMETRY, _header(stamp_ns, parent), child, pose, twist)
 
 
 def laser_scan(scan: Scan, frame: str, no_return_m: float = np.nan) -> Any:  # noqa: ANN401
     """Return a LaserScan with ``no_return_m`` where there is no valid return; no intensities."""
     spec = scan.spec
     last = spec.angle_min_rad + spec.angle_step_rad * max(spec.beams - 1, 0)
-    return _new(
-        SCAN,
-        _header(scan.stamp_ns, frame),
-        spec.angle_min_rad,
-        last,
-        spec.angle_step_rad,
-        spec.time_increment_s,
-        spec.scan_time_s,
-        spec.range_min_m,
-        spec.range_max_m,
-        np.where(np.isnan(scan.ranges_m), no_return_m, scan.ranges_m).astype(np.float32),
-        np.empty(0, np.float32),
-    )
+    angles, times = (spec.angle_min_rad, last, spec.angle_step_rad), (spec.time_increment_s, spec.scan_time_s)
+    limits = (spec.range_min_m, spec.range_max_m)
+    ranges = np.where(np.isnan(scan.ranges_m), no_return_m, scan.ranges_m).astype(np.float32)
+    return _new(SCAN, _header(scan.stamp_ns, frame), *angles, *times, *limits, ranges, np.empty(0, np.float32))

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from mavnav.logs.messages.markers import LINE_LIST, LINE_STRIP, TEXT, Marker
+from mavnav.logs.messages.cdr import LINE_LIST, LINE_STRIP, TEXT, Marker
 from mavnav.logs.writing.mcap_writer import Attachment, Extras
 from mavnav.outputs.files.document import plain, plain_json, run_document, to_json
 from mavnav.outputs.files.gridmap import pgm_rows, yaml_text

@@ -15,7 +15,6 @@ import numpy as np
 from msgspec.structs import replace
 
 from mavnav.logs.messages import cdr, definitions
-from mavnav.logs.messages.markers import marker_array
 from mavnav.logs.writing.mcap_writer import OutputChannel, write_serialized
 from mavnav.mapping.occupancy_grid import UNKNOWN, show_ends
 from mavnav.mapping.tiled_arrays import max_pool
@@ -72,7 +71,7 @@ def write(run: RunResult, path: Path) -> None:
             if walls.add(scan, map_T_laser):
                 put("/map", scan.stamp_ns, _map(walls.grid, walls.cells, scan.stamp_ns))
         trajectory = run.slam.trajectory
-        put("/markers", last_ns, marker_array(last_ns, MAP_FRAME, markers_of(run)))
+        put("/markers", last_ns, cdr.marker_array(last_ns, MAP_FRAME, markers_of(run)))
         put("/path", last_ns, cdr.path(last_ns, MAP_FRAME, trajectory.stamps_ns, trajectory.xyyaw))
         put("/map", last_ns, _map(walls.grid, walls.finished, last_ns))
 

@@ -1,26 +1,30 @@
-"""Odometry in a log: collected in one pass, chosen afterwards."""
+"""Trajectories in a log, odometry and ground truth by motion capture or a simulator: collected first, chosen then."""
 
 from __future__ import annotations
 
+import re
 from array import array
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 from msgspec import Struct, field
 
 from mavnav.errors import TopicError
-from mavnav.logs.messages.definitions import POSE, TRANSFORM
+from mavnav.logs.messages.definitions import ODOMETRY, POSE, TRANSFORM
+from mavnav.logs.records import Odometry, RecordedTruth
 from mavnav.logs.stamps import Stamps, in_order
-from mavnav.logs.transforms import frame_name, planar_pose
+from mavnav.logs.transforms import frame_name, mounting, planar_pose
 from mavnav.pose import Pose, Trajectory, motions
 from mavnav.units import NS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
+    from mavnav.logs.log import Log
     from mavnav.logs.messages.records import TransformMessage
-    from mavnav.logs.records import Channel
+    from mavnav.logs.records import Channel, Topic
     from mavnav.logs.stamps import StampSource
+    from mavnav.logs.transforms import FrameTree
 
 TF_TOPIC = "/tf"
 _ODOM_FRAME = "odom"
@@ -28,6 +32,12 @@ _JUMP_M, _FASTEST_M_S = 100.0, 100.0
 _RESET_M, _RESET_M_S = 1.0, 20.0
 _FEW_RESETS, _RESET_SHARE = 4, 0.001
 """Step, m plus m/s, that no wheels make, and the number and share of such steps that are left out."""
+
+TRUTH_TYPES: Final = frozenset({POSE, ODOMETRY, TRANSFORM})
+TRUTH_NAMES: Final = re.compile(
+    r"ground_?truth|(?:^|[/_])(?:gt|truth|mocap|vicon|optitrack|qualisys|vrpn)(?:[/_]|$)", re.IGNORECASE
+)
+"""Topic names that stand for ground truth; others may hold goals or estimates, and are never taken automatically."""
 
 
 class PoseTrack(Struct):
@@ -64,7 +74,7 @@ class OdometryTrack(PoseTrack):
     source: Literal["odom", "tf"] = "odom"
 
 
-def jump(odom_T_base: Trajectory) -> str:
+def _jump(odom_T_base: Trajectory) -> str:
     """Return where the odometry moves farther than any vehicle; empty where it does not."""
     step_m = np.hypot(*np.diff(odom_T_base.xyyaw[:, :2], axis=0).T)
     (far,) = (step_m > _JUMP_M + _FASTEST_M_S * NS * np.diff(odom_T_base.stamps_ns)).nonzero()
@@ -74,7 +84,7 @@ def jump(odom_T_base: Trajectory) -> str:
     return f"jumps by {step_m[far[0]]:.3g} m, {since_s:.3f} s after its start"
 
 
-def without_resets(odom_T_base: Trajectory, topic: str, warn: Callable[[str], None]) -> Trajectory:
+def _without_resets(odom_T_base: Trajectory, topic: str, warn: Callable[[str], None]) -> Trajectory:
     """Return the odometry without single steps that no wheels make: it was reset there, or a pose is wrong.
 
     The step before takes the place of each. Odometry with many such steps stays as it is.
@@ -97,16 +107,15 @@ def without_resets(odom_T_base: Trajectory, topic: str, warn: Callable[[str], No
     return Trajectory.of(odom_T_base.stamps_ns.tolist(), poses)
 
 
-class OdometryTracks:
+class OdometryTracks(Struct):
     """All odometry of a log: nav_msgs/Odometry by topic, and the edges of /tf that start at an ``odom`` frame.
 
     Single poses and transforms, as of motion capture, are odometry on the ``wanted`` topic alone.
     """
 
-    def __init__(self, wanted: str = "auto") -> None:
-        self.wanted = wanted
-        self.topics: dict[str, OdometryTrack] = {}
-        self.transforms: dict[str, OdometryTrack] = {}
+    wanted: str = "auto"
+    topics: dict[str, OdometryTrack] = field(default_factory=dict)
+    transforms: dict[str, OdometryTrack] = field(default_factory=dict)
 
     def takes(self, channel: Channel) -> bool:
         """Return whether the poses of a channel are wanted as odometry."""
@@ -176,3 +185,92 @@ class OdometryTracks:
         """Return the track of the laser's vehicle, of several the one with the most poses."""
         rank = {child: (leads_to_laser(child), len(track.stamps)) for child, track in self.transforms.items()}
         return self.transforms[max(rank, key=rank.__getitem__)] if rank else None
+
+
+def laser_odometry(
+    track: OdometryTrack, log: Log, base_frame: str | None, base_T_laser: Pose | None, warn: Callable[[str], None]
+) -> Odometry | None:
+    """Return the odometry of a track, without resets; None, with a warning, where it does not fit the scans."""
+    odom_T_base = track.trajectory(log.stamp_source, warn)
+    if not len(odom_T_base):
+        return None
+    if not log.shares_time(odom_T_base.stamps_ns):
+        warn(f"{track.topic}: odometry and scans share no time; it is not used, check its clock")
+        return None
+    if text := _jump(odom_T_base):
+        warn(f"{track.topic}: the odometry {text}; it is not used, check it or write --odom off")
+        return None
+    if base_T_laser is None:
+        text = f"no transform from {base_frame!r} to {log.frame_id!r}; the odometry is taken as the laser's own"
+        warn(f"{text} (give the mounting with --extrinsic x,y,yaw)")
+    odom_T_base = _without_resets(odom_T_base, track.topic, warn)
+    return Odometry(track.topic, track.source, odom_T_base, odom_T_base.compose(base_T_laser or Pose()))
+
+
+class TruthTracks(Struct):
+    """The ground truth of a log by topic, as far as it is ``wanted``: ``auto``, a topic, or None for none at all."""
+
+    wanted: str | None = None
+    topics: dict[str, PoseTrack] = field(default_factory=dict)
+
+    def takes(self, channel: Channel) -> bool:
+        """Return whether the messages of a channel are wanted."""
+        if self.wanted is None or channel.type not in TRUTH_TYPES:
+            return False
+        if self.wanted == "auto":
+            return TRUTH_NAMES.search(channel.topic) is not None
+        return frame_name(channel.topic) == frame_name(self.wanted)
+
+    def add(self, topic: str, message: TransformMessage, log_ns: int) -> None:
+        """Take in one pose."""
+        track = self.topics.get(topic)
+        if track is None:
+            track = self.topics[topic] = PoseTrack(topic, frame_name(message.child))
+        track.add(message, log_ns)
+
+    def choose(self, topics: Iterable[Topic]) -> PoseTrack | None:
+        """Return the wanted track, None if none is wanted; ``topics`` are all of the log.
+
+        Raises
+        ------
+        TopicError
+            No ground truth on the wanted topic, or with ``auto`` none or several.
+        """
+        if self.wanted is None:
+            return None
+        tracks = {name: track for name, track in sorted(self.topics.items()) if len(track.stamps)}
+        if len(tracks) == 1:
+            return next(iter(tracks.values()))
+        if tracks:
+            names = ", ".join(f"{name} ({len(track.stamps)})" for name, track in tracks.items())
+            raise TopicError(f"several ground truth topics: {names}; choose one with --truth topic:NAME")
+        poses = ", ".join(f"{t.name} ({t.type}, {t.count})" for t in topics if t.type in TRUTH_TYPES) or "none"
+        on = f"no ground truth on topic {self.wanted!r}"
+        missing = "no topic is named like a ground truth" if self.wanted == "auto" else on
+        raise TopicError(f"{missing}; topics with poses: {poses}; give --truth topic:NAME, or a file")
+
+
+def laser_truth(
+    track: PoseTrack,
+    log: Log,
+    frames: FrameTree,
+    base_T_laser: Pose | None,
+    extrinsic: Pose | None,
+    warn: Callable[[str], None],
+) -> RecordedTruth:
+    """Return the true trajectory of the laser.
+
+    Poses of the laser's own frame are used as they are. Others are those of a body that carries the laser: mounted by
+    ``extrinsic``, else by the transforms from the body's frame, else like the base of the log. Without any of them the
+    poses are taken as the laser's own, with a warning.
+    """
+    body_T_laser = Pose() if track.base_frame and track.base_frame == frame_name(log.frame_id) else extrinsic
+    if body_T_laser is None and track.base_frame:
+        mounted = mounting(frames, log.frame_id, [track.base_frame], warn)
+        body_T_laser = mounted.base_T_laser if mounted else None
+    body_T_laser = body_T_laser or base_T_laser
+    if body_T_laser is None:
+        text = f"no mounting of {log.frame_id!r} is known; the ground truth is taken as the laser's own"
+        warn(f"{track.topic}: {text} (give the mounting with --extrinsic x,y,yaw)")
+    world_T_laser = track.trajectory(log.stamp_source, warn).compose(body_T_laser or Pose())
+    return RecordedTruth(track.topic, track.base_frame or None, world_T_laser)
