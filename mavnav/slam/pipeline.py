@@ -6,7 +6,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from mavnav.slam.doubt.judge import judge_track
-from mavnav.slam.loop_closure.remap import close_loops
+from mavnav.slam.loop_closure.detection import close_loops
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.methods.registry import make_method
 from mavnav.slam.recovery.parts import drop_late_poses, join_lost_parts
@@ -15,11 +15,10 @@ from mavnav.slam.refinement.contradicted import drop_contradicted
 from mavnav.slam.refinement.refine import match_deskewed, redraw_map, refine_against_final_map, remove_dynamic_cells
 from mavnav.slam.refinement.smoothing import smooth_jitter
 from mavnav.slam.result import summarize
-from mavnav.slam.retries.attempt import try_again
+from mavnav.slam.retries.attempt import COARSER_VOXELS, try_again
 from mavnav.slam.retries.beam_order import REVERSED_BEAMS
 from mavnav.slam.retries.beginning import track_from_good_beginning
 from mavnav.slam.retries.odometry import ODOMETRY_AFTER_GAPS, WITHOUT_ODOMETRY
-from mavnav.slam.retries.resampled_track import COARSER_VOXELS
 from mavnav.slam.track import Track
 
 if TYPE_CHECKING:

@@ -8,12 +8,12 @@ import numpy as np
 from msgspec import Struct, field
 
 from mavnav.slam.findings import NOT_PLANAR, Loops
+from mavnav.slam.matching.observability import covariances_of
 from mavnav.slam.matching.steps import LostInterval, Steps, jumps, lost_intervals, tracked_trajectory
 from mavnav.slam.methods.pauses import blind_warnings, pause_warnings
 from mavnav.slam.recovery.parts import Part, lost_for_good, part_warnings, parts_of
-from mavnav.slam.refinement.covariance import covariances_of
+from mavnav.slam.retries.attempt import COARSER_VOXELS
 from mavnav.slam.retries.odometry import odometry_warnings
-from mavnav.slam.retries.resampled_track import COARSER_VOXELS
 from mavnav.units import NS
 
 if TYPE_CHECKING:

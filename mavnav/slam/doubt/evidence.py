@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from itertools import compress
 from math import pi
 from typing import TYPE_CHECKING
@@ -12,18 +11,15 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from mavnav.slam.doubt.second_motion import second_motion
-from mavnav.slam.loop_closure.remap import points_of
-from mavnav.slam.retries.resampled_track import COARSER
+from mavnav.slam.loop_closure.detection import points_of
+from mavnav.slam.retries.attempt import COARSER
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from numpy.typing import NDArray
 
-    from mavnav.scan import Scan
     from mavnav.slam.methods.method import Refiner
-    from mavnav.slam.track import LogScans, Track
+    from mavnav.slam.track import Track
 
     Floats = NDArray[np.float64]
 
@@ -115,16 +111,9 @@ def resampled_poses(track: Track) -> Floats | None:
     None if the run is stopped early.
     """
     tracked = track.steps.column("tracked")
-    some = partial(tracked_scans, track.log_scans, tracked)
-    again = replace(
-        track, config=track.config.with_voxels(COARSER), log_scans=some, begin=int(tracked[: track.begin].sum())
-    )
-    other = again.over(some(), "track again")
+    config, begin = track.config.with_voxels(COARSER), int(tracked[: track.begin].sum())
+    scans = compress(track.log_scans(), tracked)  # lost ones cannot be compared, and take most time
+    other = replace(track, config=config, begin=begin).over(scans, "track again")
     if len(other.steps) < np.count_nonzero(tracked):
         return None
     return np.where(other.steps.column("tracked")[:, None], other.steps.column("map_T_laser"), np.nan)
-
-
-def tracked_scans(log_scans: LogScans, tracked: NDArray[np.bool_]) -> Iterable[Scan]:
-    """Return the tracked scans: lost ones cannot be compared, and take most time."""
-    return compress(log_scans(), tracked)

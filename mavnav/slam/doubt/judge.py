@@ -12,9 +12,8 @@ import numpy as np
 from msgspec.structs import replace
 
 from mavnav.profiling import timed
-from mavnav.slam.doubt.coefficients import ONE_TRACK, TWO_TRACKS
 from mavnav.slam.doubt.evidence import evidence_of, resampled_poses
-from mavnav.slam.doubt.features import DISAGREEMENT, FEATURES
+from mavnav.slam.doubt.features import DISAGREEMENT, FEATURES, ONE_TRACK, TWO_TRACKS
 from mavnav.slam.findings import Doubt, Reason
 from mavnav.units import NS
 
@@ -78,9 +77,8 @@ def doubt_of(evidence: TrackEvidence, tried: tuple[str, ...] = ()) -> Doubt:
     shown = {name: feature.of(evidence) for name, feature in FEATURES.items()}
     values = {name: feature.total(shown[name]) for name, feature in FEATURES.items()}
     log_odds = contributions(values)
-    strongest = sorted(log_odds, key=lambda name: -log_odds[name])
     reasons: list[Reason] = []
-    for name in strongest:
+    for name in sorted(log_odds, key=lambda name: -log_odds[name]):
         if log_odds[name] > 0.0 and values[name] >= MUCH:
             reasons += stretches(FEATURES[name].reason, shown[name], evidence.stamps_ns)
     return Doubt(probability(values), tuple(reasons), tried)

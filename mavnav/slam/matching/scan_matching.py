@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import Enum
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -40,6 +41,14 @@ class Match(NamedTuple):
     motion_cost: float = 0.0
     ambiguous: bool = False
     threshold_m2: float = np.inf
+
+
+class MatchVerdict(Enum):
+    """Decision on a match: accept it at once, accept it once the next scans agree, or refuse it."""
+
+    SURE = "sure"
+    PROBABLE = "probable"
+    REFUSED = "refused"
 
 
 def no_match(map_T_laser: Pose, beams: int = 0) -> Match:

@@ -13,8 +13,7 @@ if TYPE_CHECKING:
     from mavnav.pose import Pose
     from mavnav.scan import Scan
     from mavnav.slam.matching.motion_model import Motion
-    from mavnav.slam.matching.scan_matching import Match
-    from mavnav.slam.matching.track_state import MatchVerdict
+    from mavnav.slam.matching.scan_matching import Match, MatchVerdict
 
 
 class Refiner(Protocol):

@@ -10,8 +10,7 @@ from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose, transform_points
 from mavnav.profiling import timed
 from mavnav.slam.matching.paper_matching import acceptance_scale, match_polar, polar_points
-from mavnav.slam.matching.scan_matching import first_match, no_match
-from mavnav.slam.matching.track_state import MatchVerdict
+from mavnav.slam.matching.scan_matching import MatchVerdict, first_match, no_match
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -14,7 +14,7 @@ from mavnav.pose import Pose
 from mavnav.profiling import timed
 from mavnav.scan import LONGEST_SWEEP
 from mavnav.slam.matching.budget import WHOLE_EACH, WHOLE_FIRST, WIDE_EACH, WIDE_FIRST, WIDE_MOST, Budget, search_work
-from mavnav.slam.matching.degeneracy import LEAST_OBSERVABILITY
+from mavnav.slam.matching.observability import LEAST_OBSERVABILITY
 from mavnav.slam.matching.relocalization import (
     CANDIDATES,
     around,
@@ -29,6 +29,7 @@ from mavnav.slam.matching.relocalization import (
 )
 from mavnav.slam.matching.scan_matching import (
     Match,
+    MatchVerdict,
     Schedule,
     empty_line_map,
     first_match,
@@ -36,7 +37,6 @@ from mavnav.slam.matching.scan_matching import (
     search_lines,
     with_effort,
 )
-from mavnav.slam.matching.track_state import MatchVerdict
 from mavnav.slam.methods.acceptance import FOUND_CONFLICTS, Acceptance
 from mavnav.slam.methods.pauses import Pauses
 

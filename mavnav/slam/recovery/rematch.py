@@ -9,9 +9,8 @@ import numpy as np
 from msgspec.structs import replace
 
 from mavnav.slam.matching.motion_model import LONGEST_S, motion_at
-from mavnav.slam.matching.scan_matching import with_effort
+from mavnav.slam.matching.scan_matching import MatchVerdict, with_effort
 from mavnav.slam.matching.steps import Step, Steps
-from mavnav.slam.matching.track_state import MatchVerdict
 from mavnav.units import NS
 
 if TYPE_CHECKING:

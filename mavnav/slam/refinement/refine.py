@@ -11,8 +11,8 @@ import numpy as np
 from msgspec.structs import replace
 
 from mavnav.mapping.occupancy_grid import GridBuilder
-from mavnav.slam.matching.degeneracy import UNMEASURED, degeneracy_warning
 from mavnav.slam.matching.motion_model import motions_along
+from mavnav.slam.matching.observability import UNMEASURED, degeneracy_warning
 from mavnav.slam.matching.steps import Steps, tracked_trajectory
 from mavnav.slam.retries.beam_order import WARNING, is_costlier, reversed_scan, reversed_scans
 from mavnav.units import DEG
