@@ -91,7 +91,7 @@ class Track(Struct, frozen=True):
         )
         steps: Iterator[Step] = chain(before, track(coming, method, self.motion, self.begin))
         steps = until(steps) if until else steps
-        return replace(self, method=method, steps=Steps(self.report_progress(steps, phase) if phase else steps))
+        return replace(self, method=method, steps=Steps(self.report_progress(steps, phase)))
 
     def placed_scans(self, phase: str = "") -> Iterator[tuple[Step, Scan, Motion]]:
         """Yield the tracked steps with their scans, and the motion there along the path; fewer if the run is stopped.
@@ -99,14 +99,14 @@ class Track(Struct, frozen=True):
         Progress is reported if the phase has a name.
         """
         motions = motions_along(tracked_trajectory(self.steps), self.motion)
-        steps = self.report_progress(self.steps, phase) if phase else self.steps
-        tracked = ((step, scan) for step, scan in zip(steps, self.log_scans(), strict=False) if step.tracked)
+        steps = zip(self.report_progress(self.steps, phase), self.log_scans(), strict=False)
+        tracked = ((step, scan) for step, scan in steps if step.tracked)
         for (step, scan), motion in zip(tracked, motions, strict=False):
             yield step, scan, motion
 
     def report_progress(self, steps: Iterable[Step], phase: str) -> Iterator[Step]:
-        """Yield the steps of a pass, and report the progress at each."""
+        """Yield the steps of a pass, and report the progress at each if the phase has a name."""
         for done, step in enumerate(steps, start=1):
-            if self.on_step:
+            if self.on_step and phase:
                 self.on_step(phase, done)
             yield step

@@ -86,7 +86,7 @@ def track(scans: Iterable[Scan], method: Method, motion: Motion, first: int = 0)
             match = method.match(scan, here.predict(scan.stamp_ns), here)
             verdict = method.gate(match, scan, here)
             if method.refiner and state.trial is None and needs_whole_map_search(verdict, state):
-                match, verdict, state = search_within_budget(scan, match, verdict, state, method.refiner)
+                match, verdict, state = search_whole_map(scan, match, verdict, state, method.refiner)
             state = state.after(verdict, match.map_T_laser, scan.stamp_ns)
             tracked = state.missed == 0
         if tracked:
@@ -94,33 +94,23 @@ def track(scans: Iterable[Scan], method: Method, motion: Motion, first: int = 0)
         yield Step(index, scan.stamp_ns, match, tracked)
 
 
-def search_within_budget(
+def search_whole_map(
     scan: Scan, match: Match, verdict: MatchVerdict, state: TrackState, refiner: Refiner
 ) -> tuple[Match, MatchVerdict, TrackState]:
-    """Search the whole map if the budget covers it; else return the match with its verdict.
+    """Search the whole map for the scan if the budget covers it; refuse it unless exactly one pose fits.
 
-    After ``DOUBTFUL_SCANS`` missed scans, matches within as many scans of the last search are refused.
+    A probable match at that pose becomes sure. Any other pose found is probable. After ``DOUBTFUL_SCANS`` missed scans,
+    matches within as many scans of the last search are refused.
     """
     if state.missed >= DOUBTFUL_SCANS > state.missed - state.searched:
         return match, MatchVerdict.REFUSED, state
     if not refiner.reserve_whole_map_search(scan):
         return match, verdict, state
-    best, verdict = search_whole_map(scan, match, verdict, state.here, refiner)
-    return best, verdict, state._replace(searched=state.missed)
-
-
-def search_whole_map(
-    scan: Scan, match: Match, verdict: MatchVerdict, here: Motion, refiner: Refiner
-) -> tuple[Match, MatchVerdict]:
-    """Search the whole map for the scan; refuse it unless exactly one pose fits.
-
-    A probable match at that pose becomes sure. Any other pose found is probable.
-    """
-    best = refiner.relocalize(scan, match, here)
+    best, state = refiner.relocalize(scan, match, state.here), state._replace(searched=state.missed)
     if best is None:
-        return match, MatchVerdict.REFUSED
+        return match, MatchVerdict.REFUSED, state
     agree = verdict is MatchVerdict.PROBABLE and not apart(best.map_T_laser, match.map_T_laser)
-    return best, MatchVerdict.SURE if agree else MatchVerdict.PROBABLE
+    return best, MatchVerdict.SURE if agree else MatchVerdict.PROBABLE, state
 
 
 def needs_whole_map_search(verdict: MatchVerdict, state: TrackState) -> bool:

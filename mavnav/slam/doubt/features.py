@@ -98,14 +98,12 @@ def _weakness(evidence: TrackEvidence) -> Floats:
 def sparse(evidence: TrackEvidence) -> Floats:
     """Return the motion before each scan as a multiple of the bound for sparse sampling."""
     moved_m = np.linalg.norm(np.diff(evidence.xyyaw[:, :2], axis=0, prepend=evidence.xyyaw[:1, :2]), axis=1)
-    share: Floats = np.maximum(moved_m / SPARSE_M, turns_rad(evidence.xyyaw[:, 2]) / SPARSE_RAD)
-    return share
+    return np.asarray(np.maximum(moved_m / SPARSE_M, turns_rad(evidence.xyyaw[:, 2]) / SPARSE_RAD))
 
 
 def not_planar(evidence: TrackEvidence) -> Floats:
     """Return the visibility conflicts with the finished map, or the tilt if larger, as multiples of their bounds."""
-    shown: Floats = np.maximum(evidence.conflicts / CONFLICTS, evidence.tilt_rad / TILT_RAD)
-    return shown
+    return np.asarray(np.maximum(evidence.conflicts / CONFLICTS, evidence.tilt_rad / TILT_RAD))
 
 
 def few_points(evidence: TrackEvidence) -> Floats:

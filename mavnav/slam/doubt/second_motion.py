@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.kernels.scans.points import extent
-from mavnav.pose import Pose
 from mavnav.slam.matching.scan_matching import empty_line_map
 from mavnav.slam.matching.steps import tracked_trajectory
 from mavnav.units import NS
@@ -21,6 +20,7 @@ from mavnav.units import NS
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from mavnav.pose import Trajectory
     from mavnav.slam.methods.method import Refiner
     from mavnav.slam.track import Track
 
@@ -76,8 +76,7 @@ def second_motion(track: Track, refiner: Refiner, conflicts: Floats) -> Floats:
     rows = [some for some in wanted if points.keys() >= set(some)]  # a stopped run ends early
     if len(rows) < LEAST_EXAMINED:
         return out
-    rivals = [rival(some, path.stamps_ns, path.xyyaw, points, track) for some in rows]
-    velocities = np.array([velocity or (np.nan, np.nan) for velocity in rivals])
+    velocities = np.array([rival(some, path, points, track) or (np.nan, np.nan) for some in rows])
     if np.isnan(velocities).all():
         return out
     same = np.hypot(*(velocities - np.nanmedian(velocities, axis=0)).T) <= SAME_M_S
@@ -115,7 +114,7 @@ def points_of_rows(track: Track, refiner: Refiner, rows: set[int]) -> dict[int, 
 
 
 def rival(
-    rows: tuple[int, ...], stamps_ns: NDArray[np.int64], xyyaw: Floats, points: dict[int, Floats], track: Track
+    rows: tuple[int, ...], path: Trajectory, points: dict[int, Floats], track: Track
 ) -> tuple[float, float] | None:
     """Return the velocity of a second motion that fits as well as the track, frame of the first scan; None if none."""
     robust, (first, *later) = track.config.robust, rows
@@ -126,9 +125,9 @@ def rival(
     lines.insert(points[first], extent(points[first]))
     n = len(SPEEDS_M_S)
     tried = np.column_stack([axis.ravel() for axis in np.meshgrid(SPEEDS_M_S, SPEEDS_M_S, indexing="ij")])
-    shares, here = np.zeros(n * n), Pose(*xyyaw[first].tolist())
+    shares = np.zeros(n * n)
     for row in later:
-        moved, elapsed_s = here.between(Pose(*xyyaw[row].tolist())), float(stamps_ns[row] - stamps_ns[first]) * NS
+        moved, elapsed_s = path[first].between(path[row]), float(path.stamps_ns[row] - path.stamps_ns[first]) * NS
         xy_m, yaw_rad = moved.as_array()[:2] + elapsed_s * tried, np.array([moved.yaw_rad])
         costs = lines.costs(points[row][:POINTS], xy_m, yaw_rad, truncate_m)
         shares += costs[0] / (truncate_m**2 * len(later))

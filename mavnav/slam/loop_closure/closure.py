@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
     from mavnav.config.models import Config
     from mavnav.slam.loop_closure.key_frames import KeyFrame, Visibility
+    from mavnav.slam.matching.relocalization import Region
     from mavnav.slam.matching.scan_matching import Match
 
 
@@ -164,24 +165,21 @@ def find_closure(
     if closure and closure.weak_rad is None:
         return closure
     best = min(matches, key=lambda match: misfit(match, config), default=None)
-    return weak_closure(keys, j, best, old, seen, bound, config) if best and fits(best, LEAST_WEAK_INLIERS) else None
+    return weak_closure(keys, j, best, old, seen, region, config) if best and fits(best, LEAST_WEAK_INLIERS) else None
 
 
 def weak_closure(
-    keys: Sequence[KeyFrame],
-    j: int,
-    match: Match,
-    old: KeyFrameMap,
-    seen: Visibility,
-    bound: tuple[float, float],
-    config: Config,
+    keys: Sequence[KeyFrame], j: int, match: Match, old: KeyFrameMap, seen: Visibility, region: Region, config: Config
 ) -> KeyClosure | None:
-    """Search across the corridor of a match, at the tracked position along it; return the weak closure or None."""
+    """Search across the corridor of a match, at the tracked position along it; return the weak closure or None.
+
+    The ``region`` is that within the drift bound.
+    """
     key = keys[j]
     along_rad = unobservable_direction(key.points, match.map_T_laser, old.lines, LEAST_GROWTH, config)
     if along_rad is None:
         return None
-    xy_m, yaws_rad = around(key.map_T_laser, *bound)
+    xy_m, yaws_rad = region
     off_m = (xy_m - key.map_T_laser[:2]) @ (cos(along_rad), sin(along_rad))
     matches = candidates(key.points, old.lines, old.grid, (xy_m[abs(off_m) <= STRIP_M], yaws_rad), config)
     best = unambiguous(matches, AMBIGUITY_MARGIN, config)
@@ -205,9 +203,8 @@ def measure_closure(
     The closure is weak if one direction is not observable; None if no direction is.
     """
     i = seen.reference(replace(keys[j], map_T_laser=match.map_T_laser))
-    old = range(seen.count)
     local = KeyFrameMap(config)
-    local.grow([keys[k] for k in old if abs(keys[k].path_m - keys[i].path_m) <= PART_M], seen.count)
+    local.grow([key for key in keys[: seen.count] if abs(key.path_m - keys[i].path_m) <= PART_M], seen.count)
     robust, points = config.robust, keys[j].points
     first = Schedule.of(config, local.lines, (robust.expert.truncate_m, DRIFT_RAD[0]))
     fine = search_lines(points, local.lines, match.map_T_laser, first)
@@ -217,9 +214,8 @@ def measure_closure(
     if apart(match.map_T_laser, fine.map_T_laser) or not fits(fine):
         return None
     start, place = keys[i].map_T_laser, fine.map_T_laser
+    closure = KeyClosure(i, j, start.between(place), fine)
     if least_growth(points, place, local.lines, config) >= LEAST_GROWTH:
-        return KeyClosure(i, j, start.between(place), fine)
+        return closure
     along_rad = unobservable_direction(points, place, local.lines, LEAST_GROWTH, config)
-    if along_rad is None:
-        return None
-    return KeyClosure(i, j, start.between(place), fine, wrap_angle(along_rad - start.yaw_rad))
+    return None if along_rad is None else replace(closure, weak_rad=wrap_angle(along_rad - start.yaw_rad))

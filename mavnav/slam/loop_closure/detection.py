@@ -108,7 +108,8 @@ def find_closures(
         closures, refused = agreed, max(len(searches) - len(agreed), 0)
         if track_confirmed([closure.correction(keys) for closure in closures]):
             break
-        keys = optimize_keys(tracked, [*path, *edges_of(closures)])
+        poses = optimize([key.map_T_laser for key in tracked], [*path, *edges_of(closures)])
+        keys = [replace(key, map_T_laser=pose) for key, pose in zip(tracked, poses, strict=True)]
     return keys, closures, refused
 
 
@@ -138,8 +139,7 @@ def detect_closures(keys: Sequence[KeyFrame], config: Config) -> Iterator[KeyClo
     Weak closures confirm nothing, because the drift along a corridor stays unknown.
     """
     old, seen, paths, pace = KeyFrameMap(config), Visibility(keys), Paths(), Pace()
-    xy_m = np.array([(k.map_T_laser.x_m, k.map_T_laser.y_m) for k in keys])
-    paths_m = np.array([k.path_m for k in keys])
+    xy_m, paths_m = np.array([k.map_T_laser[:2] for k in keys]), np.array([k.path_m for k in keys])
     for j, key in enumerate(keys):
         i = nearest_old(xy_m, paths_m, j) if key.path_m >= pace.next_m else None
         if i is None:
@@ -173,12 +173,6 @@ def track_confirmed(corrections: Sequence[Pose]) -> bool:
     """Return whether the corrections are so small that the track should not change."""
     few = sum(not is_small(correction) for correction in corrections) <= (1.0 - SMALL_SHARE) * len(corrections)
     return few and all(is_small(correction, FAR_OFF) for correction in corrections)
-
-
-def optimize_keys(keys: Sequence[KeyFrame], edges: Sequence[Edge]) -> list[KeyFrame]:
-    """Return the key frames at the poses that fit the edges best."""
-    poses = optimize([key.map_T_laser for key in keys], edges)
-    return [replace(key, map_T_laser=pose) for key, pose in zip(keys, poses, strict=True)]
 
 
 def edges_of(closures: Sequence[KeyClosure]) -> list[Edge]:
@@ -237,7 +231,7 @@ def rebuild(
     scans: Iterable[Scan], steps: Steps, map_T_laser: Trajectory, method: Method, motion: Motion
 ) -> Iterator[Step]:
     """Insert every tracked scan into a new map at its corrected pose, a row of ``map_T_laser``; yield the steps."""
-    poses = iter([map_T_laser[row] for row in range(len(map_T_laser))])
+    poses = map(map_T_laser.__getitem__, range(len(map_T_laser)))
     for step, scan in zip(steps, scans, strict=False):
         if not step.tracked:
             yield step

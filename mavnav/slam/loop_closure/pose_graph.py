@@ -84,8 +84,7 @@ class _EdgeErrors:
         dx, dy = (b - a)[:, :2].T
         error = np.column_stack((c * dx + s * dy, -s * dx + c * dy, b[:, 2] - a[:, 2])) - self.measured
         error[:, 2] = (error[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
-        scaled: Floats = (self.weights @ error[:, :, None])[:, :, 0]
-        return scaled
+        return np.asarray((self.weights @ error[:, :, None])[:, :, 0])
 
     def cost(self, poses: Floats) -> float:
         """Return the sum of Huber's loss over the edges."""
@@ -156,9 +155,8 @@ def path_edges(map_T_laser: Trajectory, keys: Sequence[KeyFrame], information_of
         expected = [usual, *(moved_m[j] / elapsed_s[j] for j in near)]
         unusual_m = moved_m[k] - np.array(expected) * elapsed_s[k]
         weak = min(weakest[k : k + 2], key=lambda each: each.information)
-        edges.append(
-            Edge(k, k + 1, motion, sqrt_information(unusual_m, float(elapsed_s[k]), weak, keys[k].map_T_laser))
-        )
+        root = sqrt_information(unusual_m, float(elapsed_s[k]), weak, keys[k].map_T_laser)
+        edges.append(Edge(k, k + 1, motion, root))
     return edges
 
 
@@ -166,15 +164,13 @@ def velocities(map_T_laser: Trajectory) -> Floats:
     """Return the velocity from each pose to the next, (n - 1, 2), m/s, in the frame of the laser."""
     rows = np.arange(len(map_T_laser))
     steps = motions(map_T_laser.xyyaw, rows[:-1], rows[1:])[:, :2]
-    speeds: Floats = steps / (np.diff(map_T_laser.stamps_ns) * NS)[:, None]
-    return speeds
+    return np.asarray(steps / (np.diff(map_T_laser.stamps_ns) * NS)[:, None])
 
 
 def usual_velocity(speeds: Floats, stamps_ns: NDArray[np.int64], around_ns: NDArray[np.int64]) -> Floats:
     """Return the median velocity (2,) about two stamps, m/s."""
     first, last = np.searchsorted(stamps_ns, around_ns + np.array((-USUAL_S, USUAL_S)) / NS)
-    middle: Floats = np.median(speeds[first:last], axis=0)
-    return middle
+    return np.asarray(np.median(speeds[first:last], axis=0))
 
 
 def weakest_translation(information: Floats, points: int) -> Weakest:

@@ -82,5 +82,4 @@ def rotate_covariances(covariances: NDArray[np.float64], yaw_rad: float) -> NDAr
     full, c, s = np.empty((len(covariances), 3, 3)), np.cos(yaw_rad), np.sin(yaw_rad)
     full[:, _ROWS, _COLS] = full[:, _COLS, _ROWS] = covariances
     turn = np.array([(c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)])
-    seen: NDArray[np.float64] = (turn @ full @ turn.T)[:, _ROWS, _COLS]
-    return seen
+    return np.asarray((turn @ full @ turn.T)[:, _ROWS, _COLS])

@@ -14,8 +14,10 @@ from mavnav.slam.matching.scan_matching import Match, with_effort
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.config.models import Config, GridSize
+    from mavnav.config.models import Config
     from mavnav.scan import LaserSpec
+
+    Floats = NDArray[np.float64]
 
 GIVE_UP_RATIO = 2.5
 """Multiple of the acceptance threshold above which a match is not refined.
@@ -24,9 +26,7 @@ Such a pose is wrong: of 452 of them, none had a cost below the threshold on the
 """
 
 
-def match_polar(
-    virtual_m: NDArray[np.float64], points: NDArray[np.float64], spec: LaserSpec, predicted: Pose, config: Config
-) -> Match:
+def match_polar(virtual_m: Floats, points: Floats, spec: LaserSpec, predicted: Pose, config: Config) -> Match:
     """Match a scan against the virtual scan from the predicted pose (paper, "Scan Matching", minimisation i-v).
 
     ``virtual_m`` (beams,) are the virtual scan's ranges; ``points`` (n, 5) the real scan's, from ``polar_points``.
@@ -36,17 +36,16 @@ def match_polar(
     paper = config.paper
     level = acceptance_scale(points[:, 3], config)
     search = partial(_search_polar, virtual_m, points, spec, predicted, config, level)
-    match = search(config.grid, config.azimuth)
+    match = search(1)
     worth_it = paper.expert.refine_above_m2 < match.cost_m2 / level <= _give_up_m2(config)
     if not worth_it or paper.expert.refine_factor == 1:
         return match
-    k = paper.expert.refine_factor
-    fine = search(config.grid.refine(k), config.azimuth * k)
+    fine = search(paper.expert.refine_factor)
     best = fine if fine.cost_m2 < match.cost_m2 else match
     return with_effort(best, match, fine)
 
 
-def acceptance_scale(ranges_m: NDArray[np.float64], config: Config) -> float:
+def acceptance_scale(ranges_m: Floats, config: Config) -> float:
     """Return the factor on the acceptance threshold for a scan of these ranges (beams,), m, NaN without a return.
 
     A range's variance grows with its square (paper, "Laser Scan"), and the paper states its threshold for a typical
@@ -65,19 +64,13 @@ def _give_up_m2(config: Config) -> float:
 
 @timed("search")
 def _search_polar(
-    virtual_m: NDArray[np.float64],
-    points: NDArray[np.float64],
-    spec: LaserSpec,
-    predicted: Pose,
-    config: Config,
-    level: float,
-    grid: GridSize,
-    azimuth: int,
+    virtual_m: Floats, points: Floats, spec: LaserSpec, predicted: Pose, config: Config, level: float, factor: int
 ) -> Match:
+    """Search the grid, refined by a factor; ``level`` is the factor on the acceptance threshold."""
     from mavnav.kernels.polar_search import cost as polar_cost  # noqa: PLC0415
     from mavnav.kernels.polar_search import search as polar_search  # noqa: PLC0415  loads in 0.2 s, only for paper
 
-    paper = config.paper
+    paper, grid, azimuth = config.paper, config.grid.refine(factor), config.azimuth * factor
     extensions = paper.expert.max_extensions if paper.expert.extend_border else 0
     samples = polar_search.SearchGrid(azimuth, grid.nx, grid.ny, extensions, prune=config.search == "pruned")
     schedule = polar_search.Schedule(
@@ -114,7 +107,7 @@ def _search_polar(
 
 
 @timed("cleaning")
-def polar_points(ranges_m: NDArray[np.float64], spec: LaserSpec, mixed_pixel_m: float) -> NDArray[np.float64]:
+def polar_points(ranges_m: Floats, spec: LaserSpec, mixed_pixel_m: float) -> Floats:
     """Return the valid beams as rows x, y, beam number, range, bearing, (n, 5), without mixed pixels (cost step vii).
 
     A mixed pixel differs from both neighbouring beams by more than ``mixed_pixel_m``.

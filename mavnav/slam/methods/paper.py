@@ -47,35 +47,26 @@ class Paper:
 
     def _least_beams(self, spec: LaserSpec) -> float:
         """Return the number of valid beams below which a scan is not matched."""
-        paper = self.config.paper
-        return (
-            paper.expert.min_beams_share * spec.beams
-            if paper.expert.min_beams_of == "scan"
-            else LEAST_BEAMS_SHARE * spec.beams
-        )
+        expert = self.config.paper.expert
+        return (expert.min_beams_share if expert.min_beams_of == "scan" else LEAST_BEAMS_SHARE) * spec.beams
 
     def match(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
         """Match against a virtual scan from the predicted pose (cost steps i, ii)."""
-        paper = self.config.paper
-        points = polar_points(scan.ranges_m, scan.spec, paper.expert.mixed_pixel_m)
+        points = polar_points(scan.ranges_m, scan.spec, self.config.paper.expert.mixed_pixel_m)
         if len(points) < self._least_beams(scan.spec):
-            return no_match(predicted, len(points))._replace(threshold_m2=self._threshold_m2(scan))
-        virtual_m = self._virtual_scan(predicted, scan.spec)
-        match = match_polar(virtual_m, points, scan.spec, predicted, self.config)
+            match = no_match(predicted, len(points))
+        else:
+            virtual_m = self._virtual_scan(predicted, scan.spec)
+            match = match_polar(virtual_m, points, scan.spec, predicted, self.config)
         return match._replace(threshold_m2=self._threshold_m2(scan))
 
     def _virtual_scan(self, predicted: Pose, spec: LaserSpec) -> NDArray[np.float64]:
         """Return the virtual scan (beams,), m; the last one is reused while neither map nor prediction change."""
         if self._seen is None or self._seen[:2] != (predicted, spec):
-            paper = self.config.paper
-            ranges_m = self.grid.virtual_scan(
-                predicted,
-                spec.directions,
-                paper.far_m,
-                paper.expert.cluster_gap_cells,
-                middle=paper.expert.equal_cells == "middle",
-            )
-            self._seen = predicted, spec, ranges_m
+            far_m, expert = self.config.paper.far_m, self.config.paper.expert
+            middle = expert.equal_cells == "middle"
+            seen_m = self.grid.virtual_scan(predicted, spec.directions, far_m, expert.cluster_gap_cells, middle=middle)
+            self._seen = predicted, spec, seen_m
         return self._seen[2]
 
     @timed("gate")

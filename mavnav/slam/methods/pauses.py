@@ -118,12 +118,8 @@ def blind_warnings(steps: Steps, motion: Motion) -> Iterator[str]:
         return
     stamps_ns, tracked = steps.column("stamp_ns"), np.flatnonzero(steps.column("tracked"))
     gaps_s = np.diff(stamps_ns[tracked]) * NS
-    paused = {k + 1 for k in pauses(steps, motion.period_s)}
-    blind = [
-        k
-        for k in np.flatnonzero(gaps_s > shortest_pause_s(motion.period_s)).tolist()
-        if not paused.intersection(range(tracked[k] + 1, tracked[k + 1] + 1))
-    ]
+    paused, long = set(pauses(steps, motion.period_s)), np.flatnonzero(gaps_s > shortest_pause_s(motion.period_s))
+    blind = [k for k in long.tolist() if paused.isdisjoint(range(tracked[k], tracked[k + 1]))]
     if blind:
         yield (
             f"no scan matches for {_longest_gap(stamps_ns, tracked[blind], tracked[1:][blind])}: without odometry, "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -128,23 +128,20 @@ class Robust:
     @cached_property
     def _near(self) -> tuple[Schedule, Schedule]:
         """Schedules of the search close to the prediction: without odometry, and with it."""
-        robust = self.config.robust
-        window = (robust.expert.near_window_m, robust.expert.near_window_rad)
-        return Schedule.of(self.config, self.lines, window), Schedule.of(
-            self.config, self.lines, window, prior=robust.expert.prior
-        )
+        expert = self.config.robust.expert
+        schedule = partial(Schedule.of, self.config, self.lines, (expert.near_window_m, expert.near_window_rad))
+        return schedule(), schedule(prior=expert.prior)
 
     @cached_property
     def _final(self) -> Schedule:
         """Schedule of the search of the final pass."""
-        window = (self.config.robust.expert.final_window_m, self.config.robust.expert.final_window_rad)
-        return Schedule.of(self.config, self.lines, window, final=True)
+        expert = self.config.robust.expert
+        return Schedule.of(self.config, self.lines, (expert.final_window_m, expert.final_window_rad), final=True)
 
     def _begin(self) -> None:
         """Start an empty map."""
-        expert = self.config.robust.expert
-        points = expert.overlap_points
-        self.lines = empty_line_map(self.config, known_points=points, waiting_share=expert.waiting_share)
+        known, waiting = self.config.robust.expert.overlap_points, self.config.robust.expert.waiting_share
+        self.lines = empty_line_map(self.config, known_points=known, waiting_share=waiting)
         self.known = self.grid = GridBuilder(self.lines.cell_m)
 
     def first(self, scan: Scan) -> Match:
@@ -238,10 +235,8 @@ class Robust:
 
     def _is_found_near(self, tried: list[Match], predicted: Pose, motion: Motion, elapsed_s: float) -> bool:
         """Return whether the search close to the prediction was made and its match is acceptable."""
-        if not tried:
-            return False
-        near, rules = tried[0], self.acceptance
-        return rules.is_inside(near, predicted) and rules.is_acceptable(near, motion, elapsed_s)
+        rules = self.acceptance
+        return any(rules.is_inside(m, predicted) and rules.is_acceptable(m, motion, elapsed_s) for m in tried)
 
     def _work(self, points: NDArray[np.float64], region: Region) -> float:
         """Return the work of a search of a region; that of cost bounds counts once until the map grows."""
@@ -257,10 +252,9 @@ class Robust:
     @timed("gate")
     def gate(self, match: Match, scan: Scan, motion: Motion) -> MatchVerdict:
         """Decide whether to accept the match."""
-        elapsed_s = motion.elapsed_s(scan.stamp_ns)
         if self._pauses.exclude(match.map_T_laser, motion, scan.stamp_ns):
             return MatchVerdict.REFUSED
-        return self.acceptance.verdict(match, motion, elapsed_s)
+        return self.acceptance.verdict(match, motion, motion.elapsed_s(scan.stamp_ns))
 
     def reserve_whole_map_search(self, scan: Scan) -> bool:
         """Spend the work of a search of the whole map if the budget covers it."""
@@ -281,10 +275,10 @@ class Robust:
         matches = [match, *candidates(points, self.lines, self.known, self._free, self.config, limit=limit)]
         expected = _expected_poses(scan, motion.predict(scan.stamp_ns), motion)
         best = best_of(matches, expected, elapsed_s, self.config)
-        rules = self.acceptance
-        refused = best.ambiguous or rules.conflicts_after_gap(best, motion, elapsed_s)
-        refused = refused or self._pauses.exclude(best.map_T_laser, motion, scan.stamp_ns)
-        return best if rules.is_good(best) and not refused else None
+        if best.ambiguous or self.acceptance.conflicts_after_gap(best, motion, elapsed_s):
+            return None
+        excluded = self._pauses.exclude(best.map_T_laser, motion, scan.stamp_ns)
+        return best if self.acceptance.is_good(best) and not excluded else None
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Insert every valid point of the de-skewed scan into lines and grid."""
@@ -309,9 +303,8 @@ class Robust:
 
     def observability(self, points: NDArray[np.float64], match: Match) -> tuple[float, NDArray[np.float64]]:
         """Return the observability by the lines at the points, and the Hessian."""
-        lines, information = self.lines, np.empty(6)
-        pose = match.map_T_laser.as_array()
-        return observability(points, pose, lines.nearest, lines.lines, lines.geometry, information), information
+        lines, pose, hessian = self.lines, match.map_T_laser.as_array(), np.empty(6)
+        return observability(points, pose, lines.nearest, lines.lines, lines.geometry, hessian), hessian
 
     def conflicts(self, points: NDArray[np.float64], match: Match) -> float:
         """Return the share of visibility conflicts of a sample of the points."""
@@ -337,8 +330,7 @@ class Robust:
 
         The result of the last motion is kept: the scan that is inserted was matched just before.
         """
-        last = self._deskewed
-        if last and last[0] is scan and last[1] is motion:
+        if (last := self._deskewed) and last[0] is scan and last[1] is motion:
             return last[2]
         spec, twist, increment_s = scan.spec, AT_REST, 0.0
         # One of several merged lasers may start half a period later.

@@ -163,9 +163,8 @@ def join_parts(track: Track, others: list[tuple[Step, ...]]) -> Track:
     warnings, errors_m = list(track.findings.warnings), np.zeros(len(steps))
     for part in parts:
         wanted = {step.index for step in part if not steps[step.index].tracked}
-        scans = (
-            {k: scan for k, scan in enumerate(track.log_scans()) if k in wanted} if len(wanted) >= LOST_SCANS else {}
-        )
+        log_scans = track.log_scans() if len(wanted) >= LOST_SCANS else ()
+        scans = {k: scan for k, scan in enumerate(log_scans) if k in wanted}
         inside = [step for step in part if step.index in scans]
         part_T = part_pose(inside, scans, track, _most_searched(part, track))
         if part_T is None and inside:

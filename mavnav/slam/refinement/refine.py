@@ -91,16 +91,11 @@ def refine_steps(
             observed, hessian = refiner.observability(p, match)
             conflicts, motion = refiner.conflicts(p, match), next(moving, None)
             if motion and conflicts >= NOTABLE_CONFLICTS and abs(motion.twist[2]) * scan.sweep_s >= SKEWED_RAD:
-                conflicts = min(conflicts, conflicts_deskewed(scan, match, motion, refiner))
+                deskewed = refiner.match_points(scan, motion)
+                conflicts = min(conflicts, refiner.conflicts(deskewed, refiner.refine(deskewed, match)))
             evidence.extend((observed, conflicts, *hessian.tolist()))
         yield from (step._replace(match=match) for step, match in zip(some, matches, strict=False))
         yield from some[len(matches) :]
-
-
-def conflicts_deskewed(scan: Scan, match: Match, motion: Motion, refiner: Refiner) -> float:
-    """Return the visibility conflicts of a scan that is de-skewed by its motion, with the finished map."""
-    points = refiner.match_points(scan, motion)
-    return refiner.conflicts(points, refiner.refine(points, match))
 
 
 def redraw_map(track: Track, refiner: Refiner) -> Track:

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from mavnav.slam.methods.method import Refiner
     from mavnav.slam.track import LogScans, Track
 
+    Floats = NDArray[np.float64]
+
 STRETCH_SCANS = 80
 """Number of scans, those with most rotation, that are compared."""
 
@@ -156,10 +158,7 @@ def reversed_scan(scan: Scan) -> Scan:
 
 
 def turning_stretch(
-    yaws_rad: NDArray[np.float64],
-    scans: int = STRETCH_SCANS,
-    least_rad: float = LEAST_TURN_RAD,
-    apart_s: NDArray[np.float64] | None = None,
+    yaws_rad: Floats, scans: int = STRETCH_SCANS, least_rad: float = LEAST_TURN_RAD, apart_s: Floats | None = None
 ) -> range:
     """Return the range of up to ``scans`` scans over which the headings (n,) turn most.
 
@@ -190,7 +189,7 @@ def is_costlier(listed: Sequence[Match], other: Sequence[Match]) -> bool:
     return len(costs) >= LEAST_COMPARED and bool(costs[:, 1].mean() < costs[:, 0].mean())
 
 
-def _costs(listed: Sequence[Match], other: Sequence[Match]) -> NDArray[np.float64]:
+def _costs(listed: Sequence[Match], other: Sequence[Match]) -> Floats:
     """Return the costs (n, 2) of the scans that were matched in both orders, m2."""
     both = [(a.cost_m2, b.cost_m2) for a, b in zip(listed, other, strict=True)]
     return np.array([pair for pair in both if np.isfinite(pair).all()]).reshape(-1, 2)
