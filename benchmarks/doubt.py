@@ -33,11 +33,20 @@ from scipy.optimize import minimize
 
 from mavnav.config.models import Config
 from mavnav.slam import pipeline
-from mavnav.slam.doubt.evidence import evidence_of, resampled_poses
-from mavnav.slam.doubt.features import DISAGREEMENT, FEATURES, ONE_TRACK, TWO_TRACKS, WRONG_M, WRONG_RAD, Weights
+from mavnav.slam.doubt.features import (
+    DISAGREEMENT,
+    FEATURES,
+    ONE_TRACK,
+    TWO_TRACKS,
+    WRONG_M,
+    WRONG_RAD,
+    Weights,
+    evidence_of,
+    resampled_poses,
+)
 from mavnav.slam.doubt.judge import FEWEST, WORTH_A_TRACK, contributions, doublings, judge_track, probability
 from mavnav.slam.findings import HIGH
-from mavnav.slam.methods.method import Refiner
+from mavnav.slam.methods.registry import Refiner
 from mavnav.slam.track import Track
 from mavnav.units import DEG
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from mavnav.scan import Scan
     from mavnav.slam.matching.motion_model import Motion
     from mavnav.slam.matching.scan_matching import Match
-    from mavnav.slam.methods.method import Method, Refiner
+    from mavnav.slam.methods.registry import Method, Refiner
 
 DOUBTFUL_SCANS, LONG_LOST_SCANS, RARELY_SCANS = 8, 16, 64
 """Numbers of scans without an accepted pose that decide when the whole map is searched.

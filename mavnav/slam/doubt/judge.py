@@ -12,8 +12,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from mavnav.profiling import timed
-from mavnav.slam.doubt.evidence import evidence_of, resampled_poses
-from mavnav.slam.doubt.features import DISAGREEMENT, FEATURES, ONE_TRACK, TWO_TRACKS
+from mavnav.slam.doubt.features import DISAGREEMENT, FEATURES, ONE_TRACK, TWO_TRACKS, evidence_of, resampled_poses
 from mavnav.slam.findings import Doubt, Reason
 from mavnav.units import NS
 
@@ -22,8 +21,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.slam.doubt.evidence import TrackEvidence
-    from mavnav.slam.methods.method import Refiner
+    from mavnav.slam.doubt.features import TrackEvidence
+    from mavnav.slam.methods.registry import Refiner
     from mavnav.slam.track import Track
 
 WORTH_A_TRACK = 0.1
@@ -40,11 +39,9 @@ RESAMPLED = "resampled track"
 
 def judge_track(track: Track, refiner: Refiner) -> Track:
     """Add the probability that a track is wrong; not in causal mode, in a given map, or if nothing was tracked."""
-    if not refiner.builds_map or len(track.findings.observed) < len(track.steps):
-        return track
-    if track.steps.column("tracked").sum() < FEWEST:
-        return track
-    return judge_by_features(track, refiner)
+    complete = len(track.findings.observed) == len(track.steps)
+    enough = track.steps.column("tracked").sum() >= FEWEST
+    return judge_by_features(track, refiner) if refiner.builds_map and complete and enough else track
 
 
 @timed("doubt")

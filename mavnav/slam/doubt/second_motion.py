@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.pose import Trajectory
-    from mavnav.slam.methods.method import Refiner
+    from mavnav.slam.methods.registry import Refiner
     from mavnav.slam.track import Track
 
     Floats = NDArray[np.float64]
@@ -93,9 +93,8 @@ def examined_rows(stamps_ns: NDArray[np.int64], period_s: float) -> list[tuple[i
     for first in np.unique(np.linspace(0, len(stamps_s) - 1, EXAMINED + 1).astype(int))[:-1].tolist():
         later = [int(np.searchsorted(stamps_s, stamps_s[first] + span_s - 0.5 * period_s)) for span_s in SPANS_S]
         some = (first, *later)
-        late_s = [stamps_s[min(k, len(stamps_s) - 1)] - stamps_s[first] for k in later]
-        close = all(late - span <= 2.0 * period_s for late, span in zip(late_s, SPANS_S, strict=True))
-        if later[-1] < len(stamps_s) and close and all(a < b for a, b in pairwise(some)):
+        late_s = stamps_s[later] - stamps_s[first] - SPANS_S if later[-1] < len(stamps_s) else np.inf
+        if np.max(late_s) <= 2.0 * period_s and all(a < b for a, b in pairwise(some)):
             rows.append(some)
     return rows
 
@@ -105,12 +104,9 @@ def points_of_rows(track: Track, refiner: Refiner, rows: set[int]) -> dict[int, 
 
     Without those within ``NEAREST_M``.
     """
-    points_of_row = {}
-    for row, (_, scan, motion) in enumerate(track.placed_scans()):
-        if row in rows:
-            points = refiner.match_points(scan, motion)
-            points_of_row[row] = points[np.hypot(*points.T) > NEAREST_M]
-    return points_of_row
+    placed = ((row, scan, motion) for row, (_, scan, motion) in enumerate(track.placed_scans()) if row in rows)
+    matched = ((row, refiner.match_points(scan, motion)) for row, scan, motion in placed)
+    return {row: points[np.hypot(*points.T) > NEAREST_M] for row, points in matched}
 
 
 def rival(

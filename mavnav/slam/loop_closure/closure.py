@@ -119,9 +119,8 @@ def agree(a: KeyClosure, b: KeyClosure, keys: Sequence[KeyFrame]) -> bool | None
         return None
     for direction_rad in weak:
         off = Pose(*across_direction(off, direction_rad - end_by_a.yaw_rad), off.yaw_rad)
-    return (
-        off.distance_m <= AGREE_M[0] + AGREE_M[1] * path_m and abs(off.yaw_rad) <= AGREE_RAD[0] + AGREE_RAD[1] * path_m
-    )
+    most_m, most_rad = (constant + increase * path_m for constant, increase in (AGREE_M, AGREE_RAD))
+    return off.distance_m <= most_m and abs(off.yaw_rad) <= most_rad
 
 
 def is_small(correction: Pose, times: float = 1.0) -> bool:

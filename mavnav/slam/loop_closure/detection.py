@@ -34,8 +34,10 @@ if TYPE_CHECKING:
     from mavnav.slam.loop_closure.pose_graph import InformationOf
     from mavnav.slam.matching.motion_model import Motion
     from mavnav.slam.matching.steps import Step
-    from mavnav.slam.methods.method import Method, Refiner
+    from mavnav.slam.methods.registry import Method, Refiner
     from mavnav.slam.track import LogScans, Track
+
+    PointsOf = Callable[[list[int]], Iterable[NDArray[np.float64]]]
 
 
 LOOP_M = 8.0
@@ -61,12 +63,7 @@ ROUNDS = 3
 
 
 @timed("loops")
-def find_loops(
-    map_T_laser: Trajectory,
-    points_of: Callable[[list[int]], Iterable[NDArray[np.float64]]],
-    information_of: InformationOf,
-    config: Config,
-) -> Loops:
+def find_loops(map_T_laser: Trajectory, points_of: PointsOf, information_of: InformationOf, config: Config) -> Loops:
     """Find the loops of a track, and correct the path between their ends.
 
     ``map_T_laser`` holds the tracked poses. ``points_of`` returns the match points (n, 2) of the scans of given rows,

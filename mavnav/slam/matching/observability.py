@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.slam.matching.steps import LOST_SCANS
+from mavnav.slam.matching.steps import LOST_SCANS, runs_of
 from mavnav.units import MM, NS
 
 if TYPE_CHECKING:
@@ -35,15 +35,12 @@ def degeneracy_warning(steps: Steps, observed: NDArray[np.float64], *, contradic
 
     ``observed`` (n,) is the observability of the steps. ``contradicted``: the log has odometry that is not used.
     """
-    padded = np.concatenate(([False], observed < LEAST_OBSERVABILITY, [False])).astype(np.int8)
-    starts, ends = (np.flatnonzero(np.diff(padded) == turn) for turn in (1, -1))
-    long = ends - starts >= LOST_SCANS
-    if not long.any():
+    runs = runs_of(observed < LEAST_OBSERVABILITY, LOST_SCANS)
+    if not runs:
         return ""
-    stamps_ns, starts, ends = steps.column("stamp_ns"), starts[long], ends[long]
-    from_s, to_s = (float(stamps_ns[k] - stamps_ns[0]) * NS for k in (starts[0], ends[0] - 1))
-    share = 100.0 * float((ends - starts).sum()) / len(steps)
-    when = f"from {from_s:.1f} to {to_s:.1f} s" + (f", and {len(starts) - 1} more" if len(starts) > 1 else "")
+    from_s, to_s = ((steps[runs[0][k]].stamp_ns - steps[0].stamp_ns) * NS for k in (0, -1))
+    share = 100.0 * sum(map(len, runs)) / len(steps)
+    when = f"from {from_s:.1f} to {to_s:.1f} s" + (f", and {len(runs) - 1} more" if len(runs) > 1 else "")
     advice = "correct the odometry" if contradicted else "record odometry"
     return (
         f"degenerate geometry in {share:.0f} % of the scans ({when}): motion in one direction is not observable, "

@@ -134,10 +134,9 @@ def everywhere(grid: GridBuilder) -> Region:
     yaws_rad = np.arange(-pi, pi, STEP_RAD)
     if not grid.passes.size:
         return np.zeros((0, 2)), yaws_rad
-    cells = [
-        np.round((first_m + (np.arange(n) + 0.5) * grid.cell_m) / STEP_M).astype(np.int64)
-        for first_m, n in zip(grid.origin_xy_m[::-1], grid.passes.shape, strict=True)
-    ]
+    axes = zip(grid.origin_xy_m[::-1], grid.passes.shape, strict=True)
+    centres_m = (first_m + (np.arange(n) + 0.5) * grid.cell_m for first_m, n in axes)
+    cells = [np.round(axis_m / STEP_M).astype(np.int64) for axis_m in centres_m]
     row, col = np.nonzero(free_positions(grid.hits, grid.passes, *(lattice - lattice[0] for lattice in cells)))
     return np.column_stack(((col + cells[1][0]) * STEP_M, (row + cells[0][0]) * STEP_M)), yaws_rad
 
@@ -161,9 +160,8 @@ def candidates(
     limit_m2, exhaustive = limit * truncate_m**2, config.search == "exhaustive"
     starts = lowest(few, line_map, region, truncate_m, most, limit_m2, exhaustive=exhaustive)
     schedule = Schedule.of(config, line_map, (1.5 * STEP_M, 1.5 * STEP_RAD))
-    return [
-        with_conflicts(search_lines(points, line_map, pose, schedule), points, line_map, grid) for _, pose in starts
-    ]
+    matches = (search_lines(points, line_map, pose, schedule) for _, pose in starts)
+    return [with_conflicts(match, points, line_map, grid) for match in matches]
 
 
 def lowest(
@@ -212,9 +210,8 @@ def lowest_exhaustive(points: Floats, line_map: LineMap, region: Region, truncat
 
 def best_of(matches: list[Match], expected: tuple[Pose, ...], elapsed_s: float, config: Config) -> Match:
     """Return the match of lowest rank, by misfit and motion cost; ambiguous if another pose ranks about equally."""
-    weighed = [
-        m._replace(motion_cost=min(motion_cost(pose, m.map_T_laser, elapsed_s) for pose in expected)) for m in matches
-    ]
+    costs = (min(motion_cost(pose, m.map_T_laser, elapsed_s) for pose in expected) for m in matches)
+    weighed = [m._replace(motion_cost=cost) for m, cost in zip(matches, costs, strict=True)]
     ranks = [misfit(m, config) + PRIOR * min(m.motion_cost, MOST_MOTION_COST) for m in weighed]
     lowest = min(ranks)
     best = weighed[ranks.index(lowest)]
@@ -299,7 +296,8 @@ def minima(costs: Floats, xy_m: Floats, yaws_rad: Floats, most: int = CANDIDATES
 
 def starts_of(rows: Floats, xy_m: Floats, yaws_rad: Floats) -> list[Start]:
     """Return the poses of minima (m, 3): cost, index of yaw and of position."""
-    return [(cost, Pose(*xy_m[int(p)].tolist(), wrap_angle(float(yaws_rad[int(q)])))) for cost, q, p in rows.tolist()]
+    at = ((cost, *xy_m[int(p)].tolist(), float(yaws_rad[int(q)])) for cost, q, p in rows.tolist())
+    return [(cost, Pose(x_m, y_m, wrap_angle(yaw_rad))) for cost, x_m, y_m, yaw_rad in at]
 
 
 def lowest_starts(starts: list[Start], most: int) -> list[Start]:

@@ -159,8 +159,8 @@ class Robust:
         self._whole_budget.earn()
         if self._missed_before(motion) >= RARELY_SCANS and motion.odometry is None:
             return self._search_rarely(points, predicted, motion, _expected_poses(scan, predicted, motion), elapsed_s)
-        tried = self._search_near(points, predicted, motion)
-        if self._is_found_near(tried, predicted, motion, elapsed_s):
+        tried, good = self._search_near(points, predicted, motion, elapsed_s)
+        if good:
             return tried[0]
         expected, lost = _expected_poses(scan, predicted, motion), _is_lost(motion, elapsed_s)
         regions = self._lost_region(points, expected, elapsed_s) if lost else []
@@ -189,8 +189,8 @@ class Robust:
         regions = self._lost_region(points, expected, elapsed_s)
         if not regions:
             return no_match(predicted, len(points))
-        tried = self._search_near(points, predicted, motion)
-        if self._is_found_near(tried, predicted, motion, elapsed_s):
+        tried, good = self._search_near(points, predicted, motion, elapsed_s)
+        if good:
             return tried[0]
         tried += self._search_wide(points, regions[0], FOUND_COST)
         return best_of(tried, expected, elapsed_s, self.config) if tried else no_match(predicted, len(points))
@@ -207,8 +207,8 @@ class Robust:
         points, elapsed_s = self.match_points(scan, motion), motion.elapsed_s(scan.stamp_ns)
         if len(points) < self.config.robust.min_points:
             return no_match(predicted, len(points))
-        tried = self._search_near(points, predicted, motion)
-        if self._is_found_near(tried, predicted, motion, elapsed_s):
+        tried, good = self._search_near(points, predicted, motion, elapsed_s)
+        if good:
             return tried[0]
         tried += self._search_around(points, predicted)
         return with_effort(self._of_least_cost(tried, points, predicted, motion), *tried)
@@ -226,17 +226,19 @@ class Robust:
         region = around(predicted, self.config.robust.expert.window_m, self.config.robust.expert.window_rad)
         return candidates(points, self.lines, self.known, region, self.config, most=NEAR_MINIMA)
 
-    def _search_near(self, points: NDArray[np.float64], predicted: Pose, motion: Motion) -> list[Match]:
-        """Search close to the prediction, unless the configuration disables that."""
-        if not self.config.robust.expert.near_window_mm:
-            return []
-        match = search_lines(points, self.lines, predicted, self._near[motion.odometry is not None])
-        return [with_conflicts(match, points, self.lines, self.known)]
+    def _search_near(
+        self, points: NDArray[np.float64], predicted: Pose, motion: Motion, elapsed_s: float
+    ) -> tuple[list[Match], bool]:
+        """Search close to the prediction, unless the configuration disables that; also return whether it is enough.
 
-    def _is_found_near(self, tried: list[Match], predicted: Pose, motion: Motion, elapsed_s: float) -> bool:
-        """Return whether the search close to the prediction was made and its match is acceptable."""
+        The match is then acceptable, and well inside of the window.
+        """
+        if not self.config.robust.expert.near_window_mm:
+            return [], False
+        match = search_lines(points, self.lines, predicted, self._near[motion.odometry is not None])
+        match = with_conflicts(match, points, self.lines, self.known)
         rules = self.acceptance
-        return any(rules.is_inside(m, predicted) and rules.is_acceptable(m, motion, elapsed_s) for m in tried)
+        return [match], rules.is_inside(match, predicted) and rules.is_acceptable(match, motion, elapsed_s)
 
     def _work(self, points: NDArray[np.float64], region: Region) -> float:
         """Return the work of a search of a region; that of cost bounds counts once until the map grows."""

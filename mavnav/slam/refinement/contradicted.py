@@ -20,7 +20,7 @@ from mavnav.units import NS, pluralize
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.slam.methods.method import Refiner
+    from mavnav.slam.methods.registry import Refiner
     from mavnav.slam.track import Track
 
 CONTRADICTED, GIVEN_UP = 0.05, 0.1

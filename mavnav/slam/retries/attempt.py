@@ -56,9 +56,8 @@ COARSER = 4 / 3
 
 def coarsen_voxels(track: Track) -> Track | None:
     """Return a track with coarser voxels where scans are sparse."""
-    if not track.builds_map or not has_sparse_scans(track.steps):
-        return None
-    return replace(track, config=track.config.with_voxels(COARSER))
+    sparse = track.builds_map and has_sparse_scans(track.steps)
+    return replace(track, config=track.config.with_voxels(COARSER)) if sparse else None
 
 
 def is_sharper(other: Track, track: Track) -> bool:

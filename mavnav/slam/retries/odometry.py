@@ -190,9 +190,9 @@ def most_moving(map_T_laser: Trajectory) -> list[MotionWindow]:
     """Return the windows of a path with most motion, in the order of their times."""
     stamps_ns = map_T_laser.stamps_ns
     ends = np.searchsorted(stamps_ns, stamps_ns + round(WINDOW_S / NS))
-    pairs = ((k, int(end)) for k, end in enumerate(ends) if end < len(stamps_ns))
-    close = (pair for pair in pairs if (stamps_ns[pair[1]] - stamps_ns[pair[0]]) * NS < 2 * WINDOW_S)
     stamps = stamps_ns.tolist()
+    inside = ((a, b) for a, b in enumerate(ends.tolist()) if b < len(stamps))
+    close = ((a, b) for a, b in inside if (stamps[b] - stamps[a]) * NS < 2 * WINDOW_S)
     windows = [MotionWindow(stamps[a], stamps[b], map_T_laser[a].between(map_T_laser[b])) for a, b in close]
     return sorted(sorted(windows, key=lambda window: -size(window.moved))[:MOST_WINDOWS])
 
