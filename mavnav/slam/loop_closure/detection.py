@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from mavnav.slam.track import LogScans, Track
 
     PointsOf = Callable[[list[int]], Iterable[NDArray[np.float64]]]
+    """Rows of a trajectory -> the match points (n, 2) of their scans, m, laser frame."""
 
 
 LOOP_M = 8.0
