@@ -7,7 +7,7 @@
 ``collect`` makes the runs missing in the file: disturbed recorded logs, compared with the undisturbed track, and scenes
 and missions, compared with ground truth. Each line contains the features of a run, always with a second track, and its
 errors. A run is wrong if the motion over any window of 2 or 10 s has an error over 0.2 m or 5 deg. ``fit`` fits the
-coefficients to the even seeds and prints them for mavnav/slam/doubt/coefficients.py; with ``--only`` those of the
+coefficients to the even seeds and prints them for mavnav/slam/doubt/features.py; with ``--only`` those of the
 features with a text in the name, and the others stay. ``report`` evaluates all runs with the coefficients in that file,
 with the second track only if the doubt of the first one requires it. It prints both halves, and then every simulated
 scene with all seeds.
@@ -33,12 +33,20 @@ from scipy.optimize import minimize
 
 from mavnav.config.models import Config
 from mavnav.slam import pipeline
-from mavnav.slam.doubt.coefficients import ONE_TRACK, TWO_TRACKS, Weights
-from mavnav.slam.doubt.evidence import evidence_of, resampled_poses
-from mavnav.slam.doubt.features import DISAGREEMENT, FEATURES, WRONG_M, WRONG_RAD
+from mavnav.slam.doubt.features import (
+    DISAGREEMENT,
+    FEATURES,
+    ONE_TRACK,
+    TWO_TRACKS,
+    WRONG_M,
+    WRONG_RAD,
+    Weights,
+    evidence_of,
+    resampled_poses,
+)
 from mavnav.slam.doubt.judge import FEWEST, WORTH_A_TRACK, contributions, doublings, judge_track, probability
 from mavnav.slam.findings import HIGH
-from mavnav.slam.methods.method import Refiner
+from mavnav.slam.methods.registry import Refiner
 from mavnav.slam.track import Track
 from mavnav.units import DEG
 
@@ -141,8 +149,8 @@ def fit(runs: list[Run], only: str) -> None:
         names = [name for name in now.weights if only in name]
         others = {name: weight for name, weight in now.weights.items() if name not in names}
         weights = fitted(some, names, Weights(now.bias if others else -3.0, others))
-        print(f"{title}: Final = Weights(\n    {weights.bias},\n    {{")
-        print("".join(f'        "{name}": {weight},\n' for name, weight in weights.weights.items()) + "    },\n)")
+        print(f"{title}: bias {weights.bias}")
+        print("".join(f"    {name}: {weight}\n" for name, weight in weights.weights.items()))
 
 
 def judged(run: Run) -> float:

@@ -17,7 +17,7 @@ from mavnav.sessions.group import Join, group_in_frame
 from mavnav.sessions.growth import alike, extend_group
 from mavnav.sessions.merged_map import merged_map, trajectories
 from mavnav.sessions.session import make_session
-from mavnav.slam.refinement.covariance import rotate_covariances
+from mavnav.slam.matching.observability import rotate_covariances
 from mavnav.version import __version__
 
 if TYPE_CHECKING:

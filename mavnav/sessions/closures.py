@@ -15,12 +15,10 @@ from mavnav.pose import Pose
 from mavnav.sessions.following import end_of, track_across_cut
 from mavnav.sessions.group import APART_M, SessionGroup, own_edges
 from mavnav.slam.findings import Edge
-from mavnav.slam.loop_closure.closure import KeyClosure, agree
+from mavnav.slam.loop_closure.closure import KeyClosure, agree, find_closure
 from mavnav.slam.loop_closure.detection import LOOP_M, SIGHT_M, consistent_closures, edges_of, track_confirmed
 from mavnav.slam.loop_closure.key_frames import KEY_M, KeyFrame
-from mavnav.slam.loop_closure.matching import find_closure
-from mavnav.slam.loop_closure.path_edges import PATH_SIGMA_M, PATH_SIGMA_RAD
-from mavnav.slam.loop_closure.pose_graph import optimize, root_information
+from mavnav.slam.loop_closure.pose_graph import PATH_SIGMA_M, PATH_SIGMA_RAD, optimize, root_information
 from mavnav.slam.matching.relocalization import with_conflicts
 from mavnav.slam.matching.scan_matching import no_match
 from mavnav.slam.recovery.parts import evenly

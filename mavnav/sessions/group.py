@@ -13,8 +13,7 @@ from mavnav.slam.findings import Edge
 from mavnav.slam.loop_closure.closure import SIGMA_M, SIGMA_RAD
 from mavnav.slam.loop_closure.detection import LOOP_M
 from mavnav.slam.loop_closure.key_frames import KEY_M, KEY_RAD, KeyFrame, KeyFrameMap, Visibility
-from mavnav.slam.loop_closure.path_edges import PATH_SIGMA_M, PATH_SIGMA_RAD
-from mavnav.slam.loop_closure.pose_graph import root_information
+from mavnav.slam.loop_closure.pose_graph import PATH_SIGMA_M, PATH_SIGMA_RAD, root_information
 from mavnav.units import DEG
 
 if TYPE_CHECKING:

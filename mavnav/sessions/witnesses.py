@@ -8,7 +8,7 @@ import numpy as np
 
 from mavnav.sessions.group import Join
 from mavnav.sessions.map_alignment import fit_transform
-from mavnav.slam.loop_closure.matching import AMBIGUITY_MARGIN, fits
+from mavnav.slam.loop_closure.closure import AMBIGUITY_MARGIN, fits
 from mavnav.slam.matching.relocalization import apart, candidates, everywhere, unambiguous
 from mavnav.slam.recovery.parts import LEAST_AGREEING, consensus, evenly
 

@@ -105,10 +105,7 @@ class Doubt(Struct, frozen=True):
         """
         marked_by_reason = [(stamps_ns >= r.start_ns) & (stamps_ns <= r.end_ns) for r in self.reasons if self.high]
         local = [some for some in marked_by_reason if not some.all()]
-        marked = np.zeros(len(stamps_ns), np.bool_)
-        for some in local or marked_by_reason:
-            marked |= some
-        return marked
+        return np.asarray(np.any([np.zeros(len(stamps_ns), np.bool_), *(local or marked_by_reason)], axis=0))
 
 
 class TrackedAgain(NamedTuple):

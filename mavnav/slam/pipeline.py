@@ -1,4 +1,4 @@
-"""The passes over a whole log, as they run; the number beside each is its step in docs/method.md."""
+"""The passes over a whole log, as they run; numbers and titles are those of the steps in docs/method.md."""
 
 from __future__ import annotations
 
@@ -6,20 +6,24 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from mavnav.slam.doubt.judge import judge_track
-from mavnav.slam.loop_closure.remap import close_loops
+from mavnav.slam.loop_closure.detection import close_loops
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.methods.registry import make_method
 from mavnav.slam.recovery.parts import drop_late_poses, join_lost_parts
 from mavnav.slam.recovery.rematch import rematch_beginning, rematch_rejected
 from mavnav.slam.refinement.contradicted import drop_contradicted
-from mavnav.slam.refinement.refine import match_deskewed, redraw_map, refine_against_final_map, remove_dynamic_cells
-from mavnav.slam.refinement.smoothing import smooth_jitter
+from mavnav.slam.refinement.refine import (
+    match_deskewed,
+    redraw_map,
+    refine_against_final_map,
+    remove_dynamic_cells,
+    smooth_jitter,
+)
 from mavnav.slam.result import summarize
-from mavnav.slam.retries.attempt import try_again
+from mavnav.slam.retries.attempt import COARSER_VOXELS, try_again
 from mavnav.slam.retries.beam_order import REVERSED_BEAMS
 from mavnav.slam.retries.beginning import track_from_good_beginning
 from mavnav.slam.retries.odometry import ODOMETRY_AFTER_GAPS, WITHOUT_ODOMETRY
-from mavnav.slam.retries.resampled_track import COARSER_VOXELS
 from mavnav.slam.track import Track
 
 if TYPE_CHECKING:
@@ -35,21 +39,11 @@ ODOMETRY_GAP_NS = 500_000_000
 SHORTEST_PERIOD_S = 1e-3
 """Minimum scan period, s, also that of a log of one scan, whose period is unknown."""
 
-ATTEMPTS: Final = (
-    WITHOUT_ODOMETRY,  # "Input checks"
-    ODOMETRY_AFTER_GAPS,  # "Input checks"
-    REVERSED_BEAMS,  # "Input checks"
-    COARSER_VOXELS,  # step 10
-)
-"""Attempts to track the log again, where an input check fails or scans are sparse."""
+ATTEMPTS: Final = (WITHOUT_ODOMETRY, ODOMETRY_AFTER_GAPS, REVERSED_BEAMS, COARSER_VOXELS)
+"""Attempts to track the log again, where an input check fails ("Input checks") or scans are sparse (step 10)."""
 
-RECOVERING: Final[tuple[Pass, ...]] = (
-    rematch_beginning,
-    drop_late_poses,  # "Parts"
-    rematch_rejected,  # step 9
-    join_lost_parts,  # "Parts"
-)
-"""Passes that match the lost scans of a track once more."""
+RECOVERING: Final[tuple[Pass, ...]] = (rematch_beginning, drop_late_poses, rematch_rejected, join_lost_parts)
+"""Passes that match the lost scans of a track once more: "Parts", and `rematch_rejected`, step 9."""
 
 CHECKING: Final[tuple[Pass, ...]] = (
     close_loops,  # step 11
@@ -60,11 +54,8 @@ CHECKING: Final[tuple[Pass, ...]] = (
 )
 """Passes that correct and judge the finished track."""
 
-DRAWING: Final[tuple[Pass, ...]] = (
-    smooth_jitter,  # step 14
-    redraw_map,  # step 15
-)
-"""Passes that make the final poses and the final map."""
+DRAWING: Final[tuple[Pass, ...]] = (smooth_jitter, redraw_map)
+"""Passes that make the final poses and the final map: steps 14 and 15."""
 
 MEASURING: Final[tuple[Pass, ...]] = (match_deskewed,)
 """What makes the poses of a calibration instead: nothing is smoothed."""

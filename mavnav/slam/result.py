@@ -8,12 +8,12 @@ import numpy as np
 from msgspec import Struct, field
 
 from mavnav.slam.findings import NOT_PLANAR, Loops
+from mavnav.slam.matching.observability import covariances_of
 from mavnav.slam.matching.steps import LostInterval, Steps, jumps, lost_intervals, tracked_trajectory
-from mavnav.slam.methods.pauses import blind_warnings, pause_warnings
+from mavnav.slam.methods.pauses import pause_warnings
 from mavnav.slam.recovery.parts import Part, lost_for_good, part_warnings, parts_of
-from mavnav.slam.refinement.covariance import covariances_of
+from mavnav.slam.retries.attempt import COARSER_VOXELS
 from mavnav.slam.retries.odometry import odometry_warnings
-from mavnav.slam.retries.resampled_track import COARSER_VOXELS
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -105,7 +105,6 @@ def _late_warnings(track: Track, parts: Sequence[Part], lost: Sequence[LostInter
     yield from jump_warnings(track.steps)
     if track.prior_map is None:
         yield from pause_warnings(track.steps, track.motion)
-        yield from blind_warnings(track.steps, track.motion)
     if track.builds_map:
         yield from scattered_warnings(track.steps, lost)
         yield from few_beams_warnings(track.steps, odometry=track.motion.odometry is not None)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from mavnav.scan import Scan
     from mavnav.slam.matching.motion_model import Motion, Odometry
     from mavnav.slam.matching.prior_map import PriorMap
-    from mavnav.slam.methods.method import Method, Refiner
+    from mavnav.slam.methods.registry import Method, Refiner
 
     LogScans = Callable[[], Iterable[Scan]]
     """Return the scans of a log; every call starts at the first scan."""
@@ -86,12 +86,11 @@ class Track(Struct, frozen=True):
         The steps of the scans before ``begin`` have no pose. ``until`` may end the track early.
         """
         method, coming = make_method(self.config, self.prior_map), iter(scans)
-        before = (
-            Step(k, s.stamp_ns, no_match(Pose()), tracked=False) for k, s in enumerate(islice(coming, self.begin))
-        )
+        skipped = enumerate(islice(coming, self.begin))
+        before = (Step(k, scan.stamp_ns, no_match(Pose()), tracked=False) for k, scan in skipped)
         steps: Iterator[Step] = chain(before, track(coming, method, self.motion, self.begin))
         steps = until(steps) if until else steps
-        return replace(self, method=method, steps=Steps(self.report_progress(steps, phase) if phase else steps))
+        return replace(self, method=method, steps=Steps(self.report_progress(steps, phase)))
 
     def placed_scans(self, phase: str = "") -> Iterator[tuple[Step, Scan, Motion]]:
         """Yield the tracked steps with their scans, and the motion there along the path; fewer if the run is stopped.
@@ -99,14 +98,13 @@ class Track(Struct, frozen=True):
         Progress is reported if the phase has a name.
         """
         motions = motions_along(tracked_trajectory(self.steps), self.motion)
-        steps = self.report_progress(self.steps, phase) if phase else self.steps
-        tracked = ((step, scan) for step, scan in zip(steps, self.log_scans(), strict=False) if step.tracked)
-        for (step, scan), motion in zip(tracked, motions, strict=False):
-            yield step, scan, motion
+        steps = zip(self.report_progress(self.steps, phase), self.log_scans(), strict=False)
+        tracked = (pair for pair in steps if pair[0].tracked)
+        yield from ((step, scan, motion) for (step, scan), motion in zip(tracked, motions, strict=False))
 
     def report_progress(self, steps: Iterable[Step], phase: str) -> Iterator[Step]:
-        """Yield the steps of a pass, and report the progress at each."""
+        """Yield the steps of a pass, and report the progress at each if the phase has a name."""
         for done, step in enumerate(steps, start=1):
-            if self.on_step:
+            if self.on_step and phase:
                 self.on_step(phase, done)
             yield step

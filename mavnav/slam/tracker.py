@@ -1,20 +1,21 @@
-"""The tracker, the paper's Figure 1: predict, match, gate, insert."""
+"""The tracker, the paper's Figure 1: predict, match, gate, insert; and its state between scans."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from mavnav.slam.matching.relocalization import apart
+from mavnav.slam.matching.scan_matching import MatchVerdict
 from mavnav.slam.matching.steps import Step
-from mavnav.slam.matching.track_state import MatchVerdict, TrackState
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
+    from mavnav.pose import Pose
     from mavnav.scan import Scan
     from mavnav.slam.matching.motion_model import Motion
     from mavnav.slam.matching.scan_matching import Match
-    from mavnav.slam.methods.method import Method, Refiner
+    from mavnav.slam.methods.registry import Method, Refiner
 
 DOUBTFUL_SCANS, LONG_LOST_SCANS, RARELY_SCANS = 8, 16, 64
 """Numbers of scans without an accepted pose that decide when the whole map is searched.
@@ -23,6 +24,48 @@ Below the first, a search follows every probable match. From it on, it follows p
 odometry, if the last search is at least as many scans ago. At the second, and at every multiple of the third, it
 follows any match that is not accepted.
 """
+
+CONFIRMATIONS = 3
+"""Number of successive scans that must agree on a pose before it is accepted after a gap."""
+
+NEVER = -1000
+"""Scan number of the last search if there was none: long before any interval between searches."""
+
+
+class TrackState(NamedTuple):
+    """The last accepted motion, and the motion on trial, if any, on which the last ``confirmations`` scans agree.
+
+    ``missed`` counts the scans since the last accepted one; ``searched`` is its value at the last search of the whole
+    map.
+    """
+
+    motion: Motion
+    trial: Motion | None = None
+    confirmations: int = 0
+    missed: int = 0
+    searched: int = NEVER
+
+    @property
+    def here(self) -> Motion:
+        """Motion from which the next scan is predicted."""
+        return self.trial or self.motion
+
+    def before(self, stamp_ns: int) -> TrackState:
+        """Return the state with the odometry that is used for a scan."""
+        motion, trial = self.motion.before(stamp_ns), self.trial and self.trial.before(stamp_ns)
+        return self if motion is self.motion else self._replace(motion=motion, trial=trial)
+
+    def after(self, verdict: MatchVerdict, map_T_laser: Pose, stamp_ns: int) -> TrackState:
+        """Return the state after a scan; the scan was accepted if ``missed`` is 0."""
+        if self.trial is None and verdict is MatchVerdict.SURE:
+            return TrackState(self.motion.moved_to(map_T_laser, stamp_ns))
+        if verdict is MatchVerdict.REFUSED:
+            return self._replace(trial=None, confirmations=0, missed=self.missed + 1)
+        far = verdict is MatchVerdict.PROBABLE and not self.trial
+        moved = (self.here.started_at if far else self.here.moved_to)(map_T_laser, stamp_ns)
+        if self.trial and self.confirmations + 1 >= CONFIRMATIONS:
+            return TrackState(moved)
+        return self._replace(trial=moved, confirmations=self.confirmations + 1, missed=self.missed + 1)
 
 
 def track(scans: Iterable[Scan], method: Method, motion: Motion, first: int = 0) -> Iterator[Step]:
@@ -43,7 +86,7 @@ def track(scans: Iterable[Scan], method: Method, motion: Motion, first: int = 0)
             match = method.match(scan, here.predict(scan.stamp_ns), here)
             verdict = method.gate(match, scan, here)
             if method.refiner and state.trial is None and needs_whole_map_search(verdict, state):
-                match, verdict, state = search_within_budget(scan, match, verdict, state, method.refiner)
+                match, verdict, state = search_whole_map(scan, match, verdict, state, method.refiner)
             state = state.after(verdict, match.map_T_laser, scan.stamp_ns)
             tracked = state.missed == 0
         if tracked:
@@ -51,33 +94,23 @@ def track(scans: Iterable[Scan], method: Method, motion: Motion, first: int = 0)
         yield Step(index, scan.stamp_ns, match, tracked)
 
 
-def search_within_budget(
+def search_whole_map(
     scan: Scan, match: Match, verdict: MatchVerdict, state: TrackState, refiner: Refiner
 ) -> tuple[Match, MatchVerdict, TrackState]:
-    """Search the whole map if the budget covers it; else return the match with its verdict.
+    """Search the whole map for the scan if the budget covers it; refuse it unless exactly one pose fits.
 
-    After ``DOUBTFUL_SCANS`` missed scans, matches within as many scans of the last search are refused.
+    A probable match at that pose becomes sure. Any other pose found is probable. After ``DOUBTFUL_SCANS`` missed scans,
+    matches within as many scans of the last search are refused.
     """
     if state.missed >= DOUBTFUL_SCANS > state.missed - state.searched:
         return match, MatchVerdict.REFUSED, state
     if not refiner.reserve_whole_map_search(scan):
         return match, verdict, state
-    best, verdict = search_whole_map(scan, match, verdict, state.here, refiner)
-    return best, verdict, state._replace(searched=state.missed)
-
-
-def search_whole_map(
-    scan: Scan, match: Match, verdict: MatchVerdict, here: Motion, refiner: Refiner
-) -> tuple[Match, MatchVerdict]:
-    """Search the whole map for the scan; refuse it unless exactly one pose fits.
-
-    A probable match at that pose becomes sure. Any other pose found is probable.
-    """
-    best = refiner.relocalize(scan, match, here)
+    best, state = refiner.relocalize(scan, match, state.here), state._replace(searched=state.missed)
     if best is None:
-        return match, MatchVerdict.REFUSED
+        return match, MatchVerdict.REFUSED, state
     agree = verdict is MatchVerdict.PROBABLE and not apart(best.map_T_laser, match.map_T_laser)
-    return best, MatchVerdict.SURE if agree else MatchVerdict.PROBABLE
+    return best, MatchVerdict.SURE if agree else MatchVerdict.PROBABLE, state
 
 
 def needs_whole_map_search(verdict: MatchVerdict, state: TrackState) -> bool:

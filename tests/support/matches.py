@@ -11,7 +11,7 @@ from mavnav.kernels.line_search import search as line_search
 from mavnav.mapping.line_map import LineMap
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import LaserSpec
-from mavnav.slam.matching.paper_matching import polar_points
+from mavnav.slam.methods.paper import polar_points
 from support import kernel_parts
 from support.synthetic import furnished_rooms, scan_at
 

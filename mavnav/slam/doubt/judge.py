@@ -12,9 +12,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from mavnav.profiling import timed
-from mavnav.slam.doubt.coefficients import ONE_TRACK, TWO_TRACKS
-from mavnav.slam.doubt.evidence import evidence_of, resampled_poses
-from mavnav.slam.doubt.features import DISAGREEMENT, FEATURES
+from mavnav.slam.doubt.features import DISAGREEMENT, FEATURES, ONE_TRACK, TWO_TRACKS, evidence_of, resampled_poses
 from mavnav.slam.findings import Doubt, Reason
 from mavnav.units import NS
 
@@ -23,8 +21,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.slam.doubt.evidence import TrackEvidence
-    from mavnav.slam.methods.method import Refiner
+    from mavnav.slam.doubt.features import TrackEvidence
+    from mavnav.slam.methods.registry import Refiner
     from mavnav.slam.track import Track
 
 WORTH_A_TRACK = 0.1
@@ -41,11 +39,9 @@ RESAMPLED = "resampled track"
 
 def judge_track(track: Track, refiner: Refiner) -> Track:
     """Add the probability that a track is wrong; not in causal mode, in a given map, or if nothing was tracked."""
-    if not refiner.builds_map or len(track.findings.observed) < len(track.steps):
-        return track
-    if track.steps.column("tracked").sum() < FEWEST:
-        return track
-    return judge_by_features(track, refiner)
+    complete = len(track.findings.observed) == len(track.steps)
+    enough = track.steps.column("tracked").sum() >= FEWEST
+    return judge_by_features(track, refiner) if refiner.builds_map and complete and enough else track
 
 
 @timed("doubt")
@@ -78,9 +74,8 @@ def doubt_of(evidence: TrackEvidence, tried: tuple[str, ...] = ()) -> Doubt:
     shown = {name: feature.of(evidence) for name, feature in FEATURES.items()}
     values = {name: feature.total(shown[name]) for name, feature in FEATURES.items()}
     log_odds = contributions(values)
-    strongest = sorted(log_odds, key=lambda name: -log_odds[name])
     reasons: list[Reason] = []
-    for name in strongest:
+    for name in sorted(log_odds, key=lambda name: -log_odds[name]):
         if log_odds[name] > 0.0 and values[name] >= MUCH:
             reasons += stretches(FEATURES[name].reason, shown[name], evidence.stamps_ns)
     return Doubt(probability(values), tuple(reasons), tried)

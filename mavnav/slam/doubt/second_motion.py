@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.kernels.scans.points import extent
-from mavnav.pose import Pose
 from mavnav.slam.matching.scan_matching import empty_line_map
 from mavnav.slam.matching.steps import tracked_trajectory
 from mavnav.units import NS
@@ -21,7 +20,8 @@ from mavnav.units import NS
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.slam.methods.method import Refiner
+    from mavnav.pose import Trajectory
+    from mavnav.slam.methods.registry import Refiner
     from mavnav.slam.track import Track
 
     Floats = NDArray[np.float64]
@@ -76,8 +76,7 @@ def second_motion(track: Track, refiner: Refiner, conflicts: Floats) -> Floats:
     rows = [some for some in wanted if points.keys() >= set(some)]  # a stopped run ends early
     if len(rows) < LEAST_EXAMINED:
         return out
-    rivals = [rival(some, path.stamps_ns, path.xyyaw, points, track) for some in rows]
-    velocities = np.array([velocity or (np.nan, np.nan) for velocity in rivals])
+    velocities = np.array([rival(some, path, points, track) or (np.nan, np.nan) for some in rows])
     if np.isnan(velocities).all():
         return out
     same = np.hypot(*(velocities - np.nanmedian(velocities, axis=0)).T) <= SAME_M_S
@@ -94,9 +93,8 @@ def examined_rows(stamps_ns: NDArray[np.int64], period_s: float) -> list[tuple[i
     for first in np.unique(np.linspace(0, len(stamps_s) - 1, EXAMINED + 1).astype(int))[:-1].tolist():
         later = [int(np.searchsorted(stamps_s, stamps_s[first] + span_s - 0.5 * period_s)) for span_s in SPANS_S]
         some = (first, *later)
-        late_s = [stamps_s[min(k, len(stamps_s) - 1)] - stamps_s[first] for k in later]
-        close = all(late - span <= 2.0 * period_s for late, span in zip(late_s, SPANS_S, strict=True))
-        if later[-1] < len(stamps_s) and close and all(a < b for a, b in pairwise(some)):
+        late_s = stamps_s[later] - stamps_s[first] - SPANS_S if later[-1] < len(stamps_s) else np.inf
+        if np.max(late_s) <= 2.0 * period_s and all(a < b for a, b in pairwise(some)):
             rows.append(some)
     return rows
 
@@ -106,16 +104,13 @@ def points_of_rows(track: Track, refiner: Refiner, rows: set[int]) -> dict[int, 
 
     Without those within ``NEAREST_M``.
     """
-    points_of_row = {}
-    for row, (_, scan, motion) in enumerate(track.placed_scans()):
-        if row in rows:
-            points = refiner.match_points(scan, motion)
-            points_of_row[row] = points[np.hypot(*points.T) > NEAREST_M]
-    return points_of_row
+    placed = ((row, scan, motion) for row, (_, scan, motion) in enumerate(track.placed_scans()) if row in rows)
+    matched = ((row, refiner.match_points(scan, motion)) for row, scan, motion in placed)
+    return {row: points[np.hypot(*points.T) > NEAREST_M] for row, points in matched}
 
 
 def rival(
-    rows: tuple[int, ...], stamps_ns: NDArray[np.int64], xyyaw: Floats, points: dict[int, Floats], track: Track
+    rows: tuple[int, ...], path: Trajectory, points: dict[int, Floats], track: Track
 ) -> tuple[float, float] | None:
     """Return the velocity of a second motion that fits as well as the track, frame of the first scan; None if none."""
     robust, (first, *later) = track.config.robust, rows
@@ -126,9 +121,9 @@ def rival(
     lines.insert(points[first], extent(points[first]))
     n = len(SPEEDS_M_S)
     tried = np.column_stack([axis.ravel() for axis in np.meshgrid(SPEEDS_M_S, SPEEDS_M_S, indexing="ij")])
-    shares, here = np.zeros(n * n), Pose(*xyyaw[first].tolist())
+    shares = np.zeros(n * n)
     for row in later:
-        moved, elapsed_s = here.between(Pose(*xyyaw[row].tolist())), float(stamps_ns[row] - stamps_ns[first]) * NS
+        moved, elapsed_s = path[first].between(path[row]), float(path.stamps_ns[row] - path.stamps_ns[first]) * NS
         xy_m, yaw_rad = moved.as_array()[:2] + elapsed_s * tried, np.array([moved.yaw_rad])
         costs = lines.costs(points[row][:POINTS], xy_m, yaw_rad, truncate_m)
         shares += costs[0] / (truncate_m**2 * len(later))

@@ -1,4 +1,4 @@
-"""Closures: pairs of key frames that saw the same walls, the directions they constrain, and their consistency."""
+"""Closures: key frames matched against the old part of the map, what they constrain, and whether they agree."""
 
 from __future__ import annotations
 
@@ -6,9 +6,22 @@ from math import cos, sin
 from typing import TYPE_CHECKING
 
 from msgspec import Struct
+from msgspec.structs import replace
 
-from mavnav.pose import Pose
+from mavnav.pose import Pose, wrap_angle
+from mavnav.slam.loop_closure.key_frames import DRIFT_RAD, KeyFrameMap
 from mavnav.slam.loop_closure.pose_graph import root_information
+from mavnav.slam.matching.relocalization import (
+    apart,
+    around,
+    candidates,
+    least_growth,
+    misfit,
+    unambiguous,
+    unobservable_direction,
+    with_conflicts,
+)
+from mavnav.slam.matching.scan_matching import Schedule, search_lines
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
@@ -17,8 +30,11 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from mavnav.slam.loop_closure.key_frames import KeyFrame
+    from mavnav.config.models import Config
+    from mavnav.slam.loop_closure.key_frames import KeyFrame, Visibility
+    from mavnav.slam.matching.relocalization import Region
     from mavnav.slam.matching.scan_matching import Match
+
 
 SIGMA_M, SIGMA_RAD = 0.03, 0.5 * DEG
 """Standard deviations of a closure."""
@@ -103,11 +119,102 @@ def agree(a: KeyClosure, b: KeyClosure, keys: Sequence[KeyFrame]) -> bool | None
         return None
     for direction_rad in weak:
         off = Pose(*across_direction(off, direction_rad - end_by_a.yaw_rad), off.yaw_rad)
-    return (
-        off.distance_m <= AGREE_M[0] + AGREE_M[1] * path_m and abs(off.yaw_rad) <= AGREE_RAD[0] + AGREE_RAD[1] * path_m
-    )
+    most_m, most_rad = (constant + increase * path_m for constant, increase in (AGREE_M, AGREE_RAD))
+    return off.distance_m <= most_m and abs(off.yaw_rad) <= most_rad
 
 
 def is_small(correction: Pose, times: float = 1.0) -> bool:
     """Return whether a correction is within ``times`` the bounds of a small one."""
     return correction.distance_m <= times * SMALL_M and abs(correction.yaw_rad) <= times * SMALL_RAD
+
+
+LEAST_INLIERS, LEAST_WEAK_INLIERS = 0.5, 0.7
+"""Minimum share of inliers of a closure, and of a weak one; the other points may lie on new area."""
+
+MOST_CONFLICTS = 0.05
+"""Largest share of visibility conflicts of a closure's points with the old part."""
+
+AMBIGUITY_MARGIN = 0.15
+"""Minimum difference in rank (``misfit``) to another pose within the drift bound; below, a closure is ambiguous."""
+
+PART_M = 1.0
+"""Path length around the reference key frame whose scans a closure is measured against; these are nearly rigid."""
+
+LEAST_GROWTH = 0.03
+"""Least cost of a step (``relocalization.least_growth``) in a direction that is observable."""
+
+STRIP_M = 0.15
+"""Half-width of the strip across a corridor that is searched for a weak closure."""
+
+MOST_WEAK_M, MOST_WEAK_RAD = 0.8, 10 * DEG
+"""Largest correction by a weak closure: a parallel corridor with similar walls is farther away."""
+
+
+def find_closure(
+    keys: Sequence[KeyFrame], j: int, old: KeyFrameMap, seen: Visibility, bound: tuple[float, float], config: Config
+) -> KeyClosure | None:
+    """Return the closure of key frame ``j`` with the old part, within the drift bound, m and rad.
+
+    In a plain corridor the closure is weak. None if the key frame fits nowhere, or at several poses.
+    """
+    region = around(keys[j].map_T_laser, *bound)
+    matches = candidates(keys[j].points, old.lines, old.grid, region, config)
+    best = unambiguous(matches, AMBIGUITY_MARGIN, config)
+    closure = measure_closure(keys, j, best, seen, config) if best and fits(best) else None
+    if closure and closure.weak_rad is None:
+        return closure
+    best = min(matches, key=lambda match: misfit(match, config), default=None)
+    return weak_closure(keys, j, best, old, seen, region, config) if best and fits(best, LEAST_WEAK_INLIERS) else None
+
+
+def weak_closure(
+    keys: Sequence[KeyFrame], j: int, match: Match, old: KeyFrameMap, seen: Visibility, region: Region, config: Config
+) -> KeyClosure | None:
+    """Search across the corridor of a match, at the tracked position along it; return the weak closure or None.
+
+    The ``region`` is that within the drift bound.
+    """
+    key = keys[j]
+    along_rad = unobservable_direction(key.points, match.map_T_laser, old.lines, LEAST_GROWTH, config)
+    if along_rad is None:
+        return None
+    xy_m, yaws_rad = region
+    off_m = (xy_m - key.map_T_laser[:2]) @ (cos(along_rad), sin(along_rad))
+    matches = candidates(key.points, old.lines, old.grid, (xy_m[abs(off_m) <= STRIP_M], yaws_rad), config)
+    best = unambiguous(matches, AMBIGUITY_MARGIN, config)
+    closure = measure_closure(keys, j, best, seen, config) if best and fits(best, LEAST_WEAK_INLIERS) else None
+    if closure is None or closure.weak_rad is None or closure.match.inliers < LEAST_WEAK_INLIERS:
+        return None
+    correction = closure.correction(keys)
+    return closure if correction.distance_m <= MOST_WEAK_M and abs(correction.yaw_rad) <= MOST_WEAK_RAD else None
+
+
+def fits(match: Match, least_inliers: float = LEAST_INLIERS) -> bool:
+    """Return whether enough points of a key frame are inliers, and few are visibility conflicts."""
+    return match.inliers >= least_inliers and match.conflicts <= MOST_CONFLICTS
+
+
+def measure_closure(
+    keys: Sequence[KeyFrame], j: int, match: Match, seen: Visibility, config: Config
+) -> KeyClosure | None:
+    """Match key frame ``j`` against the scans near its reference key frame; None if it does not fit there.
+
+    The closure is weak if one direction is not observable; None if no direction is.
+    """
+    i = seen.reference(replace(keys[j], map_T_laser=match.map_T_laser))
+    local = KeyFrameMap(config)
+    local.grow([key for key in keys[: seen.count] if abs(key.path_m - keys[i].path_m) <= PART_M], seen.count)
+    robust, points = config.robust, keys[j].points
+    first = Schedule.of(config, local.lines, (robust.expert.truncate_m, DRIFT_RAD[0]))
+    fine = search_lines(points, local.lines, match.map_T_laser, first)
+    last = Schedule.of(config, local.lines, (robust.expert.final_window_m, robust.expert.final_window_rad), final=True)
+    placed = search_lines(points, local.lines, fine.map_T_laser, last)
+    fine = with_conflicts(fine._replace(map_T_laser=placed.map_T_laser), points, local.lines, local.grid)
+    if apart(match.map_T_laser, fine.map_T_laser) or not fits(fine):
+        return None
+    start, place = keys[i].map_T_laser, fine.map_T_laser
+    closure = KeyClosure(i, j, start.between(place), fine)
+    if least_growth(points, place, local.lines, config) >= LEAST_GROWTH:
+        return closure
+    along_rad = unobservable_direction(points, place, local.lines, LEAST_GROWTH, config)
+    return None if along_rad is None else replace(closure, weak_rad=wrap_angle(along_rad - start.yaw_rad))

@@ -1,13 +1,14 @@
-"""Loop closure: find where the laser returned to a place after a long path, and correct the path (docs/method.md).
+"""Loop closure: find where the laser returned to a place after a long path, correct the path, and rebuild the map.
 
 Key frames of the track are matched against the old part of the map, which was seen a long path before. A match at
 exactly one pose within the drift bound, which agrees with other closures, is a closure (Olson 2009, "Recognizing places
 using spectrally clustered local matches", on the consistency of closures). A pose graph then distributes the
-corrections over the path.
+corrections over the path (docs/method.md).
 """
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -16,12 +17,12 @@ from msgspec.structs import replace
 from mavnav.pose import Pose, Trajectory, blend
 from mavnav.profiling import timed
 from mavnav.slam.findings import Edge, Loop, Loops, PoseGraph
-from mavnav.slam.loop_closure.closure import KeyClosure, agreeing_closures, is_small
-from mavnav.slam.loop_closure.drift import Paths, drift_bound
-from mavnav.slam.loop_closure.key_frames import KeyFrame, KeyFrameMap, Visibility, key_rows
-from mavnav.slam.loop_closure.matching import find_closure
-from mavnav.slam.loop_closure.path_edges import path_edges
-from mavnav.slam.loop_closure.pose_graph import optimize
+from mavnav.slam.loop_closure.closure import KeyClosure, agreeing_closures, find_closure, is_small
+from mavnav.slam.loop_closure.key_frames import KeyFrame, KeyFrameMap, Paths, Visibility, drift_bound, key_rows
+from mavnav.slam.loop_closure.pose_graph import optimize, path_edges
+from mavnav.slam.matching.scan_matching import no_match
+from mavnav.slam.matching.steps import Steps, tracked_trajectory
+from mavnav.slam.methods.registry import make_method
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -29,9 +30,16 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.config.models import Config
-    from mavnav.slam.loop_closure.path_edges import InformationOf
+    from mavnav.scan import Scan
+    from mavnav.slam.loop_closure.pose_graph import InformationOf
+    from mavnav.slam.matching.motion_model import Motion
+    from mavnav.slam.matching.steps import Step
+    from mavnav.slam.methods.registry import Method, Refiner
+    from mavnav.slam.track import LogScans, Track
 
-    Points = NDArray[np.float64]
+    PointsOf = Callable[[list[int]], Iterable[NDArray[np.float64]]]
+    """Rows of a trajectory -> the match points (n, 2) of their scans, m, laser frame."""
+
 
 LOOP_M = 8.0
 """Minimum path of a loop: for shorter ones the tracker itself keeps the map consistent."""
@@ -56,12 +64,7 @@ ROUNDS = 3
 
 
 @timed("loops")
-def find_loops(
-    map_T_laser: Trajectory,
-    points_of: Callable[[list[int]], Iterable[Points]],
-    information_of: InformationOf,
-    config: Config,
-) -> Loops:
+def find_loops(map_T_laser: Trajectory, points_of: PointsOf, information_of: InformationOf, config: Config) -> Loops:
     """Find the loops of a track, and correct the path between their ends.
 
     ``map_T_laser`` holds the tracked poses. ``points_of`` returns the match points (n, 2) of the scans of given rows,
@@ -103,7 +106,8 @@ def find_closures(
         closures, refused = agreed, max(len(searches) - len(agreed), 0)
         if track_confirmed([closure.correction(keys) for closure in closures]):
             break
-        keys = optimize_keys(tracked, [*path, *edges_of(closures)])
+        poses = optimize([key.map_T_laser for key in tracked], [*path, *edges_of(closures)])
+        keys = [replace(key, map_T_laser=pose) for key, pose in zip(tracked, poses, strict=True)]
     return keys, closures, refused
 
 
@@ -133,8 +137,7 @@ def detect_closures(keys: Sequence[KeyFrame], config: Config) -> Iterator[KeyClo
     Weak closures confirm nothing, because the drift along a corridor stays unknown.
     """
     old, seen, paths, pace = KeyFrameMap(config), Visibility(keys), Paths(), Pace()
-    xy_m = np.array([(k.map_T_laser.x_m, k.map_T_laser.y_m) for k in keys])
-    paths_m = np.array([k.path_m for k in keys])
+    xy_m, paths_m = np.array([k.map_T_laser[:2] for k in keys]), np.array([k.path_m for k in keys])
     for j, key in enumerate(keys):
         i = nearest_old(xy_m, paths_m, j) if key.path_m >= pace.next_m else None
         if i is None:
@@ -170,12 +173,6 @@ def track_confirmed(corrections: Sequence[Pose]) -> bool:
     return few and all(is_small(correction, FAR_OFF) for correction in corrections)
 
 
-def optimize_keys(keys: Sequence[KeyFrame], edges: Sequence[Edge]) -> list[KeyFrame]:
-    """Return the key frames at the poses that fit the edges best."""
-    poses = optimize([key.map_T_laser for key in keys], edges)
-    return [replace(key, map_T_laser=pose) for key, pose in zip(keys, poses, strict=True)]
-
-
 def edges_of(closures: Sequence[KeyClosure]) -> list[Edge]:
     """Return closures as edges of the pose graph."""
     return [Edge(c.start, c.end, c.start_T_end, c.sqrt_information) for c in closures]
@@ -192,3 +189,52 @@ def follow(map_T_laser: Trajectory, tracked: Sequence[KeyFrame], keys: Sequence[
         from_a, from_b = (keys[k].map_T_laser @ tracked[k].map_T_laser.between(map_T_laser[row]) for k in (a, b))
         poses.append(blend(from_a, from_b, float(share)))
     return Trajectory.of(map_T_laser.stamps_ns.tolist(), poses)
+
+
+def close_loops(track: Track, refiner: Refiner) -> Track:
+    """Close loops and rebuild the map; the track does not change without loops, or if the new map is no sharper.
+
+    Nor does it change if the run is stopped early.
+    """
+    steps, config = track.steps, track.config
+    if not refiner.builds_map or config.loop_closure != "auto":
+        return track
+    if track.on_step:
+        track.on_step("close loops", 0)
+    points = partial(points_of, track.log_scans, steps, refiner)
+    loops = find_loops(tracked_trajectory(steps), points, partial(information_of, refiner), config)
+    if loops.map_T_laser is None:
+        return track.with_findings(loops=loops)
+    fresh = make_method(config)
+    rebuilt = Steps(rebuild(track.log_scans(), steps, loops.map_T_laser, fresh, track.motion))
+    hits, hits_before = (np.count_nonzero(method.grid.hits) for method in (fresh, track.method))
+    if len(rebuilt) < len(steps) or hits >= hits_before:
+        return track.with_findings(loops=loops.refuse_all())
+    return replace(track.with_findings(loops=loops), steps=rebuilt, method=fresh)
+
+
+def points_of(log_scans: LogScans, steps: Steps, refiner: Refiner, rows: list[int]) -> Iterator[NDArray[np.float64]]:
+    """Yield the match points (n, 2) of the tracked scans in these rows of the trajectory; m, laser frame."""
+    tracked = steps.column("index")[steps.column("tracked")].tolist()
+    wanted = {tracked[row] for row in rows}
+    return (refiner.match_points(scan).copy() for index, scan in enumerate(log_scans()) if index in wanted)
+
+
+def information_of(refiner: Refiner, points: NDArray[np.float64], map_T_laser: Pose) -> NDArray[np.float64]:
+    """Return what the map shows of a pose by points (n, 2), (6,): `Refiner.observability`."""
+    return refiner.observability(points, no_match(map_T_laser))[1]
+
+
+def rebuild(
+    scans: Iterable[Scan], steps: Steps, map_T_laser: Trajectory, method: Method, motion: Motion
+) -> Iterator[Step]:
+    """Insert every tracked scan into a new map at its corrected pose, a row of ``map_T_laser``; yield the steps."""
+    poses = map(map_T_laser.__getitem__, range(len(map_T_laser)))
+    for step, scan in zip(steps, scans, strict=False):
+        if not step.tracked:
+            yield step
+            continue
+        pose = next(poses)
+        method.insert(scan, pose, motion)
+        motion = motion.moved_to(pose, step.stamp_ns) if motion.stamp_ns else motion.started_at(pose, step.stamp_ns)
+        yield step._replace(match=step.match._replace(map_T_laser=pose))

@@ -116,16 +116,12 @@ class Motion(NamedTuple):
 
     def by_odometry(self, stamp_ns: int) -> Pose | None:
         """Return the last pose moved by the odometry; None where odometry does not cover both times."""
-        if self.odometry is None:
-            return None
-        then, now = self.odometry(self.stamp_ns), self.odometry(stamp_ns)
-        return None if then is None or now is None else self.map_T_laser @ then.between(now)
+        moved = self.odometry and motion_by(self.odometry, self.stamp_ns, stamp_ns)
+        return moved and self.map_T_laser @ moved
 
     def odometry_at(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Return at which stamps (n,) the odometry is known."""
-        pose_at = self.odometry
-        if pose_at is None:
-            return np.zeros(len(stamps_ns), np.bool_)
+        pose_at = self.odometry or (lambda _: None)
         return np.array([pose_at(stamp_ns) is not None for stamp_ns in stamps_ns.tolist()], np.bool_)
 
     def twist_at(self, stamp_ns: int) -> Twist:
@@ -143,7 +139,7 @@ class Motion(NamedTuple):
         if elapsed <= 0.5 + self.period_s:
             new, old, (last_x, last_y, last_yaw) = NEW_SHARE, 1.0 - NEW_SHARE, self.twist
             twist = new * x + old * last_x, new * y + old * last_y, new * yaw + old * last_yaw
-        moved = self._at(map_T_laser, stamp_ns, twist)
+        moved = self._replace(map_T_laser=map_T_laser, stamp_ns=stamp_ns, twist=twist)
         turn_rad = self._measured_turn(stamp_ns)
         if turn_rad is None:
             return moved
@@ -152,18 +148,18 @@ class Motion(NamedTuple):
 
     def started_at(self, map_T_laser: Pose, stamp_ns: int) -> Motion:
         """Return the motion at rest at a pose."""
-        return self._at(map_T_laser, stamp_ns, (0.0, 0.0, 0.0))
+        return self._replace(map_T_laser=map_T_laser, stamp_ns=stamp_ns, twist=(0.0, 0.0, 0.0))
 
     def coming_from(self, map_T_laser: Pose, stamp_ns: int) -> Motion:
         """Return the motion with the velocity from an earlier pose to this one; unchanged after a long gap."""
         elapsed = self.elapsed_s(stamp_ns)
-        if elapsed > LONGEST_S:
-            return self
-        return self._at(self.map_T_laser, self.stamp_ns, _twist(map_T_laser, self.map_T_laser, elapsed))
+        return self if elapsed > LONGEST_S else self._replace(twist=_twist(map_T_laser, self.map_T_laser, elapsed))
 
-    def _at(self, map_T_laser: Pose, stamp_ns: int, twist: Twist) -> Motion:
-        before = self.period_s, self.odometry, self.expects_rest
-        return Motion(*before, map_T_laser, stamp_ns, twist, self.rotation, self.yaw_rate_fit, self.gap_odometry)
+
+def motion_by(odometry: Odometry, start_ns: int, end_ns: int) -> Pose | None:
+    """Return the motion by odometry between two stamps, in its frame at the first; None where it covers not both."""
+    then, now = odometry(start_ns), odometry(end_ns)
+    return None if then is None or now is None else then.between(now)
 
 
 def motion_at(motion: Motion, step: Step, before: Step) -> Motion:

@@ -53,7 +53,6 @@ def _upright(grid: Grid, map_T_grid: Pose) -> Grid:
     row = np.floor((back.y_m + s * x + c * y[:, None] - oy) / cell_m + TIE).astype(np.int64)
     inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
     row, col = np.where(inside, row, 0), np.where(inside, col, 0)
-    hits, passes = (
-        counts(np.where(inside, cells[row, col], 0) * np.int32(SURELY)) for cells in (grid.hits, grid.passes)
-    )
+    copies = (np.where(inside, cells[row, col], 0) for cells in (grid.hits, grid.passes))
+    hits, passes = (counts(cells * np.int32(SURELY)) for cells in copies)
     return Grid(cell_m, (float(low[0] * cell_m), float(low[1] * cell_m)), hits, passes)

@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from mavnav.mapping.occupancy_grid import GridBuilder
     from mavnav.mapping.tiled_arrays import Extent
 
-    Region = tuple[NDArray[np.float64], NDArray[np.float64]]
+    Floats = NDArray[np.float64]
+    Region = tuple[Floats, Floats]
     """Positions (p, 2), m, and yaws (q,), rad, map frame; the poses are all their combinations."""
     Start = tuple[float, Pose]
     """Cost, m2, and pose of a minimum of the search."""
@@ -80,7 +81,7 @@ CONFLICT_POINTS = 150
 
 
 @timed("gate")
-def with_conflicts(match: Match, points: NDArray[np.float64], line_map: LineMap, grid: GridBuilder) -> Match:
+def with_conflicts(match: Match, points: Floats, line_map: LineMap, grid: GridBuilder) -> Match:
     """Return the match with the visibility conflicts of its points (n, 2), laser frame."""
     pose, counts, some = match.map_T_laser.as_array(), (grid.lattice, grid.hits, grid.passes), points[:CONFLICT_POINTS]
     count = conflicts(some, pose, *counts, line_map.nearest, line_map.geometry)
@@ -120,13 +121,12 @@ def around(pose: Pose, radius_m: float, half_rad: float) -> Region:
 
 
 @lru_cache(maxsize=8)
-def _disc(radius_m: float) -> NDArray[np.float64]:
+def _disc(radius_m: float) -> Floats:
     """Return the lattice positions (p, 2) of a disc about the origin, m."""
     n = int(np.ceil(radius_m / STEP_M))
     rows, cols = np.indices((2 * n + 1, 2 * n + 1), dtype=np.float64)
     lattice = STEP_M * (np.column_stack((cols.ravel(), rows.ravel())) - n)
-    disc: NDArray[np.float64] = lattice[np.hypot(*lattice.T) <= radius_m + 1e-9]
-    return disc
+    return np.asarray(lattice[np.hypot(*lattice.T) <= radius_m + 1e-9])
 
 
 def everywhere(grid: GridBuilder) -> Region:
@@ -134,17 +134,16 @@ def everywhere(grid: GridBuilder) -> Region:
     yaws_rad = np.arange(-pi, pi, STEP_RAD)
     if not grid.passes.size:
         return np.zeros((0, 2)), yaws_rad
-    cells = [
-        np.round((first_m + (np.arange(n) + 0.5) * grid.cell_m) / STEP_M).astype(np.int64)
-        for first_m, n in zip(grid.origin_xy_m[::-1], grid.passes.shape, strict=True)
-    ]
+    axes = zip(grid.origin_xy_m[::-1], grid.passes.shape, strict=True)
+    centres_m = (first_m + (np.arange(n) + 0.5) * grid.cell_m for first_m, n in axes)
+    cells = [np.round(axis_m / STEP_M).astype(np.int64) for axis_m in centres_m]
     row, col = np.nonzero(free_positions(grid.hits, grid.passes, *(lattice - lattice[0] for lattice in cells)))
     return np.column_stack(((col + cells[1][0]) * STEP_M, (row + cells[0][0]) * STEP_M)), yaws_rad
 
 
 @timed("search")
 def candidates(
-    points: NDArray[np.float64],
+    points: Floats,
     line_map: LineMap,
     grid: GridBuilder,
     region: Region,
@@ -161,13 +160,12 @@ def candidates(
     limit_m2, exhaustive = limit * truncate_m**2, config.search == "exhaustive"
     starts = lowest(few, line_map, region, truncate_m, most, limit_m2, exhaustive=exhaustive)
     schedule = Schedule.of(config, line_map, (1.5 * STEP_M, 1.5 * STEP_RAD))
-    return [
-        with_conflicts(search_lines(points, line_map, pose, schedule), points, line_map, grid) for _, pose in starts
-    ]
+    matches = (search_lines(points, line_map, pose, schedule) for _, pose in starts)
+    return [with_conflicts(match, points, line_map, grid) for match in matches]
 
 
 def lowest(
-    points: NDArray[np.float64],
+    points: Floats,
     line_map: LineMap,
     region: Region,
     truncate_m: float,
@@ -188,54 +186,32 @@ def lowest(
         starts = lowest_exhaustive(points, line_map, region, truncate_m, most)
         return [start for start in starts if start[0] <= limit_m2]
     floors = line_map.cost_floors(truncate_m, step, reached_by(points, xy_m))
-    poses = lowest_poses(
-        points,
-        xy_m,
-        yaws_rad,
-        truncate_m,
-        SEPARATE,
-        limit_m2,
-        most,
-        step,
-        floors.corner,
-        floors.levels,
-        floors.planes,
-        line_map.nearest,
-        line_map.lines,
-        line_map.geometry,
-    )
+    bounds, lines = (floors.corner, floors.levels, floors.planes), (line_map.nearest, line_map.lines, line_map.geometry)
+    poses = lowest_poses(points, xy_m, yaws_rad, truncate_m, SEPARATE, limit_m2, most, step, *bounds, *lines)
     return starts_of(poses, xy_m, yaws_rad)
 
 
-def reached_by(points: NDArray[np.float64], xy_m: NDArray[np.float64]) -> Extent:
+def reached_by(points: Floats, xy_m: Floats) -> Extent:
     """Return the extent that points (n, 2), laser frame, m, can have at positions (p, 2) and any yaw."""
     far_m = float(np.hypot(*points.T).max())
     x0, y0, x1, y1 = extent(xy_m)
     return x0 - far_m, y0 - far_m, x1 + far_m, y1 + far_m
 
 
-def lowest_exhaustive(
-    points: NDArray[np.float64], line_map: LineMap, region: Region, truncate_m: float, most: int
-) -> list[Start]:
+def lowest_exhaustive(points: Floats, line_map: LineMap, region: Region, truncate_m: float, most: int) -> list[Start]:
     """Return the ``most`` lowest separate minima from the costs of all poses, for ``AT_ONCE`` positions at a time."""
     xy_m, yaws_rad = region
     starts: list[Start] = []
     for first in range(0, len(xy_m), AT_ONCE):
         some = xy_m[first : first + AT_ONCE]
-        costs = line_map.costs(points, some, yaws_rad, truncate_m)
-        starts += minima(costs, some, yaws_rad, most)
+        starts += minima(line_map.costs(points, some, yaws_rad, truncate_m), some, yaws_rad, most)
     return starts if len(starts) <= most else lowest_starts(starts, most)
-
-
-def _pose(xy_m: NDArray[np.float64], yaw_rad: float) -> Pose:
-    return Pose(float(xy_m[0]), float(xy_m[1]), wrap_angle(float(yaw_rad)))
 
 
 def best_of(matches: list[Match], expected: tuple[Pose, ...], elapsed_s: float, config: Config) -> Match:
     """Return the match of lowest rank, by misfit and motion cost; ambiguous if another pose ranks about equally."""
-    weighed = [
-        m._replace(motion_cost=min(motion_cost(pose, m.map_T_laser, elapsed_s) for pose in expected)) for m in matches
-    ]
+    costs = (min(motion_cost(pose, m.map_T_laser, elapsed_s) for pose in expected) for m in matches)
+    weighed = [m._replace(motion_cost=cost) for m, cost in zip(matches, costs, strict=True)]
     ranks = [misfit(m, config) + PRIOR * min(m.motion_cost, MOST_MOTION_COST) for m in weighed]
     lowest = min(ranks)
     best = weighed[ranks.index(lowest)]
@@ -252,7 +228,7 @@ def unambiguous(matches: list[Match], margin: float, config: Config) -> Match | 
     return best if clear else None
 
 
-def least_growth(points: NDArray[np.float64], map_T_laser: Pose, line_map: LineMap, config: Config) -> float:
+def least_growth(points: Floats, map_T_laser: Pose, line_map: LineMap, config: Config) -> float:
     """Return the least increase of the cost at ``SEPARATE_M`` from a pose, over all directions.
 
     It is a share of the worst cost, and nearly 0 between parallel walls, where the position along them is not
@@ -262,24 +238,18 @@ def least_growth(points: NDArray[np.float64], map_T_laser: Pose, line_map: LineM
 
 
 def growth(
-    points: NDArray[np.float64],
-    map_T_laser: Pose,
-    line_map: LineMap,
-    angles_rad: NDArray[np.float64],
-    step_m: float,
-    config: Config,
-) -> NDArray[np.float64]:
+    points: Floats, map_T_laser: Pose, line_map: LineMap, angles_rad: Floats, step_m: float, config: Config
+) -> Floats:
     """Return the increase of the cost a step away from a pose in some directions (k,), as shares of the worst cost."""
     truncate_m = config.robust.expert.truncate_m
     steps = step_m * np.column_stack((np.cos(angles_rad), np.sin(angles_rad)))
     xy_m, yaw_rad = np.vstack(([(0.0, 0.0)], steps)) + map_T_laser.as_array()[:2], np.array([map_T_laser.yaw_rad])
     costs = line_map.costs(points, xy_m, yaw_rad, truncate_m)[0]
-    shares: NDArray[np.float64] = (costs[1:] - costs[0]) / truncate_m**2
-    return shares
+    return np.asarray((costs[1:] - costs[0]) / truncate_m**2)
 
 
 def unobservable_direction(
-    points: NDArray[np.float64], map_T_laser: Pose, line_map: LineMap, least: float, config: Config
+    points: Floats, map_T_laser: Pose, line_map: LineMap, least: float, config: Config
 ) -> float | None:
     """Return the direction (rad, map frame) in which a pose can be moved at a cost below ``least``.
 
@@ -294,7 +264,7 @@ def unobservable_direction(
     return along_rad if growth(points, map_T_laser, line_map, across, SEPARATE_M, config).min() >= ACROSS else None
 
 
-def heading_margin(points: NDArray[np.float64], map_T_laser: Pose, line_map: LineMap, config: Config) -> float:
+def heading_margin(points: Floats, map_T_laser: Pose, line_map: LineMap, config: Config) -> float:
     """Return the additional cost of the best other heading near a pose, as a share of the worst cost.
 
     It is nearly 0, or negative, where the walls look alike from several headings.
@@ -319,16 +289,15 @@ def apart(a: Pose, b: Pose) -> bool:
     return off.distance_m > SEPARATE_M or abs(off.yaw_rad) > SEPARATE_RAD
 
 
-def minima(
-    costs: NDArray[np.float64], xy_m: NDArray[np.float64], yaws_rad: NDArray[np.float64], most: int = CANDIDATES
-) -> list[Start]:
+def minima(costs: Floats, xy_m: Floats, yaws_rad: Floats, most: int = CANDIDATES) -> list[Start]:
     """Return the ``most`` lowest separate minima of the costs (q, p), with their poses; the costs are overwritten."""
     return starts_of(separate_minima(costs, xy_m, yaws_rad, SEPARATE, most), xy_m, yaws_rad)
 
 
-def starts_of(rows: NDArray[np.float64], xy_m: NDArray[np.float64], yaws_rad: NDArray[np.float64]) -> list[Start]:
+def starts_of(rows: Floats, xy_m: Floats, yaws_rad: Floats) -> list[Start]:
     """Return the poses of minima (m, 3): cost, index of yaw and of position."""
-    return [(cost, _pose(xy_m[int(p)], yaws_rad[int(q)])) for cost, q, p in rows.tolist()]
+    at = ((cost, *xy_m[int(p)].tolist(), float(yaws_rad[int(q)])) for cost, q, p in rows.tolist())
+    return [(cost, Pose(x_m, y_m, wrap_angle(yaw_rad))) for cost, x_m, y_m, yaw_rad in at]
 
 
 def lowest_starts(starts: list[Start], most: int) -> list[Start]:

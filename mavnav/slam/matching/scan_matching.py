@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import Enum
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -40,6 +41,14 @@ class Match(NamedTuple):
     motion_cost: float = 0.0
     ambiguous: bool = False
     threshold_m2: float = np.inf
+
+
+class MatchVerdict(Enum):
+    """Decision on a match: accept it at once, accept it once the next scans agree, or refuse it."""
+
+    SURE = "sure"
+    PROBABLE = "probable"
+    REFUSED = "refused"
 
 
 def no_match(map_T_laser: Pose, beams: int = 0) -> Match:
@@ -102,9 +111,8 @@ class Schedule(Struct, frozen=True):
             known_points=line_map.known_points,
             dense_points=robust.expert.sparse_points,
         )
-        samples = line_search.SearchGrid(
-            config.azimuth, grid.nx, grid.ny, robust.expert.max_extensions, prune=config.search == "pruned"
-        )
+        most, pruned = robust.expert.max_extensions, config.search == "pruned"
+        samples = line_search.SearchGrid(config.azimuth, grid.nx, grid.ny, most, prune=pruned)
         return cls(np.array(samples, float), np.array(limits, float))
 
 
@@ -126,6 +134,4 @@ def search_lines(
 
 def with_effort(best: Match, *tried: Match) -> Match:
     """Return the best match with the summed effort of all matches that were tried."""
-    if len(tried) == 1 and tried[0] is best:
-        return best
     return best._replace(evaluations=sum(m.evaluations for m in tried), iterations=sum(m.iterations for m in tried))

@@ -44,12 +44,8 @@ class Step(NamedTuple):
 _KINDS = {"int": ("q", "<i8"), "float": ("d", "<f8"), "bool": ("?", "?"), "Pose": ("3d", "3<f8")}
 """Type of a field -> its `struct` format and its numpy type."""
 
-_FIELDS = {
-    "index": "int",
-    "stamp_ns": "int",
-    **{name: kind.__forward_arg__ for name, kind in Match.__annotations__.items()},
-    "tracked": "bool",
-}
+_MATCH_FIELDS = {name: kind.__forward_arg__ for name, kind in Match.__annotations__.items()}
+_FIELDS = {"index": "int", "stamp_ns": "int", **_MATCH_FIELDS, "tracked": "bool"}
 """Fields of a step in order, with those of its match in place of ``match``, and their types."""
 
 _PACKED = struct.Struct("<" + "".join(_KINDS[kind][0] for kind in _FIELDS.values()))
@@ -151,6 +147,13 @@ def lost_intervals(steps: Steps) -> Iterator[LostInterval]:
             yield LostInterval(stamps_ns[start - 1], stamps_ns[end], 0, recovered=True)
         elif end - start >= many or jumped[k]:
             yield LostInterval(stamps_ns[start], stamps_ns[end - 1], end - start, recovered=recovered)
+
+
+def runs_of(marks: NDArray[np.bool_], least: int) -> list[range]:
+    """Return the ranges of ``least`` or more successive rows that are marked; ``marks`` (n,)."""
+    edges = np.diff(np.concatenate(([False], marks, [False])).astype(np.int8))
+    pairs = zip(np.flatnonzero(edges > 0).tolist(), np.flatnonzero(edges < 0).tolist(), strict=True)
+    return [range(start, end) for start, end in pairs if end - start >= least]
 
 
 def jumps(path: Trajectory) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mavnav.slam.matching.motion_model import LONGEST_S
-from mavnav.slam.matching.track_state import MatchVerdict
+from mavnav.slam.matching.scan_matching import MatchVerdict
 
 if TYPE_CHECKING:
     from mavnav.config.models import RobustConfig

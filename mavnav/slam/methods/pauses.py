@@ -99,32 +99,23 @@ def first_found_late(steps: Steps, period_s: float) -> int | None:
 
 
 def pause_warnings(steps: Steps, motion: Motion) -> Iterator[str]:
-    """Yield a warning if the scans pause between two poses of a log without odometry."""
-    tracked, stamps_ns = steps.column("tracked"), steps.column("stamp_ns")
-    before = [k for k in pauses(steps, motion.period_s) if tracked[: k + 1].any() and tracked[k + 1 :].any()]
-    if before and not motion.has_odometry:
+    """Yield a warning of a log without odometry if its scans pause between two poses, and one if it goes on blindly.
+
+    That is: for longer than a pause, while its scans match nowhere. The laser may have been carried meanwhile, to a
+    place that looks like an earlier one.
+    """
+    stamps_ns, tracked = steps.column("stamp_ns"), np.flatnonzero(steps.column("tracked"))
+    before = np.array(pauses(steps, motion.period_s), np.intp)
+    earlier = np.searchsorted(tracked, before, side="right")
+    between = before[(earlier > 0) & (earlier < len(tracked))]
+    if len(between) and not motion.has_odometry:
         yield (
-            f"the scans pause for {_longest_gap(stamps_ns, np.array(before), np.array(before) + 1)}: without odometry, "
+            f"the scans pause for {_longest_gap(stamps_ns, between, between + 1)}: without odometry, "
             "where the laser is afterwards is known from the scans alone; check the map there"
         )
-
-
-def blind_warnings(steps: Steps, motion: Motion) -> Iterator[str]:
-    """Yield a warning if a log without odometry goes on for longer than a pause, and its scans match nowhere meanwhile.
-
-    The laser may have been carried, to a place that looks like an earlier one.
-    """
-    if motion.odometry is not None:
-        return
-    stamps_ns, tracked = steps.column("stamp_ns"), np.flatnonzero(steps.column("tracked"))
-    gaps_s = np.diff(stamps_ns[tracked]) * NS
-    paused = {k + 1 for k in pauses(steps, motion.period_s)}
-    blind = [
-        k
-        for k in np.flatnonzero(gaps_s > shortest_pause_s(motion.period_s)).tolist()
-        if not paused.intersection(range(tracked[k] + 1, tracked[k + 1] + 1))
-    ]
-    if blind:
+    long = np.flatnonzero(np.diff(stamps_ns[tracked]) * NS > shortest_pause_s(motion.period_s))
+    blind = [k for k in long.tolist() if not ((before >= tracked[k]) & (before < tracked[k + 1])).any()]
+    if blind and motion.odometry is None:
         yield (
             f"no scan matches for {_longest_gap(stamps_ns, tracked[blind], tracked[1:][blind])}: without odometry, "
             "whether the laser was carried meanwhile is known from the scans alone; check the map there"

@@ -1,9 +1,9 @@
-"""The table of methods by their names in the configuration; a new method takes one class and one line."""
+"""The table of methods by their names in the configuration, and what tracker and later passes need of a method."""
 
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol
 
 from mavnav.kernels.machine.building import prepare
 from mavnav.slam.methods.localization import Localizer
@@ -11,10 +11,91 @@ from mavnav.slam.methods.paper import Paper
 from mavnav.slam.methods.robust import Robust
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from mavnav.config.models import Config
+    from mavnav.mapping.occupancy_grid import Grid, GridBuilder
+    from mavnav.mapping.tiled_arrays import Extent
+    from mavnav.pose import Pose
     from mavnav.profiling import Progress
+    from mavnav.scan import Scan
+    from mavnav.slam.matching.motion_model import Motion
     from mavnav.slam.matching.prior_map import PriorMap
-    from mavnav.slam.methods.method import Method
+    from mavnav.slam.matching.scan_matching import Match, MatchVerdict
+
+
+class Refiner(Protocol):
+    """Interface for relocalization and for the passes after tracking; a method without it runs neither.
+
+    ``builds_map`` is False where the map is given: then no loop is closed, and no other track is compared.
+    """
+
+    builds_map: bool
+
+    def reserve_whole_map_search(self, scan: Scan) -> bool:
+        """Spend the work of ``relocalize`` if the budget covers it; return whether it does."""
+
+    def relocalize(self, scan: Scan, match: Match, motion: Motion) -> Match | None:
+        """Find the scan anywhere in the map; None unless exactly one pose fits. ``match`` is a further hypothesis."""
+
+    def match_between(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
+        """Match a rejected scan between two accepted ones that are far apart in time, without wide searches."""
+
+    def match_points(self, scan: Scan, motion: Motion | None = None) -> NDArray[np.float64]:
+        """Return the points (n, 2) of the scan for matching, m, laser frame; de-skewed if the motion is given."""
+
+    def refine(self, points: NDArray[np.float64], match: Match) -> Match:
+        """Match points (n, 2), m, laser frame, against the finished map, close to an earlier match."""
+
+    def placed_points(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> tuple[NDArray[np.float64], Extent]:
+        """Return all points (n, 2) of the de-skewed scan for insertion, m, map frame, and their extent."""
+
+    def observability(self, points: NDArray[np.float64], match: Match) -> tuple[float, NDArray[np.float64]]:
+        """Return how well the map constrains a refined scan in its least constrained direction (0 to 1), and a Hessian.
+
+        The Hessian (6,) is that of half the squared distances, map frame: xx, xy, yy, x yaw, y yaw, yaw yaw; m, rad.
+        """
+
+    def conflicts(self, points: NDArray[np.float64], match: Match) -> float:
+        """Return the share of visibility conflicts of a refined scan with the finished map."""
+
+    def heading_margin(self, points: NDArray[np.float64], match: Match) -> float:
+        """Return the additional cost of the best other heading of a refined scan, as a share of the worst cost."""
+
+    def remove_dynamic_cells(self) -> None:
+        """Remove the hits of dynamic cells from the map."""
+
+
+class Method(Protocol):
+    """Interface for the tracker; ``grid`` is the map that the method builds.
+
+    ``expects_rest``: without odometry the last pose is the prediction. ``uses_odometry``: odometry of the log is used.
+    """
+
+    grid: GridBuilder
+    expects_rest: bool
+    uses_odometry: bool
+
+    @property
+    def refiner(self) -> Refiner | None:
+        """Refiner for the passes after tracking; None for a causal method."""
+
+    def first(self, scan: Scan) -> Match:
+        """Return the first match; ``converged`` if the scan can begin the map."""
+
+    def match(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
+        """Match the scan against the map."""
+
+    def gate(self, match: Match, scan: Scan, motion: Motion) -> MatchVerdict:
+        """Decide whether to accept the match."""
+
+    def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
+        """Add the scan to the map."""
+
+    def release_map(self) -> Grid:
+        """Return the map and release the working copy: two copies of a large map may not fit into memory."""
+
 
 METHODS: dict[str, type[Robust | Paper]] = {"robust": Robust, "paper": Paper}
 LOCALIZERS: dict[str, type[Localizer]] = {"robust": Localizer}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +14,7 @@ from mavnav.pose import Pose
 from mavnav.profiling import timed
 from mavnav.scan import LONGEST_SWEEP
 from mavnav.slam.matching.budget import WHOLE_EACH, WHOLE_FIRST, WIDE_EACH, WIDE_FIRST, WIDE_MOST, Budget, search_work
-from mavnav.slam.matching.degeneracy import LEAST_OBSERVABILITY
+from mavnav.slam.matching.observability import LEAST_OBSERVABILITY
 from mavnav.slam.matching.relocalization import (
     CANDIDATES,
     around,
@@ -29,6 +29,7 @@ from mavnav.slam.matching.relocalization import (
 )
 from mavnav.slam.matching.scan_matching import (
     Match,
+    MatchVerdict,
     Schedule,
     empty_line_map,
     first_match,
@@ -36,7 +37,6 @@ from mavnav.slam.matching.scan_matching import (
     search_lines,
     with_effort,
 )
-from mavnav.slam.matching.track_state import MatchVerdict
 from mavnav.slam.methods.acceptance import FOUND_CONFLICTS, Acceptance
 from mavnav.slam.methods.pauses import Pauses
 
@@ -128,23 +128,20 @@ class Robust:
     @cached_property
     def _near(self) -> tuple[Schedule, Schedule]:
         """Schedules of the search close to the prediction: without odometry, and with it."""
-        robust = self.config.robust
-        window = (robust.expert.near_window_m, robust.expert.near_window_rad)
-        return Schedule.of(self.config, self.lines, window), Schedule.of(
-            self.config, self.lines, window, prior=robust.expert.prior
-        )
+        expert = self.config.robust.expert
+        schedule = partial(Schedule.of, self.config, self.lines, (expert.near_window_m, expert.near_window_rad))
+        return schedule(), schedule(prior=expert.prior)
 
     @cached_property
     def _final(self) -> Schedule:
         """Schedule of the search of the final pass."""
-        window = (self.config.robust.expert.final_window_m, self.config.robust.expert.final_window_rad)
-        return Schedule.of(self.config, self.lines, window, final=True)
+        expert = self.config.robust.expert
+        return Schedule.of(self.config, self.lines, (expert.final_window_m, expert.final_window_rad), final=True)
 
     def _begin(self) -> None:
         """Start an empty map."""
-        expert = self.config.robust.expert
-        points = expert.overlap_points
-        self.lines = empty_line_map(self.config, known_points=points, waiting_share=expert.waiting_share)
+        known, waiting = self.config.robust.expert.overlap_points, self.config.robust.expert.waiting_share
+        self.lines = empty_line_map(self.config, known_points=known, waiting_share=waiting)
         self.known = self.grid = GridBuilder(self.lines.cell_m)
 
     def first(self, scan: Scan) -> Match:
@@ -162,8 +159,8 @@ class Robust:
         self._whole_budget.earn()
         if self._missed_before(motion) >= RARELY_SCANS and motion.odometry is None:
             return self._search_rarely(points, predicted, motion, _expected_poses(scan, predicted, motion), elapsed_s)
-        tried = self._search_near(points, predicted, motion)
-        if self._is_found_near(tried, predicted, motion, elapsed_s):
+        tried, good = self._search_near(points, predicted, motion, elapsed_s)
+        if good:
             return tried[0]
         expected, lost = _expected_poses(scan, predicted, motion), _is_lost(motion, elapsed_s)
         regions = self._lost_region(points, expected, elapsed_s) if lost else []
@@ -192,8 +189,8 @@ class Robust:
         regions = self._lost_region(points, expected, elapsed_s)
         if not regions:
             return no_match(predicted, len(points))
-        tried = self._search_near(points, predicted, motion)
-        if self._is_found_near(tried, predicted, motion, elapsed_s):
+        tried, good = self._search_near(points, predicted, motion, elapsed_s)
+        if good:
             return tried[0]
         tried += self._search_wide(points, regions[0], FOUND_COST)
         return best_of(tried, expected, elapsed_s, self.config) if tried else no_match(predicted, len(points))
@@ -210,8 +207,8 @@ class Robust:
         points, elapsed_s = self.match_points(scan, motion), motion.elapsed_s(scan.stamp_ns)
         if len(points) < self.config.robust.min_points:
             return no_match(predicted, len(points))
-        tried = self._search_near(points, predicted, motion)
-        if self._is_found_near(tried, predicted, motion, elapsed_s):
+        tried, good = self._search_near(points, predicted, motion, elapsed_s)
+        if good:
             return tried[0]
         tried += self._search_around(points, predicted)
         return with_effort(self._of_least_cost(tried, points, predicted, motion), *tried)
@@ -229,19 +226,19 @@ class Robust:
         region = around(predicted, self.config.robust.expert.window_m, self.config.robust.expert.window_rad)
         return candidates(points, self.lines, self.known, region, self.config, most=NEAR_MINIMA)
 
-    def _search_near(self, points: NDArray[np.float64], predicted: Pose, motion: Motion) -> list[Match]:
-        """Search close to the prediction, unless the configuration disables that."""
-        if not self.config.robust.expert.near_window_mm:
-            return []
-        match = search_lines(points, self.lines, predicted, self._near[motion.odometry is not None])
-        return [with_conflicts(match, points, self.lines, self.known)]
+    def _search_near(
+        self, points: NDArray[np.float64], predicted: Pose, motion: Motion, elapsed_s: float
+    ) -> tuple[list[Match], bool]:
+        """Search close to the prediction, unless the configuration disables that; also return whether it is enough.
 
-    def _is_found_near(self, tried: list[Match], predicted: Pose, motion: Motion, elapsed_s: float) -> bool:
-        """Return whether the search close to the prediction was made and its match is acceptable."""
-        if not tried:
-            return False
-        near, rules = tried[0], self.acceptance
-        return rules.is_inside(near, predicted) and rules.is_acceptable(near, motion, elapsed_s)
+        The match is then acceptable, and well inside of the window.
+        """
+        if not self.config.robust.expert.near_window_mm:
+            return [], False
+        match = search_lines(points, self.lines, predicted, self._near[motion.odometry is not None])
+        match = with_conflicts(match, points, self.lines, self.known)
+        rules = self.acceptance
+        return [match], rules.is_inside(match, predicted) and rules.is_acceptable(match, motion, elapsed_s)
 
     def _work(self, points: NDArray[np.float64], region: Region) -> float:
         """Return the work of a search of a region; that of cost bounds counts once until the map grows."""
@@ -257,10 +254,9 @@ class Robust:
     @timed("gate")
     def gate(self, match: Match, scan: Scan, motion: Motion) -> MatchVerdict:
         """Decide whether to accept the match."""
-        elapsed_s = motion.elapsed_s(scan.stamp_ns)
         if self._pauses.exclude(match.map_T_laser, motion, scan.stamp_ns):
             return MatchVerdict.REFUSED
-        return self.acceptance.verdict(match, motion, elapsed_s)
+        return self.acceptance.verdict(match, motion, motion.elapsed_s(scan.stamp_ns))
 
     def reserve_whole_map_search(self, scan: Scan) -> bool:
         """Spend the work of a search of the whole map if the budget covers it."""
@@ -281,10 +277,10 @@ class Robust:
         matches = [match, *candidates(points, self.lines, self.known, self._free, self.config, limit=limit)]
         expected = _expected_poses(scan, motion.predict(scan.stamp_ns), motion)
         best = best_of(matches, expected, elapsed_s, self.config)
-        rules = self.acceptance
-        refused = best.ambiguous or rules.conflicts_after_gap(best, motion, elapsed_s)
-        refused = refused or self._pauses.exclude(best.map_T_laser, motion, scan.stamp_ns)
-        return best if rules.is_good(best) and not refused else None
+        if best.ambiguous or self.acceptance.conflicts_after_gap(best, motion, elapsed_s):
+            return None
+        excluded = self._pauses.exclude(best.map_T_laser, motion, scan.stamp_ns)
+        return best if self.acceptance.is_good(best) and not excluded else None
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Insert every valid point of the de-skewed scan into lines and grid."""
@@ -309,9 +305,8 @@ class Robust:
 
     def observability(self, points: NDArray[np.float64], match: Match) -> tuple[float, NDArray[np.float64]]:
         """Return the observability by the lines at the points, and the Hessian."""
-        lines, information = self.lines, np.empty(6)
-        pose = match.map_T_laser.as_array()
-        return observability(points, pose, lines.nearest, lines.lines, lines.geometry, information), information
+        lines, pose, hessian = self.lines, match.map_T_laser.as_array(), np.empty(6)
+        return observability(points, pose, lines.nearest, lines.lines, lines.geometry, hessian), hessian
 
     def conflicts(self, points: NDArray[np.float64], match: Match) -> float:
         """Return the share of visibility conflicts of a sample of the points."""
@@ -337,8 +332,7 @@ class Robust:
 
         The result of the last motion is kept: the scan that is inserted was matched just before.
         """
-        last = self._deskewed
-        if last and last[0] is scan and last[1] is motion:
+        if (last := self._deskewed) and last[0] is scan and last[1] is motion:
             return last[2]
         spec, twist, increment_s = scan.spec, AT_REST, 0.0
         # One of several merged lasers may start half a period later.

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.slam.loop_closure.drift import drift_bound
+from mavnav.slam.loop_closure.key_frames import drift_bound
 from mavnav.slam.matching.scan_matching import no_match
 from mavnav.slam.matching.steps import tracked_trajectory
 from mavnav.slam.retries.odometry import errors_m, most_moving, size

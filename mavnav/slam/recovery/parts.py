@@ -17,7 +17,7 @@ from msgspec.structs import replace
 from mavnav.pose import Pose
 from mavnav.slam.matching.relocalization import apart
 from mavnav.slam.matching.scan_matching import no_match
-from mavnav.slam.matching.steps import LOST_SCANS, Step, Steps, lost_intervals
+from mavnav.slam.matching.steps import LOST_SCANS, Step, Steps, lost_intervals, runs_of
 from mavnav.slam.methods.pauses import first_found_late, highest_speed, is_too_far, pauses
 from mavnav.slam.recovery.part_by_odometry import neighbours, placed_warning, pose_by_odometry
 from mavnav.slam.retries.beginning import count_accepted, until_missing
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from mavnav.scan import Scan
     from mavnav.slam.matching.motion_model import Motion
     from mavnav.slam.matching.steps import LostInterval
-    from mavnav.slam.methods.method import Refiner
+    from mavnav.slam.methods.registry import Refiner
     from mavnav.slam.track import Track
 
 LEAST_SCANS, MOST_TRACKED = 20, 4
@@ -98,9 +98,8 @@ def drop_late_poses(track: Track, refiner: Refiner) -> Track:
     """
     if not refiner.builds_map or track.motion.has_odometry:
         return track
-    if lost_for_good(track.steps, list(lost_intervals(track.steps))):
-        return track
-    first = first_found_late(track.steps, track.motion.period_s)
+    lost = lost_for_good(track.steps, list(lost_intervals(track.steps)))
+    first = None if lost else first_found_late(track.steps, track.motion.period_s)
     if first is None:
         return track
     before = track.over(islice(track.log_scans(), first), "track again")
@@ -134,10 +133,8 @@ def track_stretch(track: Track, stretch: range) -> Track:
 
 def lost_stretches(steps: Steps, within: range) -> list[range]:
     """Return the ranges of ``LEAST_SCANS`` or more successive scans without a pose, as scan numbers."""
-    lost = ~steps.column("tracked")[within.start : within.stop]
-    edges = np.diff(np.concatenate(([False], lost, [False])).astype(np.int8))
-    pairs = zip(np.flatnonzero(edges > 0), np.flatnonzero(edges < 0), strict=True)
-    return [range(within.start + int(a), within.start + int(b)) for a, b in pairs if b - a >= LEAST_SCANS]
+    runs = runs_of(~steps.column("tracked")[within.start : within.stop], LEAST_SCANS)
+    return [range(within.start + run.start, within.start + run.stop) for run in runs]
 
 
 def accepted_steps(track: Track) -> tuple[Step, ...]:
@@ -163,9 +160,8 @@ def join_parts(track: Track, others: list[tuple[Step, ...]]) -> Track:
     warnings, errors_m = list(track.findings.warnings), np.zeros(len(steps))
     for part in parts:
         wanted = {step.index for step in part if not steps[step.index].tracked}
-        scans = (
-            {k: scan for k, scan in enumerate(track.log_scans()) if k in wanted} if len(wanted) >= LOST_SCANS else {}
-        )
+        log_scans = track.log_scans() if len(wanted) >= LOST_SCANS else ()
+        scans = {k: scan for k, scan in enumerate(log_scans) if k in wanted}
         inside = [step for step in part if step.index in scans]
         part_T = part_pose(inside, scans, track, _most_searched(part, track))
         if part_T is None and inside:
@@ -176,7 +172,7 @@ def join_parts(track: Track, others: list[tuple[Step, ...]]) -> Track:
                 errors_m[[step.index for step in inside]] = error_m
                 warnings.append(placed_warning(inside, steps[0].stamp_ns, error_m))
         if part_T is not None and is_reached(part, part_T, steps, track):
-            for step in insert_part(part, part_T, scans, track):
+            for step in insert_part(inside, part_T, scans, track):
                 steps[step.index] = step
     whole = track.with_findings(parts=tuple(parts), warnings=tuple(warnings), by_odometry_m=errors_m)
     return replace(whole, steps=steps)
@@ -238,20 +234,16 @@ def evenly(count: int, most: int) -> list[int]:
 
 def consensus(pairs: list[tuple[Pose, Pose]]) -> Pose | None:
     """Return the transform from the first to the second poses of most pairs; None if too few agree."""
-    best, most = None, 0
-    for before, after in pairs:
-        moved = after @ before.inverse()
-        agree = sum(not apart(moved @ a, b) for a, b in pairs)
-        best, most = (moved, agree) if agree > most else (best, most)
-    return best if most >= LEAST_AGREEING and 2 * most > len(pairs) else None
+    transforms = [after @ before.inverse() for before, after in pairs]
+    agreeing = [sum(not apart(moved @ a, b) for a, b in pairs) for moved in transforms]
+    most = max(agreeing, default=0)
+    return transforms[agreeing.index(most)] if most >= LEAST_AGREEING and 2 * most > len(pairs) else None
 
 
 def insert_part(part: Sequence[Step], map_T_part: Pose, scans: dict[int, Scan], track: Track) -> Iterator[Step]:
     """Insert the scans of a part into the map of the track at their transformed poses; yield their steps."""
     here: Motion | None = None
     for step in part:
-        if step.index not in scans:
-            continue
         pose = map_T_part @ step.match.map_T_laser
         here = here or track.motion.started_at(pose, step.stamp_ns)
         track.method.insert(scans[step.index], pose, here)
@@ -265,10 +257,9 @@ def parts_of(track: Track) -> tuple[Part, ...]:
     if not parted:
         return ()
     tracked, elsewhere = track.steps.column("tracked"), {step.index for part in parted for step in part}
-    own = [step for step in track.steps if step.tracked and step.index not in elsewhere]
-    parts = [(own, True)] if own else []
-    parts += [(list(part), bool(2 * tracked[[s.index for s in part]].sum() > len(part))) for part in parted]
-    records = (Part(part[0].stamp_ns, part[-1].stamp_ns, len(part), whole) for part, whole in parts)
+    own = tuple(step for step in track.steps if step.tracked and step.index not in elsewhere)
+    parts = [(own, True), *((p, bool(2 * tracked[[step.index for step in p]].sum() > len(p))) for p in parted)]
+    records = (Part(part[0].stamp_ns, part[-1].stamp_ns, len(part), whole) for part, whole in parts if part)
     return tuple(sorted(records, key=lambda part: part.start_ns))
 
 

@@ -9,19 +9,18 @@ import numpy as np
 from msgspec.structs import replace
 
 from mavnav.slam.matching.motion_model import LONGEST_S, motion_at
-from mavnav.slam.matching.scan_matching import with_effort
+from mavnav.slam.matching.scan_matching import MatchVerdict, with_effort
 from mavnav.slam.matching.steps import Step, Steps
-from mavnav.slam.matching.track_state import MatchVerdict
 from mavnav.units import NS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable
 
     from mavnav.pose import Pose
     from mavnav.scan import Scan
     from mavnav.slam.matching.motion_model import Motion
     from mavnav.slam.matching.scan_matching import Match
-    from mavnav.slam.methods.method import Refiner
+    from mavnav.slam.methods.registry import Refiner
     from mavnav.slam.track import Track
 
 SHORT_SCANS = 8
@@ -38,7 +37,7 @@ def rematch_rejected(track: Track, refiner: Refiner) -> Track:
     others stay without a pose.
     """
     steps = track.steps
-    before = {} if steps.column("tracked").all() else between_accepted(steps)
+    before = between_accepted(steps)
     if not before:
         return track
     scans = {index: scan for index, scan in enumerate(track.log_scans()) if index in before}
@@ -52,18 +51,14 @@ def rematch_rejected(track: Track, refiner: Refiner) -> Track:
     return replace(track, steps=updated)
 
 
-def between_accepted(steps: Iterable[Step]) -> dict[int, Step]:
+def between_accepted(steps: Steps) -> dict[int, Step]:
     """Return the last accepted step before each rejected scan that has accepted scans on both sides, by scan number."""
-    before: dict[int, Step] = {}
-    between: dict[int, Step] = {}
-    last: Step | None = None
-    for step in steps:
-        if step.tracked:
-            before.update(between)
-            between, last = {}, step
-        elif last:
-            between[step.index] = last
-    return before
+    tracked = steps.column("tracked")
+    accepted, rejected = np.flatnonzero(tracked), np.flatnonzero(~tracked)
+    after = np.searchsorted(accepted, rejected)
+    between = (after > 0) & (after < len(accepted))
+    pairs = zip(rejected[between].tolist(), accepted[after[between] - 1].tolist(), strict=True)
+    return {index: steps[before] for index, before in pairs}
 
 
 def rematch_between(scan: Scan, step: Step, before: Step, after: Step, track: Track, refiner: Refiner) -> Step:

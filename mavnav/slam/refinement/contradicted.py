@@ -20,7 +20,7 @@ from mavnav.units import NS, pluralize
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.slam.methods.method import Refiner
+    from mavnav.slam.methods.registry import Refiner
     from mavnav.slam.track import Track
 
 CONTRADICTED, GIVEN_UP = 0.05, 0.1
@@ -51,7 +51,11 @@ def drop_contradicted(track: Track, refiner: Refiner) -> Track:
     runs = stretches(track.steps, rows)
     given_up, doubtful = contradicted_stretches([conflicts[part] for part in runs])
     if doubtful:
-        track = track.with_warning(_doubt_warning(track.steps, [rows[runs[k]] for k in doubtful]))
+        scans = _scans(track.steps, [rows[runs[k]] for k in doubtful])
+        track = track.with_warning(
+            f"the poses of {scans} may be wrong, the given map contradicts them: it is of another place, or much has "
+            "changed there; compare both maps with mavnav diff"
+        )
     return _without_stretches(track, [rows[runs[k]] for k in given_up]) if given_up else track
 
 
@@ -81,20 +85,9 @@ def _without_stretches(track: Track, given_up: list[NDArray[np.intp]]) -> Track:
     other = replace(track, method=make_method(track.config, track.prior_map), steps=steps)
     for step, scan, motion in other.placed_scans():
         other.method.insert(scan, step.match.map_T_laser, motion)
-    return other.with_warning(_poses_warning(track.steps, given_up))
-
-
-def _poses_warning(steps: Steps, given_up: list[NDArray[np.intp]]) -> str:
-    return (
-        f"the given map contradicts {_scans(steps, given_up)}: the laser was outside of the map, or much has changed "
-        "there; these have no pose"
-    )
-
-
-def _doubt_warning(steps: Steps, doubtful: list[NDArray[np.intp]]) -> str:
-    return (
-        f"the poses of {_scans(steps, doubtful)} may be wrong, the given map contradicts them: it is of another place, "
-        "or much has changed there; compare both maps with mavnav diff"
+    return other.with_warning(
+        f"the given map contradicts {_scans(track.steps, given_up)}: the laser was outside of the map, or much has "
+        "changed there; these have no pose"
     )
 
 

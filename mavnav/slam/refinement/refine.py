@@ -1,31 +1,36 @@
-"""Match every tracked scan once more against the finished map: steps 13 and 15, and the poses of a calibration."""
+"""Refine the finished track and its map: steps 12 to 15 (docs/method.md), and the poses of a calibration."""
 
 from __future__ import annotations
 
 from array import array
 from functools import partial
-from itertools import islice
+from itertools import chain, islice
+from math import hypot
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from msgspec.structs import replace
 
+from mavnav.kernels.scans.rts_smoother import smooth
 from mavnav.mapping.occupancy_grid import GridBuilder
-from mavnav.slam.matching.degeneracy import UNMEASURED, degeneracy_warning
-from mavnav.slam.matching.motion_model import motions_along
-from mavnav.slam.matching.steps import Steps, tracked_trajectory
-from mavnav.slam.retries.beam_order import WARNING, is_costlier, reversed_scan, reversed_scans
-from mavnav.units import DEG
+from mavnav.profiling import timed
+from mavnav.slam.matching.motion_model import LONGEST_S, motions_along
+from mavnav.slam.matching.observability import UNMEASURED, degeneracy_warning
+from mavnav.slam.matching.steps import Steps, jumps, tracked_trajectory
+from mavnav.slam.retries.beam_order import WARNING, is_costlier, match_both, reversed_scans
+from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Iterable, Iterator
+
+    from numpy.typing import NDArray
 
     from mavnav.scan import Scan
     from mavnav.slam.matching.motion_model import Motion
-    from mavnav.slam.matching.scan_matching import Match
     from mavnav.slam.matching.steps import Step
-    from mavnav.slam.methods.method import Refiner
+    from mavnav.slam.methods.registry import Refiner
     from mavnav.slam.track import Track
+
 
 NO_EVIDENCE = (UNMEASURED, *(0.0,) * 7)
 """Observability, visibility conflicts and Hessian of a scan without a pose."""
@@ -91,16 +96,11 @@ def refine_steps(
             observed, hessian = refiner.observability(p, match)
             conflicts, motion = refiner.conflicts(p, match), next(moving, None)
             if motion and conflicts >= NOTABLE_CONFLICTS and abs(motion.twist[2]) * scan.sweep_s >= SKEWED_RAD:
-                conflicts = min(conflicts, conflicts_deskewed(scan, match, motion, refiner))
+                deskewed = refiner.match_points(scan, motion)
+                conflicts = min(conflicts, refiner.conflicts(deskewed, refiner.refine(deskewed, match)))
             evidence.extend((observed, conflicts, *hessian.tolist()))
         yield from (step._replace(match=match) for step, match in zip(some, matches, strict=False))
         yield from some[len(matches) :]
-
-
-def conflicts_deskewed(scan: Scan, match: Match, motion: Motion, refiner: Refiner) -> float:
-    """Return the visibility conflicts of a scan that is de-skewed by its motion, with the finished map."""
-    points = refiner.match_points(scan, motion)
-    return refiner.conflicts(points, refiner.refine(points, match))
 
 
 def redraw_map(track: Track, refiner: Refiner) -> Track:
@@ -155,8 +155,72 @@ def _fits_backwards(track: Track, refiner: Refiner) -> bool:
         return False
     turning = (each for each in track.placed_scans() if each[1].sweep_s and abs(each[2].twist[2]) >= TURNING_RAD_S)
     some = list(islice(turning, 0, COMPARED_EVERY * MOST_COMPARED, COMPARED_EVERY))
+    return is_costlier([match_both(scan, motion, step.match, refiner) for step, scan, motion in some])
 
-    def matches(order: Callable[[Scan], Scan]) -> list[Match]:
-        return [refiner.refine(refiner.match_points(order(scan), motion), step.match) for step, scan, motion in some]
 
-    return is_costlier(matches(lambda scan: scan), matches(reversed_scan))
+FEWEST = 10
+"""Minimum number of consecutive poses for an estimate of the jitter."""
+
+STIFFNESSES = 2.0 ** np.arange(-6, 32, 0.5)
+"""Stiffnesses that are tried, in periods to the fourth, from no smoothing to a window of about 250 scans."""
+
+UNCERTAIN_SHARE = 1 / 7
+"""Position error of one match as a share of its RMS point-to-line distance (about 1/sqrt(50))."""
+
+
+def smooth_jitter(track: Track, _refiner: Refiner) -> Track:
+    """Smooth the positions of the finished trajectory; the steps are changed in place."""
+    smooth_positions(track.steps, track.motion.period_s)
+    return track
+
+
+@timed("smoothing")
+def smooth_positions(steps: Steps, period_s: float) -> None:
+    """Move the steps to smoothed positions: jitter lengthens every path and moves a laser at rest.
+
+    The model is white noise on the positions of a path whose velocity is a random walk. The most likely ratio of both
+    is estimated for each stretch. If the median scan would move farther than its uncertainty, less is smoothed.
+    Headings do not change: scans determine them well.
+    """
+    poses, stamps_ns, costs_m2 = (steps.column(name) for name in ("map_T_laser", "stamp_ns", "cost_m2"))
+    for stretch in stretches(steps):
+        periods = np.maximum(np.round(np.diff(stamps_ns[stretch]) * NS / period_s), 1.0)
+        uncertainty_m = UNCERTAIN_SHARE * np.sqrt(np.median(costs_m2[stretch]))
+        steps.move(stretch, _smooth(poses[stretch, :2], periods, uncertainty_m))
+
+
+def stretches(steps: Steps) -> list[NDArray[np.intp]]:
+    """Return the numbers of tracked steps in stretches of ``FEWEST`` or more, without a long gap or a jump within."""
+    tracked, path = np.flatnonzero(steps.column("tracked")), tracked_trajectory(steps)
+    parted = (np.diff(path.stamps_ns) * NS > LONGEST_S) | jumps(path)[1]
+    runs = np.split(tracked, np.flatnonzero(parted) + 1)
+    return [run for run in runs if len(run) >= FEWEST]
+
+
+def _smooth(xy_m: NDArray[np.float64], periods: NDArray[np.float64], uncertainty_m: float) -> NDArray[np.float64]:
+    """Return smoothed positions (n, 2), m, of which the median moves by at most the uncertainty of the scans."""
+    middle, out = xy_m.mean(axis=0), np.empty(xy_m.shape)
+    centred = xy_m - middle
+    likely = [smooth(centred, periods, stiffness, out) for stiffness in STIFFNESSES]
+    path_m = xy_m
+    for stiffness in reversed(STIFFNESSES[: int(np.argmax(likely)) + 1]):
+        smooth(centred, periods, stiffness, out)
+        if np.median(np.linalg.norm(out + middle - xy_m, axis=1)) <= uncertainty_m:
+            path_m = out + middle
+            break
+    for rest in rests(path_m, uncertainty_m):
+        path_m[rest] = xy_m[rest].mean(axis=0)
+    return path_m
+
+
+def rests(xy_m: NDArray[np.float64], within_m: float) -> Iterator[slice]:
+    """Yield the stretches of ``FEWEST`` positions (n, 2) or more that stay in a box of this half diagonal, m."""
+    first = 0
+    low_x = low_y = np.inf
+    high_x = high_y = -np.inf
+    for k, (x, y) in enumerate(chain(map(np.ndarray.tolist, xy_m), [(np.inf, np.inf)])):
+        low_x, high_x, low_y, high_y = min(low_x, x), max(high_x, x), min(low_y, y), max(high_y, y)
+        if hypot(high_x - low_x, high_y - low_y) > 2 * within_m:
+            if k - first >= FEWEST:
+                yield slice(first, k)
+            first, low_x, high_x, low_y, high_y = k, x, x, y, y

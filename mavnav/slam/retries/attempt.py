@@ -1,14 +1,22 @@
-"""Track a log again with one thing changed, and keep the better of the two tracks."""
+"""Track a log again with one thing changed, and keep the better of the two tracks; with coarser voxels if sparse.
+
+Where scans are sparse, a wrong match in a sharp turn bends the map, and blurs it.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
+import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
+
+from mavnav.slam.matching.steps import lost_intervals
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
+    from mavnav.slam.matching.steps import Steps
     from mavnav.slam.track import Track
 
 
@@ -34,3 +42,39 @@ def try_again(track: Track, attempts: Iterable[Attempt]) -> Track:
         kept = attempt.better is None or attempt.better(other, track)
         track = (other if kept else track).with_attempt(attempt.name, kept=kept)
     return track
+
+
+FEW_POINTS, SPARSE_SCANS = 80, 5
+"""Number of points below which an accepted scan is sparse, and number of sparse scans from which a track is in doubt.
+
+The pose in a turn then depends on a few walls.
+"""
+
+COARSER = 4 / 3
+"""Factor on the voxel size of the second track: with other points, other matches are wrong."""
+
+
+def coarsen_voxels(track: Track) -> Track | None:
+    """Return a track with coarser voxels where scans are sparse."""
+    sparse = track.builds_map and has_sparse_scans(track.steps)
+    return replace(track, config=track.config.with_voxels(COARSER)) if sparse else None
+
+
+def is_sharper(other: Track, track: Track) -> bool:
+    """Return whether another track has the better rank."""
+    return rank(other) < rank(track)
+
+
+COARSER_VOXELS: Final = Attempt("coarser voxels", coarsen_voxels, is_sharper)
+
+
+def has_sparse_scans(steps: Steps) -> bool:
+    """Return whether ``SPARSE_SCANS`` or more accepted scans of a track have few points."""
+    few = steps.column("beams_used") < FEW_POINTS
+    return int(np.count_nonzero(few & steps.column("tracked"))) >= SPARSE_SCANS
+
+
+def rank(track: Track) -> tuple[int, int]:
+    """Return the rank of a track, the lesser the better: scans lost, jumps included, then hit cells of its map."""
+    lost = sum(max(1, interval.scans) for interval in lost_intervals(track.steps))
+    return lost, int(np.count_nonzero(track.method.grid.hits))

@@ -21,16 +21,19 @@ from mavnav.slam.retries.beginning import until_missing
 from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
     from mavnav.scan import Scan
     from mavnav.slam.matching.motion_model import Motion
     from mavnav.slam.matching.scan_matching import Match
-    from mavnav.slam.matching.steps import Step
-    from mavnav.slam.methods.method import Refiner
+    from mavnav.slam.methods.registry import Refiner
     from mavnav.slam.track import LogScans, Track
+
+    Floats = NDArray[np.float64]
+    Pairs = list[tuple[Match, Match]]
+    """Matches of the same scans, with the beams in the listed order and in reverse."""
 
 STRETCH_SCANS = 80
 """Number of scans, those with most rotation, that are compared."""
@@ -99,23 +102,28 @@ def has_reversed_order(track: Track) -> bool:
     if not any(scan.spec.time_increment_s for scan in scans):
         return False
     steps = track.steps[stretch.start : stretch.stop]
-    listed, other = match_both(scans, steps, track.motion, refiner)
-    ratio = cost_ratio(listed, other)
+    sampled = islice(zip(steps, steps[1:], scans[1:], strict=False), 0, None, SAMPLE_EVERY)
+    pairs = [
+        match_both(scan, motion_at(track.motion, step, before), step.match, refiner)
+        for before, step, scan in sampled
+        if before.tracked and step.tracked
+    ]
+    ratio = cost_ratio(pairs)
     if ratio > LISTED_RATIO:
         return False
-    if ratio < REVERSED_AT_ONCE and len(listed) >= LEAST_SAMPLED:
+    if ratio < REVERSED_AT_ONCE and len(pairs) >= LEAST_SAMPLED:
         return True
-    if cost_ratio(*track_both(scans, stretch, SHORT_TRIAL, track)) > SHORT_RATIO:
+    if cost_ratio(track_both(scans, stretch, SHORT_TRIAL, track)) > SHORT_RATIO:
         return False
     most = max(LEAST_SCANS, int(TRIAL_SHARE * len(track.steps)))
-    return cost_ratio(*track_both(scans, stretch, most, track)) < REVERSED_RATIO
+    return cost_ratio(track_both(scans, stretch, most, track)) < REVERSED_RATIO
 
 
-def track_both(scans: list[Scan], stretch: range, most: int, track: Track) -> tuple[list[Match], list[Match]]:
+def track_both(scans: list[Scan], stretch: range, most: int, track: Track) -> Pairs:
     """Track up to ``most`` scans of a stretch in both orders, on separate maps; return the matches of both.
 
     They are those that turn most. The path of the track predicts the poses. The tracks end where ``LOST_SCANS`` in a
-    row do not match. Both lists are empty with fewer than ``LEAST_COMPARED`` scans.
+    row do not match. None are returned with fewer than ``LEAST_COMPARED`` scans.
     """
     some = [scans[row - stretch.start] for row in turning_scans(stretch, most, track)]
     path = partial(tracked_trajectory(track.steps).at, max_gap_ns=int(LONG_GAP_S / NS))
@@ -123,7 +131,7 @@ def track_both(scans: list[Scan], stretch: range, most: int, track: Track) -> tu
     until = partial(until_missing, least_points=0, most_missed=LOST_SCANS, most_held=np.inf)
     listed, other = (alone.over(s, until=until).steps for s in (some, map(reversed_scan, some)))
     both = [(a.match, b.match) for a, b in zip(listed, other, strict=False) if a.tracked and b.tracked]
-    return ([a for a, _ in both], [b for _, b in both]) if len(both) >= LEAST_COMPARED else ([], [])
+    return both if len(both) >= LEAST_COMPARED else []
 
 
 def turning_scans(stretch: range, most: int, track: Track) -> list[int]:
@@ -137,16 +145,9 @@ def turning_scans(stretch: range, most: int, track: Track) -> list[int]:
     return chosen
 
 
-def match_both(
-    scans: list[Scan], steps: list[Step], motion: Motion, refiner: Refiner
-) -> tuple[list[Match], list[Match]]:
-    """Match every 8th tracked scan in both beam orders in the map of the track; return the matches of both."""
-    listed, other = [], []
-    for before, step, scan in islice(zip(steps, steps[1:], scans[1:], strict=False), 0, None, SAMPLE_EVERY):
-        if before.tracked and step.tracked:
-            here = motion_at(motion, step, before)
-            listed.append(refiner.refine(refiner.match_points(scan, here), step.match))
-            other.append(refiner.refine(refiner.match_points(reversed_scan(scan), here), step.match))
+def match_both(scan: Scan, motion: Motion, match: Match, refiner: Refiner) -> tuple[Match, Match]:
+    """Match a scan in both beam orders in the map of a track, close to an earlier match; return both matches."""
+    listed, other = (refiner.refine(refiner.match_points(s, motion), match) for s in (scan, reversed_scan(scan)))
     return listed, other
 
 
@@ -156,10 +157,7 @@ def reversed_scan(scan: Scan) -> Scan:
 
 
 def turning_stretch(
-    yaws_rad: NDArray[np.float64],
-    scans: int = STRETCH_SCANS,
-    least_rad: float = LEAST_TURN_RAD,
-    apart_s: NDArray[np.float64] | None = None,
+    yaws_rad: Floats, scans: int = STRETCH_SCANS, least_rad: float = LEAST_TURN_RAD, apart_s: Floats | None = None
 ) -> range:
     """Return the range of up to ``scans`` scans over which the headings (n,) turn most.
 
@@ -178,19 +176,19 @@ def turning_stretch(
     return range(first, first + length) if sums[first] >= least_rad else range(0)
 
 
-def cost_ratio(listed: Sequence[Match], other: Sequence[Match]) -> float:
+def cost_ratio(pairs: Pairs) -> float:
     """Return the ratio of the mean costs, other to listed order, of scans matched in both; NaN without any."""
-    costs = _costs(listed, other)
+    costs = _costs(pairs)
     return float(costs[:, 1].mean() / costs[:, 0].mean()) if len(costs) else nan
 
 
-def is_costlier(listed: Sequence[Match], other: Sequence[Match]) -> bool:
+def is_costlier(pairs: Pairs) -> bool:
     """Return whether the listed order costs more, by matches of the same scans in one map."""
-    costs = _costs(listed, other)
+    costs = _costs(pairs)
     return len(costs) >= LEAST_COMPARED and bool(costs[:, 1].mean() < costs[:, 0].mean())
 
 
-def _costs(listed: Sequence[Match], other: Sequence[Match]) -> NDArray[np.float64]:
+def _costs(pairs: Pairs) -> Floats:
     """Return the costs (n, 2) of the scans that were matched in both orders, m2."""
-    both = [(a.cost_m2, b.cost_m2) for a, b in zip(listed, other, strict=True)]
-    return np.array([pair for pair in both if np.isfinite(pair).all()]).reshape(-1, 2)
+    both = np.array([(listed.cost_m2, other.cost_m2) for listed, other in pairs]).reshape(-1, 2)
+    return np.asarray(both[np.isfinite(both).all(axis=1)])

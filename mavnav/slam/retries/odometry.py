@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from msgspec.structs import replace
 
-from mavnav.slam.matching.motion_model import GAP_S
+from mavnav.slam.matching.motion_model import GAP_S, motion_by
 from mavnav.slam.matching.steps import tracked_trajectory
 from mavnav.slam.retries.attempt import Attempt
 from mavnav.units import NS
@@ -139,11 +139,10 @@ def _errors(odometry: Odometry, poses: list[tuple[int, Pose]]) -> NDArray[np.flo
     None where odometry does not cover both times.
     """
     (_, a), (b_ns, b), (c_ns, c) = poses
-    then, now = odometry(b_ns), odometry(c_ns)
-    if then is None or now is None:
+    by_odometry, went, moved = motion_by(odometry, b_ns, c_ns), a.between(b), b.between(c)
+    if by_odometry is None:
         return None
-    went, moved = a.between(b), b.between(c)
-    return np.array([size(p) for p in (then.between(now).between(moved), went.between(moved), moved)])
+    return np.array([size(p) for p in (by_odometry.between(moved), went.between(moved), moved)])
 
 
 def _is_worse(errors: NDArray[np.float64], times: float = 1.0) -> bool:
@@ -191,9 +190,9 @@ def most_moving(map_T_laser: Trajectory) -> list[MotionWindow]:
     """Return the windows of a path with most motion, in the order of their times."""
     stamps_ns = map_T_laser.stamps_ns
     ends = np.searchsorted(stamps_ns, stamps_ns + round(WINDOW_S / NS))
-    pairs = ((k, int(end)) for k, end in enumerate(ends) if end < len(stamps_ns))
-    close = (pair for pair in pairs if (stamps_ns[pair[1]] - stamps_ns[pair[0]]) * NS < 2 * WINDOW_S)
     stamps = stamps_ns.tolist()
+    inside = ((a, b) for a, b in enumerate(ends.tolist()) if b < len(stamps))
+    close = ((a, b) for a, b in inside if (stamps[b] - stamps[a]) * NS < 2 * WINDOW_S)
     windows = [MotionWindow(stamps[a], stamps[b], map_T_laser[a].between(map_T_laser[b])) for a, b in close]
     return sorted(sorted(windows, key=lambda window: -size(window.moved))[:MOST_WINDOWS])
 
@@ -206,11 +205,8 @@ def rms_error(odometry: Odometry, windows: list[MotionWindow], offset_s: float) 
 
 def errors_m(odometry: Odometry, windows: list[MotionWindow]) -> list[float]:
     """Return the errors of odometry in the windows that it covers; none if these are few."""
-    errors = []
-    for start_ns, end_ns, moved in windows:
-        then, now = odometry(start_ns), odometry(end_ns)
-        if then is not None and now is not None:
-            errors.append(size(then.between(now).between(moved)))
+    pairs = ((motion_by(odometry, start_ns, end_ns), moved) for start_ns, end_ns, moved in windows)
+    errors = [size(by_odometry.between(moved)) for by_odometry, moved in pairs if by_odometry]
     return errors if len(errors) >= LEAST_WINDOWS else []
 
 

@@ -15,8 +15,8 @@ from mavnav.kernels.polar_search.cost import polar_cost
 from mavnav.kernels.scans import beams
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import LaserSpec
-from mavnav.slam.matching.paper_matching import GIVE_UP_RATIO, match_polar, polar_points
 from mavnav.slam.matching.scan_matching import Match
+from mavnav.slam.methods.paper import GIVE_UP_RATIO, match_polar, polar_points
 from support import matches, naive
 from support.matches import polar_problem
 from support.synthetic import furnished_rooms, room, scan_at

@@ -12,8 +12,7 @@ from mavnav.config.models import Config
 from mavnav.logs import open_log
 from mavnav.pose import Rotation
 from mavnav.slam.doubt import judge
-from mavnav.slam.doubt.evidence import TrackEvidence
-from mavnav.slam.doubt.features import DISAGREEMENT, FEATURES
+from mavnav.slam.doubt.features import DISAGREEMENT, FEATURES, TrackEvidence
 from mavnav.slam.doubt.judge import contributions, doubt_of, probability
 from mavnav.slam.findings import NOT_PLANAR, SECOND_MOTION, Doubt, Reason
 from mavnav.slam.pipeline import run_slam

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mavnav.config.models import Config
+from mavnav.pose import Trajectory
 from mavnav.scan import LaserSpec
 from mavnav.slam.doubt.second_motion import EXAMINED, SPANS_S, SPEEDS_M_S, examined_rows, rival, second_minimum
 from mavnav.slam.findings import SECOND_MOTION
@@ -65,7 +66,7 @@ def test_what_moves_with_a_laser_that_moves_is_no_second_motion(
     stamps_ns, xyyaw = np.arange(13) * PERIOD_NS, np.zeros((13, 3))
     xyyaw[:, 0] = 0.1 * track_m_s * np.arange(13)
     track = Track(list, Config(), Motion(0.1), make_method(Config()))
-    velocity = rival((0, 8, 12), stamps_ns, xyyaw, points, track)
+    velocity = rival((0, 8, 12), Trajectory(stamps_ns, xyyaw), points, track)
     assert velocity == (None if found is None else pytest.approx(found))
 
 

@@ -9,9 +9,8 @@ import pytest
 
 from mavnav.config.models import Config
 from mavnav.pose import Pose
-from mavnav.slam.loop_closure.closure import SIGMA_M, SIGMA_RAD, KeyClosure, agree, agreeing_closures
+from mavnav.slam.loop_closure.closure import LEAST_GROWTH, SIGMA_M, SIGMA_RAD, KeyClosure, agree, agreeing_closures
 from mavnav.slam.loop_closure.key_frames import KeyFrame, KeyFrameMap
-from mavnav.slam.loop_closure.matching import LEAST_GROWTH
 from mavnav.slam.matching.relocalization import unobservable_direction
 from mavnav.slam.matching.scan_matching import first_match
 from support.synthetic import DEG, LDS_01, Segments, polyline, scan_at

@@ -14,10 +14,9 @@ from mavnav.config.models import Config
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import LaserSpec, Scan
 from mavnav.slam.findings import Loop, Loops
-from mavnav.slam.loop_closure import remap
+from mavnav.slam.loop_closure import detection
 from mavnav.slam.loop_closure.detection import LOOP_M, find_loops
-from mavnav.slam.loop_closure.drift import drift_bound
-from mavnav.slam.loop_closure.key_frames import KeyFrame, Visibility, key_rows
+from mavnav.slam.loop_closure.key_frames import KeyFrame, Visibility, drift_bound, key_rows
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.scan_matching import first_match
 from mavnav.slam.matching.steps import Step, Steps
@@ -288,7 +287,7 @@ def test_a_correction_that_blurs_the_map_is_refused(monkeypatch: pytest.MonkeyPa
     scans, steps, method = track_of(ring_walk, truth, rows)
     bent = [truth[row] @ Pose(0.0, 0.01 * k, 0.0) for k, row in enumerate(rows)]
     wrong = Loops((Loop(0, 5, Pose(), Pose(0.5, 0, 0), 0.9),), 3, Trajectory.of([s.stamp_ns for s in scans], bent))
-    monkeypatch.setattr(remap, "find_loops", lambda *_: wrong)
+    monkeypatch.setattr(detection, "find_loops", lambda *_: wrong)
     before = method.grid.by_rows()
     outcome = finish(Track(lambda: scans, Config(), Motion(0.4), method, steps))
     assert outcome.loops == Loops(refused=4)
@@ -300,7 +299,9 @@ def test_a_run_that_is_stopped_while_its_map_is_drawn_anew_keeps_the_old_one(mon
     rows = range(0, len(ring_walk.truth), 4)
     scans, steps, method = track_of(ring_walk, ring_walk.drifted(Pose(0.0, 0.0, 0.12 * DEG)), rows)
     right = Trajectory.of([s.stamp_ns for s in scans], [ring_walk.truth[row] for row in rows])
-    monkeypatch.setattr(remap, "find_loops", lambda *_: Loops((Loop(0, 5, Pose(), Pose(0.5, 0, 0), 0.9),), 3, right))
+    monkeypatch.setattr(
+        detection, "find_loops", lambda *_: Loops((Loop(0, 5, Pose(), Pose(0.5, 0, 0), 0.9),), 3, right)
+    )
     before = method.grid.by_rows()
     outcome = finish(Track(lambda: scans[:5], Config(), Motion(0.4), method, steps))
     assert outcome.loops == Loops(refused=4)

@@ -8,15 +8,15 @@ import pytest
 from mavnav.pose import Pose, Trajectory
 from mavnav.slam.findings import Edge
 from mavnav.slam.loop_closure.key_frames import KeyFrame
-from mavnav.slam.loop_closure.path_edges import (
+from mavnav.slam.loop_closure.pose_graph import (
     OBSERVABLE,
     PATH_SIGMA_M,
     PATH_SIGMA_RAD,
     WEAK,
+    optimize,
     path_edges,
     weakest_translation,
 )
-from mavnav.slam.loop_closure.pose_graph import optimize
 from mavnav.units import DEG
 
 PERIOD_NS, STEP_M, EVERY = 100_000_000, 0.08, 4

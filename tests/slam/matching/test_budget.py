@@ -25,9 +25,10 @@ from mavnav.slam.matching.budget import (
 )
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.relocalization import STEP_M, around, within_reach, within_reach_of
+from mavnav.slam.matching.scan_matching import MatchVerdict
 from mavnav.slam.matching.steps import Step
-from mavnav.slam.matching.track_state import MatchVerdict, TrackState
 from mavnav.slam.methods.robust import RARELY_SCANS, Robust
+from mavnav.slam.tracker import TrackState
 from support.synthetic import TOUR, along, furnished_rooms, polyline, record, scan_at
 
 ELSEWHERE = polyline((0, 0), (2.2, 0), (3.1, 1.4), (1.2, 2.6), (-0.4, 1.6), closed=True)

@@ -32,8 +32,7 @@ from mavnav.slam.matching.relocalization import (
     with_conflicts,
     within_reach,
 )
-from mavnav.slam.matching.scan_matching import Match, first_match, no_match
-from mavnav.slam.matching.track_state import MatchVerdict
+from mavnav.slam.matching.scan_matching import Match, MatchVerdict, first_match, no_match
 from mavnav.slam.methods.localization import Localizer
 from mavnav.slam.methods.robust import Robust
 from mavnav.slam.pipeline import run_slam

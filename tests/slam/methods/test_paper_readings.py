@@ -18,10 +18,8 @@ from mavnav.scan import LaserSpec, Scan
 from mavnav.simulation.mission import fly
 from mavnav.simulation.world import load_scenario
 from mavnav.slam.matching.motion_model import Motion
-from mavnav.slam.matching.paper_matching import acceptance_scale, match_polar, polar_points
-from mavnav.slam.matching.scan_matching import no_match
-from mavnav.slam.matching.track_state import MatchVerdict
-from mavnav.slam.methods.paper import Paper
+from mavnav.slam.matching.scan_matching import MatchVerdict, no_match
+from mavnav.slam.methods.paper import Paper, acceptance_scale, match_polar, polar_points
 from mavnav.slam.pipeline import run_slam
 from support.synthetic import room, scan_at
 

@@ -14,7 +14,7 @@ from mavnav.scan import LaserSpec
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.scan_matching import first_match, no_match
 from mavnav.slam.matching.steps import Step, Steps
-from mavnav.slam.methods.pauses import LATE_SCANS, Pauses, blind_warnings, first_found_late, pause_warnings
+from mavnav.slam.methods.pauses import LATE_SCANS, Pauses, first_found_late, pause_warnings
 from mavnav.slam.methods.registry import make_method
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.recovery.parts import join_parts
@@ -136,13 +136,14 @@ def test_scans_that_match_nowhere_for_long_are_reported() -> None:
     def warnings(blind: range, pause_s: float = 0.0, **motion: object) -> list[str]:
         stamps_ns = [k * S // 10 + (round(pause_s * S) if k >= 50 else 0) for k in range(100)]
         steps = Steps(Step(k, stamp_ns, first_match(100), k not in blind) for k, stamp_ns in enumerate(stamps_ns))
-        return list(blind_warnings(steps, Motion(0.1)._replace(**motion)))
+        return list(pause_warnings(steps, Motion(0.1)._replace(**motion)))
 
     (text,) = warnings(range(40, 70))
     assert text.startswith("no scan matches for 3.1 s (3.9 s after the first): without odometry")
     assert not warnings(range(40, 60))
     assert not warnings(range(70, 100))
-    assert not warnings(range(40, 70), pause_s=3.0)  # the pause is reported
+    (text,) = warnings(range(40, 70), pause_s=3.0)
+    assert text.startswith("the scans pause for 3.1 s")
     assert not warnings(range(40, 70), odometry=Trajectory.of([0], [Pose()]).at)
 
 

@@ -13,7 +13,7 @@ from mavnav.kernels.scans.rts_smoother import smooth
 from mavnav.pose import Pose
 from mavnav.slam.matching.scan_matching import Match
 from mavnav.slam.matching.steps import Step, Steps
-from mavnav.slam.refinement.smoothing import FEWEST, rests, smooth_positions
+from mavnav.slam.refinement.refine import FEWEST, rests, smooth_positions
 from support import naive
 
 PERIOD_S = 0.1

@@ -88,8 +88,8 @@ def test_a_laser_that_hardly_turns_tells_nothing(yaws: list[float]) -> None:
 
 
 def test_only_scans_that_match_in_both_orders_are_compared() -> None:
-    assert cost_ratio([at(1.0), at(3.0), at(np.inf)], [at(2.0), at(4.0), at(0.1)]) == 1.5
-    assert np.isnan(cost_ratio([at(np.inf)] * 5, [at(0.8)] * 5))
+    assert cost_ratio([(at(1.0), at(2.0)), (at(3.0), at(4.0)), (at(np.inf), at(0.1))]) == 1.5
+    assert np.isnan(cost_ratio([(at(np.inf), at(0.8))] * 5))
 
 
 def test_no_turn_across_a_gap_is_compared() -> None:

@@ -12,12 +12,13 @@ from mavnav.config.models import Config
 from mavnav.logs import open_log
 from mavnav.pose import Pose, Trajectory
 from mavnav.slam.matching.motion_model import GAP_S, Motion
+from mavnav.slam.matching.scan_matching import MatchVerdict
 from mavnav.slam.matching.steps import lost_intervals
-from mavnav.slam.matching.track_state import MatchVerdict, TrackState
 from mavnav.slam.methods.pauses import Pauses
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.result import SlamResult
 from mavnav.slam.retries.odometry import JITTER_WARNING, at_offset, fitting_offset_s, most_moving, rms_error
+from mavnav.slam.tracker import TrackState
 from mavnav.units import NS
 
 if TYPE_CHECKING:

@@ -19,8 +19,8 @@ from mavnav.slam.matching.steps import Step, Steps
 from mavnav.slam.methods.registry import make_method
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.result import SlamResult
-from mavnav.slam.retries import resampled_track
-from mavnav.slam.retries.resampled_track import COARSER, FEW_POINTS, SPARSE_SCANS, has_sparse_scans, rank
+from mavnav.slam.retries import attempt
+from mavnav.slam.retries.attempt import COARSER, FEW_POINTS, SPARSE_SCANS, has_sparse_scans, rank
 from mavnav.slam.track import Track
 from support.synthetic import TOUR, Recording, along, furnished_rooms, record
 
@@ -56,7 +56,7 @@ def test_a_track_is_in_doubt_where_believed_scans_have_few_points(points: list[i
 
 def test_the_crisper_of_two_tracks_is_kept(sparse: list[Scan], monkeypatch: pytest.MonkeyPatch) -> None:
     both = replay(sparse)
-    monkeypatch.setattr(resampled_track, "has_sparse_scans", lambda steps: False)
+    monkeypatch.setattr(attempt, "has_sparse_scans", lambda steps: False)
     quick = Config(loop_closure="off")
     alone = [replay(sparse, config) for config in (quick, quick.with_voxels(COARSER))]
     blurs = [int(np.count_nonzero(one.grid.hits)) for one in alone]

@@ -12,7 +12,7 @@ from mavnav.kernels.scans.observability import observability
 from mavnav.mapping.line_map import LineMap
 from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.scan import LaserSpec
-from mavnav.slam.matching.degeneracy import LEAST_OBSERVABILITY, degeneracy_warning
+from mavnav.slam.matching.observability import LEAST_OBSERVABILITY, degeneracy_warning
 from mavnav.slam.matching.scan_matching import first_match
 from mavnav.slam.matching.steps import Step, Steps
 from mavnav.slam.pipeline import run_slam

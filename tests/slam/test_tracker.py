@@ -6,7 +6,8 @@ import pytest
 
 from mavnav.pose import Pose
 from mavnav.slam.matching.motion_model import Motion
-from mavnav.slam.matching.track_state import CONFIRMATIONS, MatchVerdict, TrackState
+from mavnav.slam.matching.scan_matching import MatchVerdict
+from mavnav.slam.tracker import CONFIRMATIONS, TrackState
 
 MS = 1_000_000
 HERE, THERE = Pose(1.0, 0.0, 0.0), Pose(4.0, 2.0, 1.0)

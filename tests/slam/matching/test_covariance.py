@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mavnav.slam.matching.observability import covariances_of
 from mavnav.slam.matching.scan_matching import first_match
 from mavnav.slam.matching.steps import Step, Steps
-from mavnav.slam.refinement.covariance import covariances_of
 
 SIGMA_M = 0.01
 

@@ -7,7 +7,7 @@ import heapq
 import numpy as np
 import pytest
 
-from mavnav.slam.loop_closure.drift import Paths
+from mavnav.slam.loop_closure.key_frames import Paths
 
 
 def shortest(joints: list[tuple[float, float]], a_m: float, b_m: float) -> float:
