@@ -86,14 +86,13 @@ def compare(
         with loading_modules():
             from mavnav.batch.plan import load_kernels
             from mavnav.comparison import pipeline
-            from mavnav.comparison.grids import comparison_settings
             from mavnav.jobs import usable_cores
             from mavnav.outputs.documents.provenance import Typed
         target = directory or pipeline.comparison_directory(logs or ())
         if not logs:
             logs, true_map = _sample(target, report)
             options.setdefault("truth_map", true_map)
-        settings = comparison_settings(
+        settings = pipeline.comparison_settings(
             config, sets or (), methods or (), grids or (), azimuths or (), settings_of(options)
         )
         request = pipeline.comparison_request(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.atomic_files import beside
 from mavnav.batch.document import ENDS
-from mavnav.comparison.figures import RELATIVE_COSTS
+from mavnav.comparison.document import RELATIVE_COSTS
 from mavnav.errors import OutputError
 from mavnav.outputs.documents.quantities import QUANTITIES, number, size_note
 from mavnav.outputs.files.document import to_json

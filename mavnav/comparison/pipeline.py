@@ -16,8 +16,8 @@ from mavnav.batch.cases import make_cases
 from mavnav.batch.plan import BatchPlan, check_gates, plan_cases
 from mavnav.batch.request import BatchLogs, BatchRequest, Rules, RunLimits
 from mavnav.batch.runner import run_cases
-from mavnav.comparison.document import comparison_document
-from mavnav.comparison.figures import RELATIVE_COSTS
+from mavnav.batch.settings import crossed_settings, named_settings
+from mavnav.comparison.document import RELATIVE_COSTS, comparison_document
 from mavnav.comparison.files import COMPARISON_FILE, write_comparison
 from mavnav.config.named_files import read_json
 from mavnav.config.options import reference_files
@@ -33,12 +33,55 @@ if TYPE_CHECKING:
 
     from mavnav.batch.cases import Case
     from mavnav.batch.settings import Setting
+    from mavnav.config.models import Config
     from mavnav.config.options import ReplayOptions
     from mavnav.jobs import Event
     from mavnav.metrics.gates import Gate
     from mavnav.profiling import Progress
 
 _OWN_FILES: Final = (RUNS_FOLDER, "logs", COMPARISON_FILE)
+
+PAPER_GRIDS: Final = ("5x5", "10x10", "20x20")
+"""The search grids of the paper's Fig. 8, compared by default."""
+
+
+def comparison_settings(
+    file: str | None,
+    sets: Sequence[str],
+    methods: Sequence[str],
+    grids: Sequence[str],
+    azimuths: Sequence[int],
+    options: dict[str, object],
+) -> list[Setting]:
+    """Return a setting for every method and grid, methods in order, grids from coarse to fine.
+
+    Parameters
+    ----------
+    file, sets, options
+        The common configuration, as in `load_config`.
+    methods
+        Names of methods; if empty, the method of the configuration.
+    grids
+        Search grids ``NxM``; if empty, the three of the paper. A single grid is compared with that of the
+        configuration (10x10).
+    azimuths
+        Yaw samples: none, one number for all named grids, or one per grid. If empty, those of the configuration, else
+        `mavnav.config.models.paired_yaw_samples`.
+
+    Raises
+    ------
+    ConfigError
+        A value is not valid in a configuration.
+    UsageError
+        The number of yaw samples is neither 0, 1, nor the number of grids.
+    """
+    configs: list[Config] = []
+    for method in [[name] for name in methods] or [[]]:
+        settings = crossed_settings(file, sets, method, grids or PAPER_GRIDS, azimuths, options)
+        if len(grids) == 1:
+            settings += crossed_settings(file, sets, method, (), (), options)
+        configs += sorted((each.config for each in settings), key=lambda c: (c.grid.points, c.azimuth))
+    return named_settings(configs)
 
 
 def comparison_request(

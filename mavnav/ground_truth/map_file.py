@@ -188,16 +188,14 @@ def _read_pgm(path: Path, header: re.Match[bytes], data: bytes) -> _Shades:
     kind, cols, rows, depth = (int(group) for group in header.groups())
     if not (0 < cols * rows <= MAX_CELLS and 0 < depth < 65536):
         raise UsageError(f"{path}: {cols} x {rows} pixels of depth {depth} is no map; mend its header")
+    body = data[header.end() :]
     pixels: NDArray[np.integer]
-    if kind == 5:
-        body = data[header.end() :]
-        pixels = (
-            np.frombuffer(body[: len(body) // 2 * 2], ">u2").astype(np.uint16)
-            if depth > 255
-            else np.frombuffer(body, np.uint8)
-        )
+    if kind == 2:
+        pixels = _plain_pixels(path, body)
+    elif depth > 255:
+        pixels = np.frombuffer(body[: len(body) // 2 * 2], ">u2").astype(np.uint16)
     else:
-        pixels = _plain_pixels(path, data[header.end() :])
+        pixels = np.frombuffer(body, np.uint8)
     if len(pixels) < rows * cols:
         raise UsageError(f"{path} is cut short, {len(pixels)} of {rows * cols} pixels; get a whole copy")
     levels = pixels[: rows * cols]
@@ -225,9 +223,7 @@ def _read_by_pillow(path: Path, data: bytes) -> tuple[_Shades, NDArray[np.bool_]
                 if image.mode in {"1", "L"} and "transparency" not in image.info:
                     grey = np.asarray(image.convert("L"))
                     return _Shades(grey, np.arange(256.0)), np.ones(grey.shape, np.bool_)
-                if image.mode in _DEEP_MODES:
-                    return _deep(image)
-                return _read_coloured(image)
+                return _deep(image) if image.mode in _DEEP_MODES else _read_coloured(image)
     except UnidentifiedImageError as error:
         raise UsageError(f"{path} is no picture of a map (PGM or PNG); mend 'image:'") from error
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:

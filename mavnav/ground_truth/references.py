@@ -5,14 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from msgspec import Struct
-from msgspec.structs import asdict
 
 from mavnav.errors import UsageError
 from mavnav.metrics.fields import ABSENT
-from mavnav.metrics.map_distance import START_POSE, TrueMap, map_distance
-from mavnav.metrics.reference import AlignedError, Reference
-from mavnav.metrics.relations import TOLERANCE_NS, Relations, relation_errors
-from mavnav.metrics.trajectory_error import absolute_error, associate, relative_error
+from mavnav.metrics.reference import START_POSE, TOLERANCE_NS, Reference, map_distance, pose_errors, relation_errors
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -21,11 +17,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from mavnav.metrics.trajectory_error import RelativeError
+    from mavnav.metrics.reference import Relations, TrueMap
     from mavnav.pose import Trajectory
-
-LEAST_POSES = 3
-"""Minimum number of poses with a truth: fewer fit any truth, or nearly so, after the best rigid motion."""
 
 
 class References(Struct, frozen=True):
@@ -86,30 +79,14 @@ def compare_to(
     """Return the comparison of a run with its references; None without references.
 
     ``occupied_xy_map_m`` (n, 2) are the centres of the occupied cells. Without a trajectory (a single map file) only
-    maps are compared. ATE and RPE are None if fewer than `LEAST_POSES` poses have a truth.
+    maps are compared. ATE and RPE are None if too few poses have a truth.
     """
     ate = rpe = distance = relations = ABSENT
     if references.truth is not None and trajectory is not None:
-        ate, rpe = _trajectory_errors(trajectory, references.truth)
+        ate, rpe = pose_errors(trajectory, references.truth)
     if references.true_map is not None:
         distance = map_distance(occupied_xy_map_m, references.true_map)
     if references.relations is not None and trajectory is not None:
         relations = relation_errors(references.relations, trajectory)
     comparison = Reference(ate, rpe, distance, relations)
     return None if comparison == Reference() else comparison
-
-
-def _trajectory_errors(
-    trajectory: Trajectory, truth: Trajectory
-) -> tuple[AlignedError, RelativeError] | tuple[None, None]:
-    estimate, true = associate(trajectory, truth)
-    if len(estimate) < LEAST_POSES:
-        return None, None
-    xy_m, true_xy_m = estimate.xyyaw[:, :2], true.xyyaw[:, :2]
-    aligned = AlignedError(
-        alignment="best rigid motion",
-        **asdict(absolute_error(xy_m, true_xy_m)),
-        share=len(estimate) / len(trajectory),
-        unaligned_rmse_m=absolute_error(xy_m, true_xy_m, aligned=False).rmse_m,
-    )
-    return aligned, relative_error(estimate, true)

@@ -8,7 +8,7 @@ import numpy as np
 
 from mavnav.errors import UsageError
 from mavnav.ground_truth.map_file import read_map
-from mavnav.metrics.map_distance import START_POSE, TrueMap
+from mavnav.metrics.reference import START_POSE, TrueMap
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -65,21 +65,10 @@ def _of_map(path: Path) -> TrueMap:
 
 def points_on(world: World) -> NDArray[np.float64]:
     """Return points all along the walls, `SPACING_M` apart, (n, 2) in the frame of the world."""
-    return np.concatenate((_on_segments(world), _on_arcs(world)))
-
-
-def _on_segments(world: World) -> NDArray[np.float64]:
-    """Return points along all straight walls, (n, 2) in the world frame."""
     parts = [np.zeros((0, 2))]
     for x1, y1, x2, y2 in world.segments:
         count = int(np.ceil(np.hypot(x2 - x1, y2 - y1) / SPACING_M)) + 1
         parts.append(np.linspace((x1, y1), (x2, y2), count))
-    return np.concatenate(parts)
-
-
-def _on_arcs(world: World) -> NDArray[np.float64]:
-    """Return points along all curved walls, (n, 2) in the world frame."""
-    parts = [np.zeros((0, 2))]
     for x, y, radius, start, sweep in world.arcs:
         angle = start + np.linspace(0.0, sweep, int(np.ceil(abs(sweep) * radius / SPACING_M)) + 1)
         parts.append(np.column_stack((x + radius * np.cos(angle), y + radius * np.sin(angle))))

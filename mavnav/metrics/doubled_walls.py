@@ -16,7 +16,7 @@ from msgspec import Struct
 from mavnav.kernels.walls.scan_pairs import best_alignments, wall_gaps, wall_normals
 from mavnav.metrics.ghost_walls import GhostWall, GhostWalls, as_ghost_walls
 from mavnav.metrics.journey import spread, used_beams
-from mavnav.metrics.lines import fit_line, link, members
+from mavnav.metrics.walls import fit_line, link, members
 from mavnav.units import DEG, MM, NS
 
 if TYPE_CHECKING:
@@ -166,8 +166,7 @@ def _gaps(keys: _Keys, pairs: NDArray[np.int64], b_T_a: Array) -> Array:
 
 def _is_doubled(gaps_m: Array) -> NDArray[np.bool_]:
     """Return where beams pass through a wall that has a parallel one behind it."""
-    doubled: NDArray[np.bool_] = (gaps_m >= LEAST_OFFSET_M) & (gaps_m <= MAX_OFFSET_M)
-    return doubled
+    return (gaps_m >= LEAST_OFFSET_M) & (gaps_m <= MAX_OFFSET_M)
 
 
 def _count(keys: _Keys, pairs: NDArray[np.int64], b_T_a: Array) -> NDArray[np.int64]:
@@ -225,14 +224,12 @@ def _points(keys: _Keys, pairs: NDArray[np.int64], shift_m: Array, explained: ND
 
 def _ends(keys: _Keys, scan: NDArray[np.int64], beam: NDArray[np.int64]) -> Array:
     """Return the end points of beams in the frames of the lasers, (..., 2) in m."""
-    ends: Array = keys.ranges_m[scan, beam][..., None] * keys.directions[beam]
-    return ends
+    return keys.ranges_m[scan, beam][..., None] * keys.directions[beam]
 
 
 def _transform(poses: Array, xy_m: Array) -> Array:
     """Transform points (..., 2) from the frames of poses (..., 3) to the frames in which these are given."""
-    moved: Array = _rotate(poses, xy_m) + poses[..., :2]
-    return moved
+    return _rotate(poses, xy_m) + poses[..., :2]
 
 
 def _rotate(poses: Array, xy: Array) -> Array:

@@ -13,16 +13,15 @@ from msgspec import Struct
 
 from mavnav.mapping.occupancy_grid import UNKNOWN, occupancy, occupied_cells
 from mavnav.mapping.tiled_arrays import max_pool
-from mavnav.metrics.crispness import Crispness, crispness
 from mavnav.metrics.doubled_walls import doubled_walls, key_rows
 from mavnav.metrics.fields import Measured, number
 from mavnav.metrics.ghost_walls import GhostWalls, ghost_walls
 from mavnav.metrics.journey import placed_scans, spread
 from mavnav.metrics.revisits import Revisits, pairs_of, revisits
-from mavnav.metrics.shape import EnclosedAreas, corners, enclosed_areas, occupied_share
+from mavnav.metrics.shape import Crispness, EnclosedAreas, corners, crispness, enclosed_areas, occupied_share
 from mavnav.metrics.support import SAMPLE_SCANS, Support, map_support, reasons
 from mavnav.metrics.wall_spread import WALL_SCANS, cut_walls, wall_spread
-from mavnav.metrics.wall_thickness import THRESHOLDS, sections_by_hits, wall_sections
+from mavnav.metrics.wall_thickness import THRESHOLDS, wall_sections
 from mavnav.metrics.walls import StraightWall, straight_walls
 
 if TYPE_CHECKING:
@@ -93,16 +92,13 @@ def measure_map(grid: Grid, journey: Journey | None = None, *, counted: bool = T
     cuts = None if journey is None else cut_walls(grid, scans, len(journey.map_T_laser))
     measured_share = np.nan if cuts is None else wall_spread(cuts, grid.cell_m).measured_share
     del occupied, scans  # the arrays of a large map may not fit into memory together
-    sections = sections_by_hits(grid.hits, grid.cell_m, THRESHOLDS if counted else (1,))
+    sections = {least: wall_sections(grid.hits, grid.cell_m, least) for least in (THRESHOLDS if counted else (1,))}
     if ghosts is None:
         ghosts = ghost_walls(grid, sections.values())  # noise may hide a ghost wall at some of the thresholds
     cells = occupancy(grid)
     why = reasons(support, measured_share, journey)
-    crisp, share, shape = (
-        crispness(grid, cells, support.wall_m, counted=counted),
-        occupied_share(cells),
-        _at_most(cells, grid.cell_m),
-    )
+    crisp, share = crispness(grid, cells, support.wall_m, counted=counted), occupied_share(cells)
+    shape = _at_most(cells, grid.cell_m)
     del cells  # the rest uses the reduced cells of a large map
     quality = MapQuality(
         profile=PROFILE,
@@ -115,7 +111,7 @@ def measure_map(grid: Grid, journey: Journey | None = None, *, counted: bool = T
         occupied_share=share,
         corners=corners(*shape),
         enclosed_areas=enclosed_areas(*shape),
-        walls=straight_walls(published, grid.cell_m, grid.origin_xy_m),
+        walls=straight_walls(published, grid),
     )
     return MeasuredMap(quality, sections, published, cuts)
 

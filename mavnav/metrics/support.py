@@ -69,17 +69,13 @@ def reasons(support: Support, measured_share: float, journey: Journey | None = N
         texts.append("the laser did not move in a plane")
     if support.wall_m < LEAST_WALL_M:
         texts.append(f"{support.wall_m:.1f} m of straight wall, {LEAST_WALL_M:g} m are needed")
-    if support.mapped_share < LEAST_MAPPED_SHARE:
-        share, least = support.mapped_share, LEAST_MAPPED_SHARE
-        texts.append(f"{100 * share:.0f} % of the scans were accepted, {100 * least:.0f} % are needed")
-    if support.explained_share < LEAST_EXPLAINED_SHARE:
-        share, least = support.explained_share, LEAST_EXPLAINED_SHARE
-        texts.append(f"{100 * share:.0f} % of what the laser saw lies on the map, {100 * least:.0f} % are needed")
-    if measured_share < LEAST_MEASURED_SHARE:
-        share, least = measured_share, LEAST_MEASURED_SHARE
-        texts.append(
-            f"{100 * share:.0f} % of the walls that the laser saw can be measured, {100 * least:.0f} % are needed"
-        )
+    shares = (
+        (support.mapped_share, LEAST_MAPPED_SHARE, "of the scans were accepted"),
+        (support.explained_share, LEAST_EXPLAINED_SHARE, "of what the laser saw lies on the map"),
+        (measured_share, LEAST_MEASURED_SHARE, "of the walls that the laser saw can be measured"),
+    )
+    few = [(100 * share, what, 100 * least) for share, least, what in shares if share < least]
+    texts += [f"{share:.0f} % {what}, {least:.0f} % are needed" for share, what, least in few]
     return tuple(texts)
 
 
@@ -111,5 +107,4 @@ def dilate(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return a mask (rows, cols) dilated by the eight neighbours of its cells."""
     around = np.pad(mask, 1)
     rows = around[:-2] | around[1:-1] | around[2:]
-    wide: NDArray[np.bool_] = rows[:, :-2] | rows[:, 1:-1] | rows[:, 2:]
-    return wide
+    return rows[:, :-2] | rows[:, 1:-1] | rows[:, 2:]

@@ -1,7 +1,8 @@
 """Wall spread: the width of the hits across a wall, which does not depend on the number of scans.
 
 Single scans show the position and direction of straight walls even if the map is blurred. There the hits of the map are
-summed along the wall, and the width that holds 95 % of those in its ridge is measured. Definition: docs/metrics.md.
+summed along the wall, and the width that holds 95 % of those in its ridge is measured. Definition: docs/metrics.md. The
+section ``wall_thickness`` of run.json begins with it; the `wall_thickness` in cells follows.
 """
 
 from __future__ import annotations
@@ -9,17 +10,19 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Final
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Struct, field
 
 from mavnav.kernels.walls.profiles import wall_profiles
 from mavnav.kernels.walls.straight_beams import straight_beams
-from mavnav.metrics.fields import Measured, number
+from mavnav.metrics.fields import Measured, absent, number, text
 from mavnav.metrics.journey import spread
-from mavnav.metrics.lines import link
-from mavnav.metrics.wall_thickness import quantiles
+from mavnav.metrics.wall_thickness import Sections, WallThickness, quantiles, summary
+from mavnav.metrics.walls import link
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
     from mavnav.mapping.occupancy_grid import Grid
@@ -49,6 +52,9 @@ MAX_WIDTH_M: Final = 0.6
 HELD: Final = (0.025, 0.975)
 
 AT_A_TIME: Final = 2000
+
+PAPER_MIN_HITS: Final = 2
+"""Hit threshold of the paper's count: the paper names none, and this one leaves out single stray hits."""
 
 
 class WallSpread(Struct, frozen=True):
@@ -93,6 +99,49 @@ class WallCuts(Struct, frozen=True):
     direction_rad: Array
     width_m: Array
     length_m: Array
+
+
+class PaperCells(Struct, frozen=True):
+    """The paper's count: cells from the first to the last occupied cell across a wall, of at least ``min_hits``."""
+
+    min_hits: Annotated[int, number("a cell is occupied from so many hits on")]
+    median: Annotated[Measured, number("half of the wall length is at most so many cells thick", unit="cells")]
+    p95: Annotated[Measured, number("95 % of the wall length is at most so many cells thick", unit="cells")]
+    max: Annotated[
+        Measured, number("cells of the thickest section of a wall", title="wall max", unit="cells", better="lower")
+    ]
+
+
+class WallThicknessReport(Struct, frozen=True):
+    """Wall thickness: the spread of hits across the walls, the paper's count of cells, and the published map's walls.
+
+    The sections under a number use that hit threshold.
+    """
+
+    spread: WallSpread = field(default_factory=absent)
+    paper_cells: PaperCells = field(default_factory=absent)
+    hits_1: Annotated[WallThickness, text("cells of at least 1 hit")] = field(name="1", default_factory=absent)
+    hits_2: Annotated[WallThickness, text("cells of at least 2 hits")] = field(name="2", default_factory=absent)
+    hits_5: Annotated[WallThickness, text("cells of at least 5 hits")] = field(name="5", default_factory=absent)
+    published_map: Annotated[WallThickness, text("occupied cells of map.pgm, as of any tool's map file")] = field(
+        default_factory=absent
+    )
+
+
+def wall_report(
+    sections: Mapping[int, Sections], published: Sections | None, cuts: WallCuts | None, cell_m: float
+) -> WallThicknessReport:
+    """Return the summary of the sections at each hit threshold, of the published map, and of the cuts, unless None."""
+    by_hits = {hits: summary(cut, cell_m) for hits, cut in sections.items()}
+    paper = by_hits.get(PAPER_MIN_HITS)
+    return WallThicknessReport(
+        spread=absent() if cuts is None else wall_spread(cuts, cell_m),
+        paper_cells=PaperCells(PAPER_MIN_HITS, paper.median_cells, paper.p95_cells, paper.max_cells)
+        if paper
+        else absent(),
+        **{f"hits_{hits}": thickness for hits, thickness in by_hits.items()},
+        published_map=absent() if published is None else summary(published, cell_m),
+    )
 
 
 def wall_spread(cuts: WallCuts, cell_m: float) -> WallSpread:
@@ -223,8 +272,7 @@ def _ridges(halves: Array, bin_m: float) -> tuple[Array, Array, Array]:
 def _smooth(profile: Array) -> Array:
     """Return the mean of each bin and its two neighbours."""
     padded = np.pad(profile, ((0, 0), (1, 1)))
-    mean: Array = (padded[:, :-2] + padded[:, 1:-1] + padded[:, 2:]) / 3.0
-    return mean
+    return (padded[:, :-2] + padded[:, 1:-1] + padded[:, 2:]) / 3.0
 
 
 def _extents(smooth: list[Array], peak: NDArray[np.intp], bin_m: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -17,9 +17,9 @@ from mavnav.api.results import Comparison
 from mavnav.batch.plan import BatchPlan, plan_batch
 from mavnav.batch.request import BatchRequest
 from mavnav.comparison.files import problems
-from mavnav.comparison.grids import comparison_settings
 from mavnav.comparison.pipeline import (
     comparison_request,
+    comparison_settings,
     is_report_current,
     plan_comparison,
     run_comparison,

@@ -15,7 +15,7 @@ from mavnav.logs import Damage
 from mavnav.metrics.fields import Measured, absent, number, text
 from mavnav.metrics.map_quality import MapQuality
 from mavnav.metrics.reference import Reference
-from mavnav.metrics.wall_report import WallThicknessReport
+from mavnav.metrics.wall_spread import WallThicknessReport
 from mavnav.outputs.documents.continued_section import Continued
 from mavnav.outputs.documents.options_section import Options
 from mavnav.outputs.documents.slices_section import AttitudeSource, MapSlice
