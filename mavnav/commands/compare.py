@@ -141,7 +141,7 @@ def _run_and_draw(plan: BatchPlan, *, quiet: bool) -> tuple[dict[str, Any], Path
 
 def _print_result(document: dict[str, Any], page: Path, *, json: bool) -> None:
     """Print the result on stdout, and on stderr what the user must not miss."""
-    from mavnav.comparison.files import problems, remarks
+    from mavnav.comparison.document import problems, remarks
 
     if json:
         emit_json(document)

@@ -17,8 +17,7 @@ from mavnav.batch.plan import BatchPlan, check_gates, plan_cases
 from mavnav.batch.request import BatchLogs, BatchRequest, Rules, RunLimits
 from mavnav.batch.runner import run_cases
 from mavnav.batch.settings import crossed_settings, named_settings
-from mavnav.comparison.document import RELATIVE_COSTS, comparison_document
-from mavnav.comparison.files import COMPARISON_FILE, write_comparison
+from mavnav.comparison.document import COMPARISON_FILE, RELATIVE_COSTS, comparison_document, write_comparison
 from mavnav.config.named_files import read_json
 from mavnav.config.options import reference_files
 from mavnav.errors import UsageError
@@ -36,6 +35,7 @@ if TYPE_CHECKING:
     from mavnav.config.models import Config
     from mavnav.config.options import ReplayOptions
     from mavnav.jobs import Event
+    from mavnav.jobs.run_cache import PlannedRun
     from mavnav.metrics.gates import Gate
     from mavnav.profiling import Progress
 
@@ -136,24 +136,23 @@ def plan_comparison(request: BatchRequest, progress: Progress) -> BatchPlan:
         if case.run is None:
             raise UsageError(case.error)
     check_gates(request, cases, [f"price.{name}" for name in RELATIVE_COSTS])
-    return plan_cases(request, _name_cases(_unique(cases)))
+    return plan_cases(request, _named_cases(cases))
 
 
-def _unique(cases: Iterable[Case]) -> list[Case]:
-    """Return the cases without duplicates; copies of a log have the same keys."""
-    by_key: dict[str, Case] = {}
+def _named_cases(cases: Iterable[Case]) -> list[Case]:
+    """Return the cases without duplicates (copies of a log have the same keys), named ``drive.mcap robust 40/20x20``.
+
+    The yaw samples are before the grid as in the paper.
+    """
+    by_key: dict[str, tuple[Case, PlannedRun]] = {}
     for case in cases:
         if case.run:
-            by_key.setdefault(case.run.key, case)
-    return list(by_key.values())
-
-
-def _name_cases(cases: Sequence[Case]) -> list[Case]:
-    """Name cases as ``drive.mcap robust 40/20x20``, yaw samples before the grid as in the paper."""
-    runs = [case.run for case in cases if case.run]
-    logs = short_names({run.request.log for run in runs})
-    names = [f"{logs[r.request.log]} {r.config.method} {r.config.azimuth}/{r.config.grid}" for r in runs]
-    return [replace(case, name=name) for case, name in zip(cases, names, strict=True)]
+            by_key.setdefault(case.run.key, (case, case.run))
+    logs = short_names({run.request.log for _, run in by_key.values()})
+    return [
+        replace(case, name=f"{logs[run.request.log]} {run.config.method} {run.config.azimuth}/{run.config.grid}")
+        for case, run in by_key.values()
+    ]
 
 
 def short_names(paths: Collection[Path]) -> dict[Path, str]:

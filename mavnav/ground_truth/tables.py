@@ -28,9 +28,6 @@ MAX_BYTES: Final = 100_000_000
 LATEST_S: Final = 9_000_000_000
 """Latest time in seconds: later ones do not fit in 64 bits of nanoseconds."""
 
-Row = tuple[str, list[str]]
-"""Location of a row (``file:line``), and its columns."""
-
 
 def read_tum(path: Path) -> Trajectory:
     """Read a trajectory: rows of ``t x y z qx qy qz qw`` (s, m, unit quaternion), ``#`` begins a comment.
@@ -67,7 +64,8 @@ def _is_unit(quaternion: list[float]) -> bool:
     return abs(sum(q * q for q in quaternion) - 1.0) <= UNIT_TOLERANCE
 
 
-def _rows(path: Path, what: str) -> Iterator[Row]:
+def _rows(path: Path, what: str) -> Iterator[tuple[str, list[str]]]:
+    """Yield the location (``file:line``) and the columns of each row."""
     try:
         text = read_named(path, MAX_BYTES).decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:

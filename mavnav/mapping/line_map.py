@@ -55,23 +55,6 @@ class CostFloors(Struct, frozen=True):
     step: int
     extent_m: Extent
 
-    @classmethod
-    def of(
-        cls, nearest: NDArray[np.uint32], lines: Array, geometry: Array, truncate_m: float, step: int, extent_m: Extent
-    ) -> CostFloors:
-        """Return bounds of the costs in an extent, and a margin beyond, of the line map with these arrays."""
-        x0, y0, x1, y1 = extent_m
-        wider = (x0 - FLOORS_MARGIN_M, y0 - FLOORS_MARGIN_M, x1 + FLOORS_MARGIN_M, y1 + FLOORS_MARGIN_M)
-        origin, cell_m, shape = geometry[:2], geometry[2], np.array(nearest.shape[::-1])
-        low = np.clip(np.floor((np.array(wider[:2]) - origin) / cell_m).astype(np.int64), 0, shape)
-        high = np.clip(np.ceil((np.array(wider[2:]) - origin) / cell_m).astype(np.int64), low, shape)
-        before = ((1 << (LEVELS - 1)) - 1) * step
-        corner, size = (low - before)[::-1].copy(), (high - low + before)[::-1]
-        box = np.concatenate((corner, size))
-        return cls(
-            corner, *cost_floors.cost_floors(box, step, truncate_m, nearest, lines, geometry), truncate_m, step, wider
-        )
-
     def covers(self, truncate_m: float, step: int, extent_m: Extent) -> bool:
         """Return whether the bounds are valid for a search with these settings, whose points lie in an extent."""
         return within(extent_m, self.extent_m) and (truncate_m, step) == (self.truncate_m, self.step)
@@ -131,8 +114,21 @@ class LineMap(Struct):
     def cost_floors(self, truncate_m: float, step: int, extent_m: Extent) -> CostFloors:
         """Return bounds of the costs in an extent, for positions ``step`` cells apart; cached until the map changes."""
         if self._floors is None or not self._floors.covers(truncate_m, step, extent_m):
-            self._floors = CostFloors.of(self.nearest, self.lines, self.geometry, truncate_m, step, extent_m)
+            self._floors = self._new_floors(truncate_m, step, extent_m)
         return self._floors
+
+    def _new_floors(self, truncate_m: float, step: int, extent_m: Extent) -> CostFloors:
+        """Return bounds of the costs in an extent, and `FLOORS_MARGIN_M` beyond."""
+        x0, y0, x1, y1 = extent_m
+        wider = (x0 - FLOORS_MARGIN_M, y0 - FLOORS_MARGIN_M, x1 + FLOORS_MARGIN_M, y1 + FLOORS_MARGIN_M)
+        origin, cell_m, shape = self.geometry[:2], self.cell_m, np.array(self.nearest.shape[::-1])
+        low = np.clip(np.floor((np.array(wider[:2]) - origin) / cell_m).astype(np.int64), 0, shape)
+        high = np.clip(np.ceil((np.array(wider[2:]) - origin) / cell_m).astype(np.int64), low, shape)
+        before = ((1 << (LEVELS - 1)) - 1) * step
+        corner, size = (low - before)[::-1].copy(), (high - low + before)[::-1]
+        box = np.concatenate((corner, size))
+        bounds = cost_floors.cost_floors(box, step, truncate_m, self.nearest, self.lines, self.geometry)
+        return CostFloors(corner, *bounds, truncate_m, step, wider)
 
     @timed("field update")
     def insert(self, xy_map_m: Array, extent_m: Extent | None = None) -> None:
@@ -164,12 +160,15 @@ class LineMap(Struct):
         Waiting points of all other cells are included.
         """
         self._floors = None
-        at = np.floor(xy_map_m / self.cell_m).astype(np.int64) - np.array(self.origin_cells)
-        inside = ((at >= 0) & (at < np.array(self.nearest.shape[::-1]))).all(axis=1)
-        col, row = at[inside].T
+        cells = np.floor(xy_map_m / self.cell_m).astype(np.int64) - np.array(self.origin_cells)
+        inside = ((cells >= 0) & (cells < np.array(self.nearest.shape[::-1]))).all(axis=1)
+        col, row = cells[inside].T
         there = self.nearest[row, col]
         removed = there[there % NEAR > FAR] // NEAR
-        self._add_waiting()
+        new = self.waiting[1 : int(self.waiting[0, 0]) + 1]
+        at = new[:, 6].astype(np.int64)
+        self.moments[at, :6] += new[:, :6]
+        self.lines[at, 6] = self.waiting[0, 0] = 0.0
         kept = np.delete(np.arange(self.count), removed)
         self.count = n = len(kept)
         for first in range(0, n, _AT_ONCE):  # in place: two copies of a large map may not fit into memory
@@ -178,13 +177,6 @@ class LineMap(Struct):
                 held[band] = held[kept[band]]
         self.nearest = np.zeros(self.nearest.shape, np.uint32)
         rebuild(self.geometry, self.nearest, self.cells[:n], self.moments[:n], self.lines[:n])
-
-    def _add_waiting(self) -> None:
-        """Add the waiting points to the moments of their own cells; the map must be rebuilt afterwards."""
-        new = self.waiting[1 : int(self.waiting[0, 0]) + 1]
-        at = new[:, 6].astype(np.int64)
-        self.moments[at, :6] += new[:, :6]
-        self.lines[at, 6] = self.waiting[0, 0] = 0.0
 
     def _cover(self, extent_m: Extent) -> None:
         """Enlarge the lattice until it includes points of this extent and ``MARGIN_CELLS`` around them."""

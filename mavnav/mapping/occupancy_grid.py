@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from math import floor
 from typing import TYPE_CHECKING, Any, Final
 
@@ -88,16 +87,14 @@ class GridBuilder(Struct):
     passes: NDArray[np.uint16] = field(default_factory=lambda: np.zeros((0, 0), np.uint16))
     shielded: NDArray[np.int16] = field(default_factory=lambda: blank_strips((0, 0), np.int16))
 
-    lattice: Array = field(default_factory=partial(np.zeros, 3))
-    """Corner of cell [0, 0] and cell edge in m, shape (3,), as the kernels take it."""
-
     _covered_m: Extent = NO_EXTENT
     _room: int = 0
     """Number of crossings that cannot fill a cell; negative where that is not known."""
 
-    def __post_init__(self) -> None:
-        """Make the array of the lattice for the kernels."""
-        self.lattice = np.array([*self.origin_xy_m, self.cell_m])
+    @property
+    def lattice(self) -> Array:
+        """Corner of cell [0, 0] and cell edge in m, shape (3,), as the kernels take it."""
+        return np.array([*self.origin_xy_m, self.cell_m])
 
     @classmethod
     def of(cls, grid: Grid) -> GridBuilder:
@@ -179,7 +176,6 @@ class GridBuilder(Struct):
         for name in ("hits", "passes", "shielded"):  # one by one: each old array is freed before the next is copied
             setattr(self, name, enlarge(getattr(self, name), shape, dr, dc))
         self.origin_xy_m = (float(new_origin[0] * self.cell_m), float(new_origin[1] * self.cell_m))
-        self.lattice[:2] = self.origin_xy_m
 
 
 def counts(values: NDArray[Any]) -> NDArray[np.uint16]:

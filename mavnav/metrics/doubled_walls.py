@@ -249,23 +249,19 @@ def _is_explained(before: NDArray[np.int64], after: NDArray[np.int64]) -> NDArra
 def _places(points: _Doubled, keys: _Keys) -> list[GhostWall]:
     """Link doubled points along their direction, and return the groups with enough evidence."""
     groups = link(points.xy_m, points.direction_rad, reach_m=REACH_M, across_m=ACROSS_M, turn_rad=TURN_RAD)
-    places = (_place(points, group, keys) for group in members(groups))
-    return [place for place in places if place is not None]
-
-
-def _place(points: _Doubled, group: NDArray[np.intp], keys: _Keys) -> GhostWall | None:
-    """Return the ghost wall of a group of doubled points; None without enough evidence."""
-    pairs = len(np.unique(points.pair[group]))
-    group = group[points.explained[group]]
-    explained = len(np.unique(points.pair[group]))
-    front, rear = np.unique(points.front[group]), np.unique(points.rear[group])
-    scans, shared = min(len(front), len(rear)), len(np.intersect1d(front, rear))
-    if explained < max(LEAST_PAIRS, LEAST_EXPLAINED * pairs) or scans < LEAST_SCANS or shared > MOST_SHARED * scans:
-        return None
-    line = fit_line(points.xy_m[group], np.ones(len(group)), ALONG_M)
-    if line.length_m < LEAST_LENGTH_M:
-        return None
-    offset_mm = float(np.median(points.offset_m[group])) / MM
-    first_ns = keys.stamps_ns.min()
-    front_s, rear_s = (float(np.median(keys.stamps_ns[which] - first_ns)) * NS for which in (front, rear))
-    return GhostWall(line.x_m, line.y_m, line.direction_rad / DEG, line.length_m, offset_mm, explained, front_s, rear_s)
+    places = []
+    for group in members(groups):
+        here = group[points.explained[group]]
+        pairs, explained = (len(np.unique(points.pair[some])) for some in (group, here))
+        front, rear = np.unique(points.front[here]), np.unique(points.rear[here])
+        scans, shared = min(len(front), len(rear)), len(np.intersect1d(front, rear))
+        if explained < max(LEAST_PAIRS, LEAST_EXPLAINED * pairs) or scans < LEAST_SCANS or shared > MOST_SHARED * scans:
+            continue
+        line = fit_line(points.xy_m[here], np.ones(len(here)), ALONG_M)
+        if line.length_m >= LEAST_LENGTH_M:
+            offset_mm = float(np.median(points.offset_m[here])) / MM
+            stamps_ns = keys.stamps_ns - keys.stamps_ns.min()
+            times_s = [float(np.median(stamps_ns[which])) * NS for which in (front, rear)]
+            at = (line.x_m, line.y_m, line.direction_rad / DEG, line.length_m)
+            places.append(GhostWall(*at, offset_mm, explained, *times_s))
+    return places

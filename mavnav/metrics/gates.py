@@ -224,12 +224,6 @@ def _leaves(value: object) -> Iterator[tuple[str, ...]]:
             yield (str(key), *rest)
 
 
-def _short(known: Iterable[str]) -> list[str]:
-    """Return the names of wall thickness at the default threshold, without that threshold."""
-    usual = f"wall_thickness.{DEFAULT_HITS}."
-    return [name.replace(usual, "wall_thickness.") for name in known if name.startswith(usual)]
-
-
 def _unknown(name: str, known: Sequence[str], example: str = _EXAMPLE) -> str:
     """Return the message for an unknown name with the nearest known one: a child, or a similar name or last part.
 
@@ -239,7 +233,9 @@ def _unknown(name: str, known: Sequence[str], example: str = _EXAMPLE) -> str:
         return f"no number {name} in run.json; it needs --truth, --truth-map or --relations"
     full = full_name(name)
     near = [k for k in known if k.startswith(f"{full}.")]
-    near = near or difflib.get_close_matches(full, [*known, *_short(known)], n=1, cutoff=0.75)
+    usual = f"wall_thickness.{DEFAULT_HITS}."
+    short = [k.replace(usual, "wall_thickness.") for k in known if k.startswith(usual)]
+    near = near or difflib.get_close_matches(full, [*known, *short], n=1, cutoff=0.75)
     if not near:
         last = difflib.get_close_matches(name.rpartition(".")[2], {k.rpartition(".")[2] for k in known}, n=1)
         near = [k for k in known if last and k.rpartition(".")[2] == last[0]]

@@ -155,7 +155,7 @@ def _ridges(hits: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np
     both, lower = hits.sum(axis=1) / 2.0, hits.min(axis=1)
     n, bins = both.shape
     row, centre = np.arange(n), bins // 2
-    ridge = centre - 3 + both[:, centre - 3 : centre + 4].argmax(axis=1) if n else np.zeros(0, np.intp)
+    ridge = centre - 3 + both[:, centre - 3 : centre + 4].argmax(axis=1)
     height = lower[row, ridge][:, None]
     beyond = np.arange(bins) > ridge[:, None]
     lowest = np.minimum.accumulate(np.where(beyond, both, np.inf), axis=1)

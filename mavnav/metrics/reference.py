@@ -49,9 +49,6 @@ LOOP_NS: Final = 20_000_000_000
 
 COVERED_M: Final = 0.1
 
-START_POSE: Final = "start pose"
-"""Alignment of the walls of a scenario, which are relative to the laser's pose at the first scan of the mission."""
-
 
 class AbsoluteError(Struct, frozen=True):
     """Absolute trajectory error (Sturm et al. 2012) over ``poses`` positions, in metres; NaN without poses."""

@@ -17,7 +17,6 @@ from mavnav.kernels.walls.smoothing import smooth_image
 from mavnav.mapping.occupancy_grid import OCCUPIED, UNKNOWN
 from mavnav.mapping.tiled_arrays import bands, count, where
 from mavnav.metrics.fields import Measured, number
-from mavnav.metrics.support import dilate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -125,6 +124,13 @@ def corners(cells: NDArray[np.int8], cell_m: float) -> int:
     for _, _, band in bands(occupied.shape):
         peaks[band] &= heights[band] >= least
     return len(region_sizes(peaks, True))
+
+
+def dilate(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return a mask (rows, cols) dilated by the eight neighbours of its cells."""
+    around = np.pad(mask, 1)
+    rows = around[:-2] | around[1:-1] | around[2:]
+    return rows[:, :-2] | rows[:, 1:-1] | rows[:, 2:]
 
 
 def edges(image: NDArray[np.float32], radius: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

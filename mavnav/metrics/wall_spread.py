@@ -53,6 +53,8 @@ HELD: Final = (0.025, 0.975)
 
 AT_A_TIME: Final = 2000
 
+WIDTH: Final = "width that holds 95 % of the hits of the ridge"
+
 PAPER_MIN_HITS: Final = 2
 """Hit threshold of the paper's count: the paper names none, and this one leaves out single stray hits."""
 
@@ -64,20 +66,10 @@ class WallSpread(Struct, frozen=True):
     """
 
     median_mm: Annotated[
-        Measured,
-        number(
-            "width that holds 95 % of the hits of the ridge; half of the wall length is at most this thick",
-            title="wall median",
-            better="lower",
-        ),
+        Measured, number(f"{WIDTH}; half of the wall length is at most this thick", title="wall median", better="lower")
     ]
     p95_mm: Annotated[
-        Measured,
-        number(
-            "width that holds 95 % of the hits of the ridge; 95 % of the wall length is at most this thick",
-            title="wall p95",
-            better="lower",
-        ),
+        Measured, number(f"{WIDTH}; 95 % of the wall length is at most this thick", title="wall p95", better="lower")
     ]
     median_cells: Annotated[Measured, number("the median in cells of the map")]
     p95_cells: Annotated[Measured, number("the p95 in cells of the map")]
@@ -169,7 +161,8 @@ def cut_walls(grid: Grid, scans: PlacedScans | None, tracked: int) -> WallCuts:
     often = seen * tracked >= MIN_SEEN * sampled
     stations = stations[often]
     middle_m, width_m = _widths(grid, stations)
-    xy_m = stations[:, :2] + middle_m[:, None] * _normals(stations[:, 2])
+    normals = np.column_stack((-np.sin(stations[:, 2]), np.cos(stations[:, 2])))
+    xy_m = stations[:, :2] + middle_m[:, None] * normals
     return WallCuts(xy_m, stations[:, 2], width_m, _lengths(xy_m, stations[:, 2]))
 
 
@@ -221,10 +214,6 @@ def _lengths(xy_m: Array, direction: Array) -> Array:
     return length_m
 
 
-def _normals(direction: Array) -> Array:
-    return np.column_stack((-np.sin(direction), np.cos(direction)))
-
-
 def _widths(grid: Grid, stations: Array) -> tuple[Array, Array]:
     """Return the offset of the middle of the wall to the left of each station, m, and its width, m.
 
@@ -234,11 +223,9 @@ def _widths(grid: Grid, stations: Array) -> tuple[Array, Array]:
     cells = np.column_stack(((stations[:, :2] - grid.origin_xy_m) / grid.cell_m - 0.5, stations[:, 2]))
     parts = [
         _ridges(wall_profiles(grid.hits, cells[k : k + AT_A_TIME], half_length, reach), grid.cell_m / 2.0)
-        for k in range(0, len(cells), AT_A_TIME)
+        for k in range(0, max(len(cells), 1), AT_A_TIME)
     ]
-    middle, width, mean_hits = (
-        (np.concatenate(part) for part in zip(*parts, strict=True)) if parts else np.zeros((3, 0))
-    )
+    middle, width, mean_hits = (np.concatenate(part) for part in zip(*parts, strict=True))
     measured = (mean_hits * half_length >= MIN_HITS) & (width <= MAX_WIDTH_M)
     return middle, np.where(measured, width, np.nan)
 

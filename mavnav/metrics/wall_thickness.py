@@ -68,14 +68,6 @@ class WallThickness(Struct, frozen=True):
     share: Annotated[float, number("part of the occupied cells that was measured; with few the rest says little")]
 
 
-def wall_thickness(hits: NDArray[Any], cell_m: float, min_hits: int) -> WallThickness:
-    """Return the wall thickness of a map at one threshold.
-
-    ``hits`` is (rows, cols); a cell is occupied from ``min_hits`` (1 or more) on; ``cell_m`` is the size of a cell.
-    """
-    return summary(wall_sections(hits, cell_m, min_hits), cell_m)
-
-
 def summary(sections: Sections, cell_m: float) -> WallThickness:
     """Return the summary of the sections at one threshold; ``cell_m`` is the size of a cell."""
     thickness, weight = sections.thickness_cells, sections.length_m
@@ -102,7 +94,10 @@ def quantiles(values: NDArray[np.float64], weights: NDArray[np.float64]) -> tupl
 
 
 def wall_sections(hits: NDArray[Any], cell_m: float, min_hits: int) -> Sections:
-    """Return the sections of the straight walls of a map (docs/metrics.md); arguments as of `wall_thickness`."""
+    """Return the sections of the straight walls of a map (docs/metrics.md).
+
+    ``hits`` is (rows, cols); a cell is occupied from ``min_hits`` (1 or more) on; ``cell_m`` is the size of a cell.
+    """
     if min_hits < 1:
         msg = f"a cell is occupied from 1 hit on, not {min_hits}"
         raise ValueError(msg)
@@ -110,10 +105,10 @@ def wall_sections(hits: NDArray[Any], cell_m: float, min_hits: int) -> Sections:
     down = _axis_cuts(hits, cell_m, min_hits, diagonal=True)
     col, row, *sizes, angle_rad, cells = _axis_cuts(hits.T, cell_m, min_hits, diagonal=False)
     across = (row, col, *sizes, np.pi / 2.0 - angle_rad, cells)
-    *cuts, angle_rad, cells = (np.concatenate(parts) for parts in zip(down, across, strict=True))
+    row, col, depth, length_m, angle_rad, cells = (np.concatenate(pair) for pair in zip(down, across, strict=True))
     vertical = np.repeat((True, False), (len(down[0]), len(across[0])))
     occupied = count(hits, lambda some: some >= min_hits)
-    return Sections(*cuts, vertical, angle_rad, share=float(cells.sum()) / max(occupied, 1))
+    return Sections(row, col, depth, length_m, vertical, angle_rad, share=float(cells.sum()) / max(occupied, 1))
 
 
 def _axis_cuts(hits: NDArray[Any], cell_m: float, min_hits: int, *, diagonal: bool) -> tuple[NDArray[np.float64], ...]:

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from mavnav.api.results import Comparison
 from mavnav.batch.plan import BatchPlan, plan_batch
 from mavnav.batch.request import BatchRequest
-from mavnav.comparison.files import problems
+from mavnav.comparison.document import problems
 from mavnav.comparison.pipeline import (
     comparison_request,
     comparison_settings,

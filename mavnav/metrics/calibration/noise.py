@@ -62,8 +62,8 @@ class Noise(Struct, frozen=True):
 
     def alone(self) -> Array:
         """Return the variance of each error if all others are known, (n,)."""
-        ahead = np.square(_factor(self.diagonal, self.between)[0])
-        behind = np.square(_factor(self.diagonal[::-1], self.between[::-1])[0])[::-1]
+        ahead: Array = np.square(_factor(self.diagonal, self.between)[0])
+        behind: Array = np.square(_factor(self.diagonal[::-1], self.between[::-1])[0])[::-1]
         return ahead + behind - self.diagonal
 
     def unforeseen(self, errors: Array) -> Array:

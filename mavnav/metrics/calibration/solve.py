@@ -23,12 +23,8 @@ from mavnav.metrics.calibration.noise import NoiseModel
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mavnav.metrics.calibration.motion import Motions
+    from mavnav.metrics.calibration.motion import Array, Motions
     from mavnav.metrics.calibration.noise import Noise
-
-    Array = NDArray[np.float64]
 
 ROUNDS, LIKELIEST, CLOSE = 20, (0, 2, 5), 1e-5
 """Rounds at most; those in which the noise is estimated anew; changes below this end them."""
