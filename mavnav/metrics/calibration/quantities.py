@@ -183,7 +183,11 @@ def _doubt(kind: QuantityKind, ci95: float, motion: Travel, start: FirstEstimate
     if kind.advice == CHANGE_MORE and start.distinct < DISTINCT:
         return f"speed and turn rate change too little, and other offsets fit as well; {CHANGE_MORE}"
     if ci95 > kind.widest:
-        turned, driven = motion.turned_rad >= ENOUGH_TURN_RAD, motion.odom_path_m >= ENOUGH_PATH_M
-        advice = BETTER if {TURN_MORE: turned, DRIVE_MORE: driven}.get(kind.advice) else kind.advice
-        return f"uncertain by {ci95 * kind.per_si:.2g} {kind.unit}".rstrip() + f"; {advice}"
+        return f"uncertain by {ci95 * kind.per_si:.2g} {kind.unit}".rstrip() + f"; {_advice(kind, motion)}"
     return ""
+
+
+def _advice(kind: QuantityKind, motion: Travel) -> str:
+    """Return what to record for a shorter interval."""
+    turned, driven = motion.turned_rad >= ENOUGH_TURN_RAD, motion.odom_path_m >= ENOUGH_PATH_M
+    return BETTER if {TURN_MORE: turned, DRIVE_MORE: driven}.get(kind.advice) else kind.advice
