@@ -23,13 +23,12 @@ from matplotlib.ticker import LogLocator
 from matplotlib.transforms import Affine2D
 
 from mavnav.config.loading import load_config
-from mavnav.ground_truth.references import References, compare_to
-from mavnav.ground_truth.true_map import of_scenario
+from mavnav.ground_truth.references import References, compare_to, of_scenario
 from mavnav.logs import open_log
 from mavnav.mapping.occupancy_grid import Grid, occupied_xy_m
 from mavnav.metrics.ghost_walls import GhostWall
-from mavnav.metrics.map_quality import map_quality
-from mavnav.metrics.wall_thickness import wall_thickness
+from mavnav.metrics.map_quality import measure_map
+from mavnav.metrics.wall_thickness import summary, wall_sections
 from mavnav.outputs.pictures.viewport import (
     DPI,
     GOAL_RED,
@@ -112,13 +111,13 @@ def report(name: str, outcome: SlamResult, truth: Trajectory | None = None, scen
     """Print the metrics of a map; ``truth`` are the true poses in the map frame, ``scenario`` has the true walls."""
     true_map = of_scenario(scenario, scenario.world_T_base @ scenario.base_T_laser) if scenario else None
     errors = compare_to(References(truth, true_map), outcome.trajectory, occupied_xy_m(outcome.grid)) or {}
-    walls = wall_thickness(outcome.grid.hits, outcome.grid.cell_m, 2)
+    walls = summary(wall_sections(outcome.grid.hits, outcome.grid.cell_m, 2), outcome.grid.cell_m)
     parts = [f"{name}: {outcome.tracked_share:.0%} of {len(outcome.steps)} scans accepted"]
     if ate := errors.get("ate"):
         parts.append(f"ATE {ate['rmse_m'] / MM:.1f} mm ({ate['unaligned_rmse_m'] / MM:.1f} mm unaligned)")
     if distance := errors.get("map_distance"):
         parts.append(f"map to true walls p95 {distance['p95_mm']:.0f} mm")
-    parts.append(f"ghost walls {map_quality(outcome.grid).ghost_walls.length_m:.1f} m")
+    parts.append(f"ghost walls {measure_map(outcome.grid).quality.ghost_walls.length_m:.1f} m")
     parts.append(f"walls at >= 2 hits max {walls.max_cells:.1f}, p95 {walls.p95_cells:.1f} cells")
     print(", ".join(parts), flush=True)
 
@@ -216,7 +215,7 @@ def grids(name: str) -> None:
         outcome = run_slam(lambda: iter(scans), load_config("fig8", [], {"grid": grid, "azimuth": yaws}), 0.1)
         draw_walls(ax, truth, color=PATH_GREY, lw=0.8, zorder=-1, label="true wall")
         draw_hits(ax, outcome.grid, way[0])
-        for ghost in map_quality(outcome.grid).ghost_walls.places:
+        for ghost in measure_map(outcome.grid).quality.ghost_walls.places:
             ring(ax, ghost, way[0])
             found.append(way[0] @ Pose(ghost.x_m, ghost.y_m))
         ax.set_title(f"Figure 8: {yaws} yaw samples / {grid}")

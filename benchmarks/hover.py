@@ -22,7 +22,7 @@ import numpy as np
 from msgspec import Struct
 from scipy.spatial import cKDTree
 
-from mavnav.ground_truth.true_map import points_on
+from mavnav.ground_truth.references import points_on
 from mavnav.mapping.occupancy_grid import OCCUPIED, occupancy
 from mavnav.mapping.slices import Slice
 from mavnav.outputs.run import RunResult

@@ -101,7 +101,8 @@ PEERS: dict[str, Callable[[Clouds], Clouds]] = {"kiss-icp": with_kiss_icp, "smal
 def measured(log: Log, map_T_laser: Trajectory) -> Revisits:
     """Return the revisit metric of poses."""
     pairs = pairs_of(map_T_laser)
-    return revisits(map_T_laser, pairs, placed_scans(Journey(map_T_laser, log.scans, 1.0), pairs.rows))
+    scans = placed_scans(Journey(map_T_laser, log.scans, 1.0), np.unique(np.concatenate(pairs)))
+    return revisits(map_T_laser, pairs, scans)
 
 
 def compare(path: Path, rounds: int) -> None:

@@ -26,8 +26,8 @@ from msgspec import Struct
 from mavnav.config.layers import by_dotted_key
 from mavnav.config.loading import load_config
 from mavnav.logs import open_log
-from mavnav.metrics.map_quality import map_quality
-from mavnav.metrics.wall_thickness import wall_thickness
+from mavnav.metrics.map_quality import measure_map
+from mavnav.metrics.wall_thickness import summary, wall_sections
 from mavnav.pipelines.measuring import measured_map
 from mavnav.pipelines.simulate import truth_errors
 from mavnav.profiling import new_profile
@@ -133,7 +133,9 @@ def mission(reading: Reading, scenario: str, seed: int, *, thickness: bool = Fal
 
 def walls(outcome: SlamResult) -> tuple[float, ...]:
     """Return maximum and p95 of the wall thickness in cells, at 2 and at 5 hits."""
-    measured = [wall_thickness(outcome.grid.hits, outcome.grid.cell_m, hits) for hits in (2, 5)]
+    measured = [
+        summary(wall_sections(outcome.grid.hits, outcome.grid.cell_m, hits), outcome.grid.cell_m) for hits in (2, 5)
+    ]
     return tuple(cells for walls in measured for cells in (walls.max_cells, walls.p95_cells))
 
 
@@ -339,7 +341,7 @@ def _drawn(task: tuple[Reading, str, int]) -> dict[str, float]:
         "goal": flight.mission.end is End.GOAL,
         "accepted": steps.share("tracked"),
         "ate_mm": 1e3 * truth_errors(flight).get("ate_rmse_m", np.nan),
-        "ghosts_m": map_quality(flight.slam.grid).ghost_walls.length_m,
+        "ghosts_m": measure_map(flight.slam.grid).quality.ghost_walls.length_m,
         "evaluations": float(steps.column("evaluations").mean()),
         "ms": 1e3 * spent_s.get("search", 0.0) / len(steps),
     }

@@ -23,7 +23,7 @@ from mavnav.logs import open_log
 from mavnav.mapping.occupancy_grid import Grid, GridBuilder, measured_area
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import measure_map
-from mavnav.metrics.wall_report import wall_report
+from mavnav.metrics.wall_spread import wall_report
 from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.scan import Scan
 from mavnav.slam.pipeline import run_slam

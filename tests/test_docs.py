@@ -19,7 +19,7 @@ from typer.main import get_command
 
 from mavnav.batch.manifest import read_manifest
 from mavnav.cli import app_for, run
-from mavnav.comparison.figures import RELATIVE_COSTS
+from mavnav.comparison.document import RELATIVE_COSTS
 from mavnav.config.loading import fields, load_config
 from mavnav.metrics.gates import check_names, parse_gate
 from mavnav.outputs.documents.schema import number_names, run_keys

@@ -66,7 +66,6 @@ def compare(
     """
     from mavnav.batch.plan import load_kernels  # noqa: PLC0415  heavy
     from mavnav.comparison import pipeline  # noqa: PLC0415
-    from mavnav.comparison.grids import comparison_settings  # noqa: PLC0415
     from mavnav.jobs import usable_cores  # noqa: PLC0415
     from mavnav.outputs.writers import write_page  # noqa: PLC0415
 
@@ -75,7 +74,7 @@ def compare(
         raise UsageError("no log to compare; name one")
     shared = settings_of(options_of({"online": online}))
     options = values_of(methods, "methods"), values_of(grids, "grids"), values_of(azimuths, "azimuths")
-    chosen = comparison_settings(config_of(config), sets_of(settings), *options, shared)
+    chosen = pipeline.comparison_settings(config_of(config), sets_of(settings), *options, shared)
     cores = count_of(workers, "workers") or usable_cores()
 
     def work(target: Path) -> Comparison:

@@ -86,14 +86,13 @@ def compare(
         with loading_modules():
             from mavnav.batch.plan import load_kernels
             from mavnav.comparison import pipeline
-            from mavnav.comparison.grids import comparison_settings
             from mavnav.jobs import usable_cores
             from mavnav.outputs.documents.provenance import Typed
         target = directory or pipeline.comparison_directory(logs or ())
         if not logs:
             logs, true_map = _sample(target, report)
             options.setdefault("truth_map", true_map)
-        settings = comparison_settings(
+        settings = pipeline.comparison_settings(
             config, sets or (), methods or (), grids or (), azimuths or (), settings_of(options)
         )
         request = pipeline.comparison_request(
@@ -142,7 +141,7 @@ def _run_and_draw(plan: BatchPlan, *, quiet: bool) -> tuple[dict[str, Any], Path
 
 def _print_result(document: dict[str, Any], page: Path, *, json: bool) -> None:
     """Print the result on stdout, and on stderr what the user must not miss."""
-    from mavnav.comparison.files import problems, remarks
+    from mavnav.comparison.document import problems, remarks
 
     if json:
         emit_json(document)

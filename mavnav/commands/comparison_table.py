@@ -51,7 +51,7 @@ FOLDED = {LOGS: 14, REMARKS: 12}
 
 def print_comparison(document: dict[str, Any]) -> None:
     """Print the table of comparison.json on stdout."""
-    from mavnav.comparison.files import cell_size_notes
+    from mavnav.comparison.document import cell_size_notes
 
     out = table_console()
     unbounded = out.options.update_width(1000)
@@ -70,7 +70,7 @@ def _table(document: dict[str, Any], less: set[str]) -> Table:
     """Return the table without what is in ``less``, see `NARROWER`."""
     from rich.table import Table
 
-    from mavnav.comparison.files import ratio
+    from mavnav.comparison.document import ratio
 
     table = Table(box=None, pad_edge=False, header_style="bold")
     known = [figure for figure in _known_quantities(document) if figure.name not in less]
@@ -108,7 +108,7 @@ def _text(text: str, style: str = "") -> Text:
 
 def _figure(document: dict[str, Any], k: int, figure: Quantity, *, bars: bool) -> Text:
     """Format a metric, with a bar before it if it has one and ``bars``, and an asterisk after the best value."""
-    from mavnav.comparison.files import winning
+    from mavnav.comparison.document import winning
 
     run = document["cells"][k]["run"]
     number = figure.of(run)

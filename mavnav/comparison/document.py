@@ -1,50 +1,70 @@
-"""comparison.json: the runs, the best ones by each metric, their relative cost, and the results of the gates."""
+"""The files of a comparison: comparison.json, and tables in CSV and Markdown.
+
+comparison.json has the runs, the best ones by each metric, their relative cost, and the results of the gates.
+"""
 
 from __future__ import annotations
 
+import csv
+import io
 from typing import TYPE_CHECKING, Any, Final
 
-from mavnav.comparison.figures import RELATIVE_COSTS, best, one_best, relative_costs
-from mavnav.errors import ExitCode, worst
+from mavnav.atomic_files import beside
+from mavnav.batch.document import ENDS
+from mavnav.errors import ExitCode, OutputError, worst
 from mavnav.jobs.run_cache import run_row
 from mavnav.metrics.gates import judge_some
+from mavnav.outputs.documents.quantities import QUANTITIES, comparable, number, ranked_values, size_note, winners
+from mavnav.outputs.files.document import to_json
+from mavnav.outputs.report.markdown import escape, inert, table_row
 from mavnav.version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from mavnav.batch.cases import CaseResult
     from mavnav.jobs.run_cache import PlannedRun
     from mavnav.metrics.gates import Gate
+    from mavnav.outputs.documents.quantities import Run
 
 SCHEMA_VERSION: Final = 1
+COMPARISON_FILE: Final = "comparison.json"
+
+RELATIVE_COSTS: Final = {
+    "evaluations": "search.evaluations_per_scan.mean",
+    "cpu": "timing.cpu_s",
+    "seconds": "timing.wall_s",
+}
+"""Name of a relative cost -> the number of run.json that is divided by that of the run with the coarsest grid."""
 
 
 def comparison_document(results: Sequence[CaseResult], directory: Path, gates: Sequence[Gate]) -> dict[str, Any]:
-    """Return comparison.json of these results; the directories of the runs are relative to ``directory``."""
+    """Return comparison.json of these results; the directories of the runs are relative to ``directory``.
+
+    ``winners`` is the best run by each metric, of equal ones the coarser. It is None where the cell sizes differ and
+    the metric depends on them; all are None if there are several logs.
+    """
     runs = [result.document for result in results]
     cases = [(result.case.name, result.case.run) for result in results if result.case.run]
     planned = [run for _, run in cases]
-    costs = relative_costs([_group(run) for run in planned], runs)
+    groups = [((r.request.log, r.config.method), r.config.grid.points + r.config.azimuth) for r in planned]
+    costs = relative_costs(groups, runs)
     verdicts = [verdict for k, run in enumerate(runs) if run for verdict in _judge(gates, run, costs, k)]
     rows = [run_row(*case, r.outcome, r.document, directory) for case, r in zip(cases, results, strict=True)]
     logs = _logs(planned, runs)
+    codes = [*(row["exit_code"] for row in rows), *(ExitCode.GATE_FAILED for v in verdicts if not v["passed"])]
     return {
         "schema_version": SCHEMA_VERSION,
         "mavnav_version": __version__,
         "profile": next((run["map_quality"]["profile"] for run in runs if run and run.get("map_quality")), None),
         "cells": rows,
-        "winners": _winners(logs, runs),
+        "winners": one_best(runs) if len(logs) == 1 else dict.fromkeys(one_best(runs)),
         "logs": logs,
         "price": costs,
         "gates": verdicts,
-        "exit_code": worst([*(row["exit_code"] for row in rows), *(_code(verdict) for verdict in verdicts)]),
+        "exit_code": worst(codes),
     }
-
-
-def _group(run: PlannedRun) -> tuple[object, int]:
-    return (run.request.log, run.config.method), run.config.grid.points + run.config.azimuth
 
 
 def _logs(planned: Sequence[PlannedRun], runs: Sequence[dict[str, Any] | None]) -> list[dict[str, Any]]:
@@ -62,19 +82,138 @@ def _logs(planned: Sequence[PlannedRun], runs: Sequence[dict[str, Any] | None]) 
     ]
 
 
-def _winners(logs: Sequence[dict[str, Any]], runs: Sequence[dict[str, Any] | None]) -> dict[str, int | None]:
-    """Return the best run by each metric, of equal ones the coarser.
-
-    None where the cell sizes differ and the metric depends on them; all None if there are several logs.
-    """
-    every = one_best(runs)
-    return every if len(logs) == 1 else dict.fromkeys(every)
-
-
 def _judge(gates: Sequence[Gate], run: dict[str, Any], costs: dict[str, list[Any]], k: int) -> list[dict[str, Any]]:
     document = run | {"price": {name: costs[name][k] for name in RELATIVE_COSTS}}
     return [{"gate": verdict.gate.text, "cell": k, **verdict.row()} for verdict in judge_some(gates, document)]
 
 
-def _code(verdict: dict[str, Any]) -> ExitCode:
-    return ExitCode.DONE if verdict["passed"] else ExitCode.GATE_FAILED
+def best(runs: Sequence[Run | None]) -> dict[str, list[int]]:
+    """Return the indices of the best runs by each metric."""
+    return {figure.name: winners(figure, runs) for figure in QUANTITIES}
+
+
+def one_best(runs: Sequence[Run | None]) -> dict[str, int | None]:
+    """Return the index of the first of the best runs by each metric; None where not all runs can be compared."""
+    compared = {f.name: comparable(f, [runs[k] for k in ranked_values(f, runs)]) for f in QUANTITIES}
+    return {name: next(iter(places), None) if compared[name] else None for name, places in best(runs).items()}
+
+
+def relative_costs(groups: Sequence[tuple[object, int]], runs: Sequence[Run | None]) -> dict[str, list[Any]]:
+    """Return the cost of each run relative to the coarsest of its group.
+
+    Parameters
+    ----------
+    groups
+        For each run its group (log and method) and the number of samples of its search; fewer samples are coarser.
+    runs
+        run.json of each run, None if it failed.
+
+    Returns
+    -------
+    dict
+        ``coarsest``: for each run the index of the coarsest run of its group that has a result. For each key of
+        `RELATIVE_COSTS`: the ratio of each run to that run, None if either number is missing or the divisor is 0.
+    """
+    coarsest: dict[object, int] = {}
+    for k in sorted(range(len(runs)), key=lambda k: groups[k][1], reverse=True):
+        if runs[k] is not None:
+            coarsest[groups[k][0]] = k
+    references = [coarsest.get(group) for group, _ in groups]
+    ratios = {
+        cost: [_relative_cost(runs, k, reference, name) for k, reference in enumerate(references)]
+        for cost, name in RELATIVE_COSTS.items()
+    }
+    return {"coarsest": references, **ratios}
+
+
+def _relative_cost(runs: Sequence[Run | None], k: int, reference: int | None, name: str) -> float | None:
+    own, base = number(runs[k], name), None if reference is None else number(runs[reference], name)
+    return None if own is None or not base else own / base
+
+
+def write_comparison(document: dict[str, Any], directory: Path) -> None:
+    """Write the files of a comparison, each complete or not at all; raises OutputError."""
+    for name, text in TEXTS.items():
+        try:
+            with beside(directory / name) as path:
+                path.write_text(text(document), "utf-8", "backslashreplace")  # names of files need not be UTF-8
+        except OSError as error:
+            raise OutputError(f"{directory / name} cannot be written: {error.strerror or error}; make room") from error
+
+
+HIT_QUANTITIES: Final = ("wall_thickness.2.p95_mm", "wall_thickness.2.max_mm")
+"""Additional columns of the CSV file, for comparison with earlier files."""
+
+
+def comparison_csv(document: dict[str, Any]) -> str:
+    """Return CSV with one line per run: its settings, its metrics under their names in run.json, its relative cost."""
+    rows = io.StringIO()
+    table = csv.writer(rows, lineterminator="\n")
+    head = ("log", "method", "grid", "azimuth", "status", "exit_code", "error", "directory")
+    names = [*(figure.name for figure in QUANTITIES), *HIT_QUANTITIES]
+    table.writerow([*head, *names, *(f"price.{name}" for name in RELATIVE_COSTS)])
+    for k, cell in enumerate(document["cells"]):
+        figures = [number(cell["run"], name) for name in names]
+        texts = [inert(cell[key]) for key in head]
+        table.writerow([*texts, *figures, *(document["price"][name][k] for name in RELATIVE_COSTS)])
+    return rows.getvalue()
+
+
+def comparison_markdown(document: dict[str, Any]) -> str:
+    """Return a table in GitHub's Markdown with the best values in bold, and a list of failures below it."""
+    titles = ["log", "method", "yaw samples/grid", *(f.head for f in QUANTITIES), "evaluations ratio", "cpu ratio"]
+    lines = [f"# mavnav {document['mavnav_version']} compare", "", table_row(titles), table_row(["---"] * len(titles))]
+    lines += [table_row(_cells(document, k)) for k in range(len(document["cells"]))]
+    failed = [f"- {escape(line)}" for line in (*problems(document), *remarks(document))]
+    notes = [escape(line) for line in cell_size_notes(document)]
+    return "\n".join([*lines, *(["", *notes] if notes else []), *(["", *failed] if failed else [])]) + "\n"
+
+
+def _cells(document: dict[str, Any], k: int) -> list[str]:
+    cell = document["cells"][k]
+    texts = [escape(cell["log"]), cell["method"], f"{cell['azimuth']}/{cell['grid']}"]
+    for figure in QUANTITIES:
+        text = figure.text_of(cell["run"])
+        texts.append(f"**{text}**" if k in winning(document, figure.name) else text)
+    return texts + [ratio(document, name, k) for name in ("evaluations", "cpu")]
+
+
+def winning(document: dict[str, Any], metric: str) -> set[int]:
+    """Return the indices of the runs that are the best of their log by a metric."""
+    return {k for log in document["logs"] for k in log["best"][metric]}
+
+
+def cell_size_notes(document: dict[str, Any]) -> list[str]:
+    """Return a line for every log whose maps have several cell sizes: what is not compared, and why."""
+    several = len(document["logs"]) > 1
+    notes = [(log["log"], size_note(document["cells"][k]["run"] for k in log["cells"])) for log in document["logs"]]
+    return [f"{log}: {why}" if several else why for log, why in notes if why]
+
+
+def ratio(document: dict[str, Any], cost: str, k: int) -> str:
+    """Format the cost of a run relative to the coarsest one; a dash if it is unknown."""
+    number = document["price"][cost][k]
+    return "-" if number is None else f"{number:.1f}"
+
+
+def problems(document: dict[str, Any]) -> list[str]:
+    """Return a line for every run that failed and every gate that did not hold."""
+    failed = [f"{cell['name']}: {cell['error']}" for cell in document["cells"] if cell["status"] == "failed"]
+    gates = [
+        f"{document['cells'][gate['cell']]['name']}: gate {gate['gate']} failed: {gate['why']}"
+        for gate in document["gates"]
+        if not gate["passed"]
+    ]
+    return failed + gates
+
+
+def remarks(document: dict[str, Any]) -> list[str]:
+    """Return a line for every run of a damaged log, and every one that lost its track for good."""
+    return [f"{c['name']}: {ENDS[c['exit_code']]}" for c in document["cells"] if c["run"] and c["exit_code"]]
+
+
+TEXTS: Final[dict[str, Callable[[dict[str, Any]], str]]] = {
+    COMPARISON_FILE: to_json,
+    "comparison.csv": comparison_csv,
+    "comparison.md": comparison_markdown,
+}

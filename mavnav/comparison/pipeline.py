@@ -16,9 +16,8 @@ from mavnav.batch.cases import make_cases
 from mavnav.batch.plan import BatchPlan, check_gates, plan_cases
 from mavnav.batch.request import BatchLogs, BatchRequest, Rules, RunLimits
 from mavnav.batch.runner import run_cases
-from mavnav.comparison.document import comparison_document
-from mavnav.comparison.figures import RELATIVE_COSTS
-from mavnav.comparison.files import COMPARISON_FILE, write_comparison
+from mavnav.batch.settings import crossed_settings, named_settings
+from mavnav.comparison.document import COMPARISON_FILE, RELATIVE_COSTS, comparison_document, write_comparison
 from mavnav.config.named_files import read_json
 from mavnav.config.options import reference_files
 from mavnav.errors import UsageError
@@ -33,12 +32,56 @@ if TYPE_CHECKING:
 
     from mavnav.batch.cases import Case
     from mavnav.batch.settings import Setting
+    from mavnav.config.models import Config
     from mavnav.config.options import ReplayOptions
     from mavnav.jobs import Event
+    from mavnav.jobs.run_cache import PlannedRun
     from mavnav.metrics.gates import Gate
     from mavnav.profiling import Progress
 
 _OWN_FILES: Final = (RUNS_FOLDER, "logs", COMPARISON_FILE)
+
+PAPER_GRIDS: Final = ("5x5", "10x10", "20x20")
+"""The search grids of the paper's Fig. 8, compared by default."""
+
+
+def comparison_settings(
+    file: str | None,
+    sets: Sequence[str],
+    methods: Sequence[str],
+    grids: Sequence[str],
+    azimuths: Sequence[int],
+    options: dict[str, object],
+) -> list[Setting]:
+    """Return a setting for every method and grid, methods in order, grids from coarse to fine.
+
+    Parameters
+    ----------
+    file, sets, options
+        The common configuration, as in `load_config`.
+    methods
+        Names of methods; if empty, the method of the configuration.
+    grids
+        Search grids ``NxM``; if empty, the three of the paper. A single grid is compared with that of the
+        configuration (10x10).
+    azimuths
+        Yaw samples: none, one number for all named grids, or one per grid. If empty, those of the configuration, else
+        `mavnav.config.models.paired_yaw_samples`.
+
+    Raises
+    ------
+    ConfigError
+        A value is not valid in a configuration.
+    UsageError
+        The number of yaw samples is neither 0, 1, nor the number of grids.
+    """
+    configs: list[Config] = []
+    for method in [[name] for name in methods] or [[]]:
+        settings = crossed_settings(file, sets, method, grids or PAPER_GRIDS, azimuths, options)
+        if len(grids) == 1:
+            settings += crossed_settings(file, sets, method, (), (), options)
+        configs += sorted((each.config for each in settings), key=lambda c: (c.grid.points, c.azimuth))
+    return named_settings(configs)
 
 
 def comparison_request(
@@ -93,24 +136,23 @@ def plan_comparison(request: BatchRequest, progress: Progress) -> BatchPlan:
         if case.run is None:
             raise UsageError(case.error)
     check_gates(request, cases, [f"price.{name}" for name in RELATIVE_COSTS])
-    return plan_cases(request, _name_cases(_unique(cases)))
+    return plan_cases(request, _named_cases(cases))
 
 
-def _unique(cases: Iterable[Case]) -> list[Case]:
-    """Return the cases without duplicates; copies of a log have the same keys."""
-    by_key: dict[str, Case] = {}
+def _named_cases(cases: Iterable[Case]) -> list[Case]:
+    """Return the cases without duplicates (copies of a log have the same keys), named ``drive.mcap robust 40/20x20``.
+
+    The yaw samples are before the grid as in the paper.
+    """
+    by_key: dict[str, tuple[Case, PlannedRun]] = {}
     for case in cases:
         if case.run:
-            by_key.setdefault(case.run.key, case)
-    return list(by_key.values())
-
-
-def _name_cases(cases: Sequence[Case]) -> list[Case]:
-    """Name cases as ``drive.mcap robust 40/20x20``, yaw samples before the grid as in the paper."""
-    runs = [case.run for case in cases if case.run]
-    logs = short_names({run.request.log for run in runs})
-    names = [f"{logs[r.request.log]} {r.config.method} {r.config.azimuth}/{r.config.grid}" for r in runs]
-    return [replace(case, name=name) for case, name in zip(cases, names, strict=True)]
+            by_key.setdefault(case.run.key, (case, case.run))
+    logs = short_names({run.request.log for _, run in by_key.values()})
+    return [
+        replace(case, name=f"{logs[run.request.log]} {run.config.method} {run.config.azimuth}/{run.config.grid}")
+        for case, run in by_key.values()
+    ]
 
 
 def short_names(paths: Collection[Path]) -> dict[Path, str]:

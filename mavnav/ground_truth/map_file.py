@@ -82,8 +82,8 @@ def read_map(path: Path) -> MapFile:
     if not CELLS_M[0] <= cell_m <= CELLS_M[1]:
         raise UsageError(f"{path}: resolution {cell_m:g} is no size of a cell; write meters, for example 0.05")
     picture = path.parent / str(about["image"])
-    shade, solid = _read_picture(picture, path)
-    occupied, free = (shade.upwards(kind, solid) for kind in _kinds(path, about, shade))
+    shades = _read_picture(picture, path)
+    occupied, free = (shades.upwards(kind) for kind in _kinds(path, about, shades))
     if (count := np.count_nonzero(occupied)) > MAX_OCCUPIED:
         raise UsageError(
             f"{path}: {count} cells are occupied, more than {MAX_OCCUPIED}; see 'negate' and the thresholds"
@@ -131,16 +131,17 @@ def _short(value: object) -> str:
 class _Shades(NamedTuple):
     """The pixels of a picture: ``levels`` (rows, cols) are indices into ``values`` (n,), 0 black to 255 white.
 
-    A pixel therefore takes one or two bytes, not eight.
+    A pixel therefore takes one or two bytes, not eight. ``solid`` (rows, cols) are those that are not transparent.
     """
 
     levels: NDArray[np.integer]
     values: NDArray[np.float64]
+    solid: NDArray[np.bool_]
 
-    def upwards(self, kind: NDArray[np.bool_], solid: NDArray[np.bool_]) -> NDArray[np.uint16]:
+    def upwards(self, kind: NDArray[np.bool_]) -> NDArray[np.uint16]:
         """Return 1 where a pixel is of a kind (n,) and solid, 0 elsewhere, (rows, cols) with the lowest row first."""
         cells = np.empty(self.levels.shape, np.uint16)
-        for row, (levels, seen) in enumerate(zip(self.levels[::-1], solid[::-1], strict=True)):
+        for row, (levels, seen) in enumerate(zip(self.levels[::-1], self.solid[::-1], strict=True)):
             cells[row] = kind[levels] & seen
         return cells
 
@@ -170,34 +171,29 @@ def _kinds(path: Path, about: dict[str, Any], shades: _Shades) -> tuple[NDArray[
     return share > least, share < most
 
 
-def _read_picture(path: Path, described_by: Path) -> tuple[_Shades, NDArray[np.bool_]]:
-    """Return the shades of the pixels, and which pixels are not transparent, (rows, cols)."""
+def _read_picture(path: Path, described_by: Path) -> _Shades:
+    """Return the shades of the pixels."""
     try:
         data = read_named(path, MAX_PICTURE_BYTES)
     except OSError as error:
         reason = f"cannot be read: {error.strerror}"
         raise UsageError(f"{path}, the image of {described_by}, {reason}; mend 'image:'") from error
     header = _HEADER.match(data)
-    if header is None:
-        return _read_by_pillow(path, data)
-    shade = _read_pgm(path, header, data)
-    return shade, np.ones(shade.levels.shape, np.bool_)
+    return _read_by_pillow(path, data) if header is None else _read_pgm(path, header, data)
 
 
 def _read_pgm(path: Path, header: re.Match[bytes], data: bytes) -> _Shades:
     kind, cols, rows, depth = (int(group) for group in header.groups())
     if not (0 < cols * rows <= MAX_CELLS and 0 < depth < 65536):
         raise UsageError(f"{path}: {cols} x {rows} pixels of depth {depth} is no map; mend its header")
+    body = data[header.end() :]
     pixels: NDArray[np.integer]
-    if kind == 5:
-        body = data[header.end() :]
-        pixels = (
-            np.frombuffer(body[: len(body) // 2 * 2], ">u2").astype(np.uint16)
-            if depth > 255
-            else np.frombuffer(body, np.uint8)
-        )
+    if kind == 2:
+        pixels = _plain_pixels(path, body)
+    elif depth > 255:
+        pixels = np.frombuffer(body[: len(body) // 2 * 2], ">u2").astype(np.uint16)
     else:
-        pixels = _plain_pixels(path, data[header.end() :])
+        pixels = np.frombuffer(body, np.uint8)
     if len(pixels) < rows * cols:
         raise UsageError(f"{path} is cut short, {len(pixels)} of {rows * cols} pixels; get a whole copy")
     levels = pixels[: rows * cols]
@@ -205,7 +201,8 @@ def _read_pgm(path: Path, header: re.Match[bytes], data: bytes) -> _Shades:
         values, levels = np.unique(levels, return_inverse=True)
     else:
         values = np.arange(1 << 8 * levels.itemsize)
-    return _Shades(levels.reshape(rows, cols), values.astype(np.float64) * (255.0 / depth))
+    levels, solid = levels.reshape(rows, cols), np.ones((rows, cols), np.bool_)
+    return _Shades(levels, values.astype(np.float64) * (255.0 / depth), solid)
 
 
 def _plain_pixels(path: Path, text: bytes) -> NDArray[np.int64]:
@@ -215,7 +212,7 @@ def _plain_pixels(path: Path, text: bytes) -> NDArray[np.int64]:
         raise UsageError(f"{path}: a pixel is no number; get a sound copy") from error
 
 
-def _read_by_pillow(path: Path, data: bytes) -> tuple[_Shades, NDArray[np.bool_]]:
+def _read_by_pillow(path: Path, data: bytes) -> _Shades:
     from PIL import Image, UnidentifiedImageError  # noqa: PLC0415  only for pictures that need it
 
     try:
@@ -224,23 +221,21 @@ def _read_by_pillow(path: Path, data: bytes) -> tuple[_Shades, NDArray[np.bool_]
             with Image.open(BytesIO(data), formats=("PNG", "BMP")) as image:
                 if image.mode in {"1", "L"} and "transparency" not in image.info:
                     grey = np.asarray(image.convert("L"))
-                    return _Shades(grey, np.arange(256.0)), np.ones(grey.shape, np.bool_)
-                if image.mode in _DEEP_MODES:
-                    return _deep(image)
-                return _read_coloured(image)
+                    return _Shades(grey, np.arange(256.0), np.ones(grey.shape, np.bool_))
+                return _deep(image) if image.mode in _DEEP_MODES else _read_coloured(image)
     except UnidentifiedImageError as error:
         raise UsageError(f"{path} is no picture of a map (PGM or PNG); mend 'image:'") from error
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
         raise UsageError(f"{path} is no picture of a map (PGM or PNG): {error}; mend 'image:'") from error
 
 
-def _deep(image: Image.Image) -> tuple[_Shades, NDArray[np.bool_]]:
+def _deep(image: Image.Image) -> _Shades:
     """Return the same as `_read_picture` for a PNG of 16 bits a pixel, whose conversions by Pillow clip at 255."""
     levels = np.asarray(image).astype(np.uint16)
-    return _Shades(levels, np.arange(65536) * 255.0 / 65535), levels != image.info.get("transparency", -1)
+    return _Shades(levels, np.arange(65536) * 255.0 / 65535, levels != image.info.get("transparency", -1))
 
 
-def _read_coloured(image: Image.Image) -> tuple[_Shades, NDArray[np.bool_]]:
+def _read_coloured(image: Image.Image) -> _Shades:
     """Return the same as `_read_picture` for a picture with colours or transparency, read in bands of rows."""
     total, solid = np.empty((image.height, image.width), np.uint16), np.empty((image.height, image.width), np.bool_)
     for row in range(0, image.height, BAND_ROWS):
@@ -248,4 +243,4 @@ def _read_coloured(image: Image.Image) -> tuple[_Shades, NDArray[np.bool_]]:
         pixels = np.asarray(image.crop(band).convert("RGBA"))
         pixels[:, :, :3].sum(axis=2, dtype=np.uint16, out=total[row : band[3]])
         solid[row : band[3]] = pixels[:, :, 3] > 0
-    return _Shades(total, np.arange(766) / 3.0), solid
+    return _Shades(total, np.arange(766) / 3.0, solid)

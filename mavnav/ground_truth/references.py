@@ -2,30 +2,30 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
 from msgspec import Struct
-from msgspec.structs import asdict
 
 from mavnav.errors import UsageError
 from mavnav.metrics.fields import ABSENT
-from mavnav.metrics.map_distance import START_POSE, TrueMap, map_distance
-from mavnav.metrics.reference import AlignedError, Reference
-from mavnav.metrics.relations import TOLERANCE_NS, Relations, relation_errors
-from mavnav.metrics.trajectory_error import absolute_error, associate, relative_error
+from mavnav.metrics.reference import TOLERANCE_NS, Reference, TrueMap, map_distance, pose_errors, relation_errors
 from mavnav.units import NS
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    import numpy as np
     from numpy.typing import NDArray
 
-    from mavnav.metrics.trajectory_error import RelativeError
-    from mavnav.pose import Trajectory
+    from mavnav.metrics.reference import Relations
+    from mavnav.pose import Pose, Trajectory
+    from mavnav.simulation.world import Scenario, World
 
-LEAST_POSES = 3
-"""Minimum number of poses with a truth: fewer fit any truth, or nearly so, after the best rigid motion."""
+START_POSE: Final = "start pose"
+"""Alignment of the walls of a scenario, which are relative to the laser's pose at the first scan of the mission."""
+
+SPACING_M: Final = 0.02
+"""Distance of the points along true walls."""
 
 
 class References(Struct, frozen=True):
@@ -55,14 +55,69 @@ def load_references(
     """Read the given files; raises UsageError."""
     if truth is None and truth_map is None and relations is None:
         return References()
-    from mavnav.ground_truth.tables import read_relations, read_tum  # noqa: PLC0415  few runs need them
-    from mavnav.ground_truth.true_map import read_true_map  # noqa: PLC0415
+    from mavnav.ground_truth.tables import read_relations, read_tum  # noqa: PLC0415  few runs need it
 
     return References(
         truth=None if truth is None else read_tum(truth),
         true_map=None if truth_map is None else read_true_map(truth_map),
         relations=None if relations is None else read_relations(relations),
     )
+
+
+def read_true_map(path: Path) -> TrueMap:
+    """Read a scenario (with ``walls``) or a map_server map (with an ``image``).
+
+    A scenario's walls are given relative to the laser's first pose, which is the origin of a map. A map file must have
+    the frame of the map that it is compared with. The name of a shipped scenario is used if there is no such file.
+    Raises UsageError.
+    """
+    from mavnav.simulation.world.scenario_file import load_scenario, scenario_path  # noqa: PLC0415  models take time to build
+
+    if not path.exists():
+        path = scenario_path(path)
+    from mavnav.config.yaml_layers import read_yaml  # noqa: PLC0415  yaml takes 10 ms to load
+
+    keys = {key[0] for key in read_yaml(path, "the YAML file of a map, or a scenario").values}
+    if "image" in keys:
+        return _of_map(path)
+    if "walls" not in keys:
+        raise UsageError(f"{path} is neither a scenario (walls) nor a map (image); name one of them")
+    scenario = load_scenario(path)
+    return of_scenario(scenario, scenario.world_T_base @ scenario.base_T_laser)
+
+
+def of_scenario(scenario: Scenario, world_T_map: Pose) -> TrueMap:
+    """Return the exact walls of a scenario; ``world_T_map`` is the laser's first pose.
+
+    If the scene has heights, the walls are those in the slice at flight height. Distances are to the nearest surface at
+    any height, because a cell may be at any height.
+    """
+    walls, every = scenario.obstacles.seen_from(world_T_map), scenario.world.seen_from(world_T_map)
+    return TrueMap(every.distance_m, points_on(walls), START_POSE, walls.segments, walls.arcs)
+
+
+def _of_map(path: Path) -> TrueMap:
+    from scipy.spatial import cKDTree  # noqa: PLC0415  takes 0.3 s to load
+
+    from mavnav.ground_truth.map_file import read_map  # noqa: PLC0415  few runs need it
+
+    xy_m = read_map(path).occupied_xy_m()
+    if not len(xy_m):
+        raise UsageError(f"{path} has no occupied cell; name a map with walls")
+    tree: Any = cKDTree(xy_m)
+    return TrueMap(lambda points: tree.query(points)[0], xy_m, "same frame")
+
+
+def points_on(world: World) -> NDArray[np.float64]:
+    """Return points all along the walls, `SPACING_M` apart, (n, 2) in the frame of the world."""
+    parts = [np.zeros((0, 2))]
+    for x1, y1, x2, y2 in world.segments:
+        count = int(np.ceil(np.hypot(x2 - x1, y2 - y1) / SPACING_M)) + 1
+        parts.append(np.linspace((x1, y1), (x2, y2), count))
+    for x, y, radius, start, sweep in world.arcs:
+        angle = start + np.linspace(0.0, sweep, int(np.ceil(abs(sweep) * radius / SPACING_M)) + 1)
+        parts.append(np.column_stack((x + radius * np.cos(angle), y + radius * np.sin(angle))))
+    return np.concatenate(parts)
 
 
 def check_times(references: References, first_ns: int, last_ns: int) -> None:
@@ -86,30 +141,14 @@ def compare_to(
     """Return the comparison of a run with its references; None without references.
 
     ``occupied_xy_map_m`` (n, 2) are the centres of the occupied cells. Without a trajectory (a single map file) only
-    maps are compared. ATE and RPE are None if fewer than `LEAST_POSES` poses have a truth.
+    maps are compared. ATE and RPE are None if too few poses have a truth.
     """
     ate = rpe = distance = relations = ABSENT
     if references.truth is not None and trajectory is not None:
-        ate, rpe = _trajectory_errors(trajectory, references.truth)
+        ate, rpe = pose_errors(trajectory, references.truth)
     if references.true_map is not None:
         distance = map_distance(occupied_xy_map_m, references.true_map)
     if references.relations is not None and trajectory is not None:
         relations = relation_errors(references.relations, trajectory)
     comparison = Reference(ate, rpe, distance, relations)
     return None if comparison == Reference() else comparison
-
-
-def _trajectory_errors(
-    trajectory: Trajectory, truth: Trajectory
-) -> tuple[AlignedError, RelativeError] | tuple[None, None]:
-    estimate, true = associate(trajectory, truth)
-    if len(estimate) < LEAST_POSES:
-        return None, None
-    xy_m, true_xy_m = estimate.xyyaw[:, :2], true.xyyaw[:, :2]
-    aligned = AlignedError(
-        alignment="best rigid motion",
-        **asdict(absolute_error(xy_m, true_xy_m)),
-        share=len(estimate) / len(trajectory),
-        unaligned_rmse_m=absolute_error(xy_m, true_xy_m, aligned=False).rmse_m,
-    )
-    return aligned, relative_error(estimate, true)

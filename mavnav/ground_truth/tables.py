@@ -10,7 +10,7 @@ import numpy as np
 
 from mavnav.config.named_files import read_named
 from mavnav.errors import UsageError
-from mavnav.metrics.relations import Relations
+from mavnav.metrics.reference import Relations
 from mavnav.pose import Trajectory, yaw_of_quaternion
 
 if TYPE_CHECKING:
@@ -27,9 +27,6 @@ MAX_BYTES: Final = 100_000_000
 
 LATEST_S: Final = 9_000_000_000
 """Latest time in seconds: later ones do not fit in 64 bits of nanoseconds."""
-
-Row = tuple[str, list[str]]
-"""Location of a row (``file:line``), and its columns."""
 
 
 def read_tum(path: Path) -> Trajectory:
@@ -54,11 +51,10 @@ def read_relations(path: Path) -> Relations:
     """
     stamps_ns, xyyaw, units = [], [], 0
     for where, columns in _rows(path, "relations, t1 t2 x y z roll pitch yaw"):
-        x, y, *rest = (_number(where, text) for text in columns[2:])
-        *_, yaw = rest
-        units += _is_unit(rest)
+        x, y, *others = (_number(where, text) for text in columns[2:])
+        units += _is_unit(others)
         stamps_ns.append([_stamp_ns(where, text) for text in columns[:2]])
-        xyyaw.append((x, y, yaw))
+        xyyaw.append((x, y, others[-1]))
     if units == len(xyyaw) >= LEAST_UNITS:
         raise UsageError(f"{path} is a TUM trajectory, t x y z qx qy qz qw; give it with --truth")
     return Relations(np.array(stamps_ns, np.int64), np.array(xyyaw, np.float64))
@@ -68,7 +64,8 @@ def _is_unit(quaternion: list[float]) -> bool:
     return abs(sum(q * q for q in quaternion) - 1.0) <= UNIT_TOLERANCE
 
 
-def _rows(path: Path, what: str) -> Iterator[Row]:
+def _rows(path: Path, what: str) -> Iterator[tuple[str, list[str]]]:
+    """Yield the location (``file:line``) and the columns of each row."""
     try:
         text = read_named(path, MAX_BYTES).decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:

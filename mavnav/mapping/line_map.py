@@ -1,4 +1,7 @@
-"""The robust method's map: occupied cells, each with the local line through the points around it."""
+"""The robust method's map: occupied cells, each with the local line through the points around it.
+
+`CostFloors` are lower bounds of a point's cost over a part of it.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec import Struct, field
 
-from mavnav.kernels.maps.layout import FAR, NEAR, REACH_CELLS
+from mavnav.kernels.maps import cost_floors
+from mavnav.kernels.maps.layout import FAR, LEVELS, NEAR, REACH_CELLS
 from mavnav.kernels.maps.linemap import Geometry, insert_points, rebuild
 from mavnav.kernels.scans.correlative_search import pose_costs
 from mavnav.kernels.scans.points import extent
-from mavnav.mapping.cost_floors import CostFloors
 from mavnav.mapping.tiled_arrays import NO_EXTENT, covered_extent, covering, enlarge, within
 from mavnav.profiling import timed
 
@@ -21,6 +24,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.mapping.tiled_arrays import Extent
+
+    Array = NDArray[np.float64]
 
 _BLOCK_CELLS = 256
 MARGIN_CELLS = REACH_CELLS + 2
@@ -32,6 +37,27 @@ _AT_ONCE = 1 << 14
 
 NOWHERE = (1e9, 1e9, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 """The line of index 0, so far away that the cost of every point is truncated."""
+
+FLOORS_MARGIN_M = 2.0
+"""Distance by which bounds reach beyond the requested extent, so that the next search may be somewhat wider."""
+
+
+class CostFloors(Struct, frozen=True):
+    """Bounds in the cells from ``corner`` (row, col) on, by level and as planes; see ``kernels.maps.cost_floors``.
+
+    They hold within ``extent_m``, for the truncated distance ``truncate_m`` and positions ``step`` cells apart.
+    """
+
+    corner: NDArray[np.int64]
+    levels: NDArray[np.uint8]
+    planes: NDArray[np.uint8]
+    truncate_m: float
+    step: int
+    extent_m: Extent
+
+    def covers(self, truncate_m: float, step: int, extent_m: Extent) -> bool:
+        """Return whether the bounds are valid for a search with these settings, whose points lie in an extent."""
+        return within(extent_m, self.extent_m) and (truncate_m, step) == (self.truncate_m, self.step)
 
 
 class LineMap(Struct):
@@ -50,25 +76,19 @@ class LineMap(Struct):
     count: int = 1
     nearest: NDArray[np.uint32] = field(default_factory=lambda: np.empty((0, 0), np.uint32))
     cells: NDArray[np.int32] = field(default_factory=lambda: np.empty((1, 2), np.int32))
-    moments: NDArray[np.float64] = field(default_factory=lambda: np.empty((1, 12)))
-    lines: NDArray[np.float64] = field(default_factory=lambda: np.array([NOWHERE]))
-    waiting: NDArray[np.float64] = field(default_factory=lambda: np.zeros((MOST_WAITING + 1, 8)))
+    moments: Array = field(default_factory=lambda: np.empty((1, 12)))
+    lines: Array = field(default_factory=lambda: np.array([NOWHERE]))
+    waiting: Array = field(default_factory=lambda: np.zeros((MOST_WAITING + 1, 8)))
 
-    geometry: NDArray[np.float64] = field(default_factory=partial(np.zeros, 6))
+    geometry: Array = field(default_factory=partial(np.zeros, 6))
     """The fields of `Geometry`, (6,)."""
     _floors: CostFloors | None = None
     _covered_m: Extent = NO_EXTENT
 
     def __post_init__(self) -> None:
         """Make the array of the geometry for the kernels."""
-        geometry = Geometry(
-            *self.origin_xy_m,
-            cell_m=self.cell_m,
-            line_sigma_m=self.line_sigma_m,
-            line_noise_m=self.line_noise_m,
-            waiting_share=self.waiting_share,
-        )
-        self.geometry = np.array(geometry)
+        further = (self.cell_m, self.line_sigma_m, self.line_noise_m, self.waiting_share)
+        self.geometry = np.array(Geometry(*self.origin_xy_m, *further))
 
     @property
     def origin_xy_m(self) -> tuple[float, float]:
@@ -80,9 +100,7 @@ class LineMap(Struct):
         """Return the value of ``nearest`` for a cell whose nearest occupied one is this far away, m."""
         return FAR + 1 - 1e-9 - (distance_m / self.cell_m) ** 2
 
-    def costs(
-        self, points: NDArray[np.float64], xy_m: NDArray[np.float64], yaws_rad: NDArray[np.float64], truncate_m: float
-    ) -> NDArray[np.float64]:
+    def costs(self, points: Array, xy_m: Array, yaws_rad: Array, truncate_m: float) -> Array:
         """Return the costs (q, p) of points (n, 2), m, laser frame, at positions (p, 2), m, and yaws (q,), rad; m2."""
         return pose_costs(points, xy_m, yaws_rad, truncate_m, self.nearest, self.lines, self.geometry)
 
@@ -96,11 +114,24 @@ class LineMap(Struct):
     def cost_floors(self, truncate_m: float, step: int, extent_m: Extent) -> CostFloors:
         """Return bounds of the costs in an extent, for positions ``step`` cells apart; cached until the map changes."""
         if self._floors is None or not self._floors.covers(truncate_m, step, extent_m):
-            self._floors = CostFloors.of(self.nearest, self.lines, self.geometry, truncate_m, step, extent_m)
+            self._floors = self._new_floors(truncate_m, step, extent_m)
         return self._floors
 
+    def _new_floors(self, truncate_m: float, step: int, extent_m: Extent) -> CostFloors:
+        """Return bounds of the costs in an extent, and `FLOORS_MARGIN_M` beyond."""
+        x0, y0, x1, y1 = extent_m
+        wider = (x0 - FLOORS_MARGIN_M, y0 - FLOORS_MARGIN_M, x1 + FLOORS_MARGIN_M, y1 + FLOORS_MARGIN_M)
+        origin, cell_m, shape = self.geometry[:2], self.cell_m, np.array(self.nearest.shape[::-1])
+        low = np.clip(np.floor((np.array(wider[:2]) - origin) / cell_m).astype(np.int64), 0, shape)
+        high = np.clip(np.ceil((np.array(wider[2:]) - origin) / cell_m).astype(np.int64), low, shape)
+        before = ((1 << (LEVELS - 1)) - 1) * step
+        corner, size = (low - before)[::-1].copy(), (high - low + before)[::-1]
+        box = np.concatenate((corner, size))
+        bounds = cost_floors.cost_floors(box, step, truncate_m, self.nearest, self.lines, self.geometry)
+        return CostFloors(corner, *bounds, truncate_m, step, wider)
+
     @timed("field update")
-    def insert(self, xy_map_m: NDArray[np.float64], extent_m: Extent | None = None) -> None:
+    def insert(self, xy_map_m: Array, extent_m: Extent | None = None) -> None:
         """Insert points (n, 2), in m, and refit the lines around them; their ``extent`` may be given."""
         if len(xy_map_m) == 0:
             return
@@ -123,18 +154,21 @@ class LineMap(Struct):
             )
 
     @timed("field update")
-    def remove(self, xy_map_m: NDArray[np.float64]) -> None:
+    def remove(self, xy_map_m: Array) -> None:
         """Remove the cells at some points (n, 2), in m, with all their points; some of these cells may be empty.
 
         Waiting points of all other cells are included.
         """
         self._floors = None
-        at = np.floor(xy_map_m / self.cell_m).astype(np.int64) - np.array(self.origin_cells)
-        inside = ((at >= 0) & (at < np.array(self.nearest.shape[::-1]))).all(axis=1)
-        col, row = at[inside].T
+        cells = np.floor(xy_map_m / self.cell_m).astype(np.int64) - np.array(self.origin_cells)
+        inside = ((cells >= 0) & (cells < np.array(self.nearest.shape[::-1]))).all(axis=1)
+        col, row = cells[inside].T
         there = self.nearest[row, col]
         removed = there[there % NEAR > FAR] // NEAR
-        self._add_waiting()
+        new = self.waiting[1 : int(self.waiting[0, 0]) + 1]
+        at = new[:, 6].astype(np.int64)
+        self.moments[at, :6] += new[:, :6]
+        self.lines[at, 6] = self.waiting[0, 0] = 0.0
         kept = np.delete(np.arange(self.count), removed)
         self.count = n = len(kept)
         for first in range(0, n, _AT_ONCE):  # in place: two copies of a large map may not fit into memory
@@ -143,13 +177,6 @@ class LineMap(Struct):
                 held[band] = held[kept[band]]
         self.nearest = np.zeros(self.nearest.shape, np.uint32)
         rebuild(self.geometry, self.nearest, self.cells[:n], self.moments[:n], self.lines[:n])
-
-    def _add_waiting(self) -> None:
-        """Add the waiting points to the moments of their own cells; the map must be rebuilt afterwards."""
-        new = self.waiting[1 : int(self.waiting[0, 0]) + 1]
-        at = new[:, 6].astype(np.int64)
-        self.moments[at, :6] += new[:, :6]
-        self.lines[at, 6] = self.waiting[0, 0] = 0.0
 
     def _cover(self, extent_m: Extent) -> None:
         """Enlarge the lattice until it includes points of this extent and ``MARGIN_CELLS`` around them."""
@@ -173,10 +200,8 @@ class LineMap(Struct):
         if needed <= capacity:
             return
         capacity = max(needed, 4 * capacity, 4096)
-        cells = np.zeros((capacity, 2), np.int32)
-        cells[: self.count] = self.cells[: self.count]
-        self.cells = cells
-        for name in ("moments", "lines"):
-            grown = np.zeros((capacity, getattr(self, name).shape[1]))
-            grown[: self.count] = getattr(self, name)[: self.count]
+        for name in ("cells", "moments", "lines"):
+            held = getattr(self, name)
+            grown = np.zeros((capacity, held.shape[1]), held.dtype)
+            grown[: self.count] = held[: self.count]
             setattr(self, name, grown)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from math import floor
 from typing import TYPE_CHECKING, Any, Final
 
@@ -33,6 +32,8 @@ if TYPE_CHECKING:
 
     from mavnav.mapping.tiled_arrays import Extent
     from mavnav.pose import Pose
+
+    Array = NDArray[np.float64]
 
 BLOCK_CELLS = 64
 _MARGIN_CELLS: Final = 2
@@ -67,7 +68,7 @@ class Grid(Struct, frozen=True):
         force_setattr(self, "passes", counts(self.passes))
 
     @property
-    def lattice(self) -> NDArray[np.float64]:
+    def lattice(self) -> Array:
         """Corner of cell [0, 0] and cell edge in m, shape (3,), as the kernels take it."""
         return np.array([*self.origin_xy_m, self.cell_m])
 
@@ -86,16 +87,14 @@ class GridBuilder(Struct):
     passes: NDArray[np.uint16] = field(default_factory=lambda: np.zeros((0, 0), np.uint16))
     shielded: NDArray[np.int16] = field(default_factory=lambda: blank_strips((0, 0), np.int16))
 
-    lattice: NDArray[np.float64] = field(default_factory=partial(np.zeros, 3))
-    """Corner of cell [0, 0] and cell edge in m, shape (3,), as the kernels take it."""
-
     _covered_m: Extent = NO_EXTENT
     _room: int = 0
     """Number of crossings that cannot fill a cell; negative where that is not known."""
 
-    def __post_init__(self) -> None:
-        """Make the array of the lattice for the kernels."""
-        self.lattice = np.array([*self.origin_xy_m, self.cell_m])
+    @property
+    def lattice(self) -> Array:
+        """Corner of cell [0, 0] and cell edge in m, shape (3,), as the kernels take it."""
+        return np.array([*self.origin_xy_m, self.cell_m])
 
     @classmethod
     def of(cls, grid: Grid) -> GridBuilder:
@@ -108,7 +107,7 @@ class GridBuilder(Struct):
         return Grid(self.cell_m, self.origin_xy_m, plain(self.hits), self.passes)
 
     @timed("insert")
-    def insert(self, laser: Pose, xy_map_m: NDArray[np.float64], extent_m: Extent | None = None) -> None:
+    def insert(self, laser: Pose, xy_map_m: Array, extent_m: Extent | None = None) -> None:
         """Count the end points (n, 2) of one scan, in m, and the cells that its beams crossed.
 
         The ``extent`` of the points is computed unless it is given.
@@ -138,7 +137,7 @@ class GridBuilder(Struct):
         self._room -= crossings
         return True
 
-    def remove_dynamic_cells(self) -> NDArray[np.float64]:
+    def remove_dynamic_cells(self) -> Array:
         """Remove the hits of dynamic cells; return the centres of these cells (n, 2), m."""
         row, col = dynamic_cells(self.hits, self.passes, self.shielded).T
         self.hits[col // WIDE, row, col % WIDE] = 0
@@ -146,8 +145,8 @@ class GridBuilder(Struct):
 
     @timed("virtual scan")
     def virtual_scan(
-        self, laser: Pose, directions: NDArray[np.float64], far_m: float, gap_cells: int, *, middle: bool = False
-    ) -> NDArray[np.float64]:
+        self, laser: Pose, directions: Array, far_m: float, gap_cells: int, *, middle: bool = False
+    ) -> Array:
         """Cast the laser's beams over the map (paper, "Virtual Scan").
 
         ``directions`` (beams, 2) are the beams' cosines and sines in the laser's frame. Returns ranges (beams,) in m
@@ -159,29 +158,24 @@ class GridBuilder(Struct):
 
         return raycast.virtual_scan(self.hits, self.lattice, laser.as_array(), directions, far_m, gap_cells, middle)
 
-    def _check_size(self, shape: tuple[int, int]) -> None:
-        rows, cols = shape
-        if rows * cols > MAX_CELLS:
-            size = f"{cols * self.cell_m:.0f} m x {rows * self.cell_m:.0f} m in cells of {self.cell_m * 1e3:g} mm"
-            raise MapTooLargeError(
-                f"the map would be {size}, too large for the memory: a pose or a range is far off, "
-                "or the cells are too small; see the ranges with 'mavnav info', or --set ...cell_mm"
-            )
-
     def _cover(self, low: tuple[int, int], high: tuple[int, int]) -> None:
         """Enlarge the arrays until they include cells ``low`` to ``high`` (col, row)."""
-        origin = (round(self.origin_xy_m[0] / self.cell_m), round(self.origin_xy_m[1] / self.cell_m))
+        origin = _corner(self)
         grown = covering(low, high, self.passes.shape, origin, BLOCK_CELLS)
         if grown is None:
             return
         new_origin, shape = grown
-        self._check_size(shape)
+        if shape[0] * shape[1] > MAX_CELLS:
+            height_m, width_m = (cells * self.cell_m for cells in shape)
+            raise MapTooLargeError(
+                f"the map would be {width_m:.0f} m x {height_m:.0f} m in cells of {self.cell_m * 1e3:g} mm, "
+                "too large for the memory: a pose or a range is far off, "
+                "or the cells are too small; see the ranges with 'mavnav info', or --set ...cell_mm"
+            )
         dc, dr = origin[0] - new_origin[0], origin[1] - new_origin[1]
-        self.hits = enlarge(self.hits, shape, dr, dc)  # one by one: each old array is freed before the next is copied
-        self.passes = enlarge(self.passes, shape, dr, dc)
-        self.shielded = enlarge(self.shielded, shape, dr, dc)
+        for name in ("hits", "passes", "shielded"):  # one by one: each old array is freed before the next is copied
+            setattr(self, name, enlarge(getattr(self, name), shape, dr, dc))
         self.origin_xy_m = (float(new_origin[0] * self.cell_m), float(new_origin[1] * self.cell_m))
-        self.lattice[:2] = self.origin_xy_m
 
 
 def counts(values: NDArray[Any]) -> NDArray[np.uint16]:
@@ -190,12 +184,7 @@ def counts(values: NDArray[Any]) -> NDArray[np.uint16]:
 
 
 def show_ends(
-    ranges_m: NDArray[np.float64],
-    directions: NDArray[np.float64],
-    laser: Pose,
-    grid: Grid,
-    walls: NDArray[np.int8],
-    cells: NDArray[np.int8],
+    ranges_m: Array, directions: Array, laser: Pose, grid: Grid, walls: NDArray[np.int8], cells: NDArray[np.int8]
 ) -> None:
     """Copy the occupied cells of ``walls`` (rows, cols) in which beams of one scan ended to ``cells``.
 
@@ -218,13 +207,13 @@ def occupancy(grid: Grid) -> NDArray[np.int8]:
     return out
 
 
-def cell_centres(grid: Grid | GridBuilder, row: NDArray[Any], col: NDArray[Any]) -> NDArray[np.float64]:
+def cell_centres(grid: Grid | GridBuilder, row: NDArray[Any], col: NDArray[Any]) -> Array:
     """Return the centres of cells (n,) of a grid, which may lie between whole ones, (n, 2) in m, in its frame."""
-    xy_m: NDArray[np.float64] = (np.column_stack((col, row)) + 0.5) * grid.cell_m + np.array(grid.origin_xy_m)
+    xy_m: Array = (np.column_stack((col, row)) + 0.5) * grid.cell_m + np.array(grid.origin_xy_m)
     return xy_m
 
 
-def occupied_xy_m(grid: Grid) -> NDArray[np.float64]:
+def occupied_xy_m(grid: Grid) -> Array:
     """Return the centres of the occupied cells of a grid, (n, 2) in m, in its frame."""
     return cell_centres(grid, *occupied_cells(grid).T)
 
@@ -270,7 +259,7 @@ def _in_blocks(first: int, count: int, size: int, at: int) -> slice:
     return slice(max(start, 0), min(max(stop, start + 1), size))
 
 
-def _corner(grid: Grid) -> tuple[int, int]:
+def _corner(grid: Grid | GridBuilder) -> tuple[int, int]:
     """Return column and row of cell [0, 0], counted from the map's origin."""
     x_m, y_m = grid.origin_xy_m
     return round(x_m / grid.cell_m), round(y_m / grid.cell_m)

@@ -64,10 +64,10 @@ def _runs(cells: NDArray[Any]) -> NDArray[Any]:
     return cells.reshape(len(cells), cells.size // max(len(cells), 1) // WIDE, WIDE)
 
 
-def plain(strips: NDArray[Any], dtype: Any = None) -> NDArray[Any]:  # noqa: ANN401
+def plain(strips: NDArray[Any]) -> NDArray[Any]:
     """Return a row-major copy of strips, (rows, cols); memory of zeros is not touched."""
     rows, cols = strips.shape[1], strips.shape[0] * WIDE
-    out = np.zeros((rows, cols), dtype or strips.dtype)
+    out = np.zeros((rows, cols), strips.dtype)
     by_rows = strips.transpose(1, 0, 2)
     for first in range(0, rows, WIDE):
         band = by_rows[first : first + WIDE]

@@ -16,7 +16,7 @@ from msgspec import Struct
 from mavnav.kernels.walls.scan_pairs import best_alignments, wall_gaps, wall_normals
 from mavnav.metrics.ghost_walls import GhostWall, GhostWalls, as_ghost_walls
 from mavnav.metrics.journey import spread, used_beams
-from mavnav.metrics.lines import fit_line, link, members
+from mavnav.metrics.walls import fit_line, link, members
 from mavnav.units import DEG, MM, NS
 
 if TYPE_CHECKING:
@@ -166,8 +166,7 @@ def _gaps(keys: _Keys, pairs: NDArray[np.int64], b_T_a: Array) -> Array:
 
 def _is_doubled(gaps_m: Array) -> NDArray[np.bool_]:
     """Return where beams pass through a wall that has a parallel one behind it."""
-    doubled: NDArray[np.bool_] = (gaps_m >= LEAST_OFFSET_M) & (gaps_m <= MAX_OFFSET_M)
-    return doubled
+    return (gaps_m >= LEAST_OFFSET_M) & (gaps_m <= MAX_OFFSET_M)
 
 
 def _count(keys: _Keys, pairs: NDArray[np.int64], b_T_a: Array) -> NDArray[np.int64]:
@@ -225,14 +224,12 @@ def _points(keys: _Keys, pairs: NDArray[np.int64], shift_m: Array, explained: ND
 
 def _ends(keys: _Keys, scan: NDArray[np.int64], beam: NDArray[np.int64]) -> Array:
     """Return the end points of beams in the frames of the lasers, (..., 2) in m."""
-    ends: Array = keys.ranges_m[scan, beam][..., None] * keys.directions[beam]
-    return ends
+    return keys.ranges_m[scan, beam][..., None] * keys.directions[beam]
 
 
 def _transform(poses: Array, xy_m: Array) -> Array:
     """Transform points (..., 2) from the frames of poses (..., 3) to the frames in which these are given."""
-    moved: Array = _rotate(poses, xy_m) + poses[..., :2]
-    return moved
+    return _rotate(poses, xy_m) + poses[..., :2]
 
 
 def _rotate(poses: Array, xy: Array) -> Array:
@@ -252,23 +249,19 @@ def _is_explained(before: NDArray[np.int64], after: NDArray[np.int64]) -> NDArra
 def _places(points: _Doubled, keys: _Keys) -> list[GhostWall]:
     """Link doubled points along their direction, and return the groups with enough evidence."""
     groups = link(points.xy_m, points.direction_rad, reach_m=REACH_M, across_m=ACROSS_M, turn_rad=TURN_RAD)
-    places = (_place(points, group, keys) for group in members(groups))
-    return [place for place in places if place is not None]
-
-
-def _place(points: _Doubled, group: NDArray[np.intp], keys: _Keys) -> GhostWall | None:
-    """Return the ghost wall of a group of doubled points; None without enough evidence."""
-    pairs = len(np.unique(points.pair[group]))
-    group = group[points.explained[group]]
-    explained = len(np.unique(points.pair[group]))
-    front, rear = np.unique(points.front[group]), np.unique(points.rear[group])
-    scans, shared = min(len(front), len(rear)), len(np.intersect1d(front, rear))
-    if explained < max(LEAST_PAIRS, LEAST_EXPLAINED * pairs) or scans < LEAST_SCANS or shared > MOST_SHARED * scans:
-        return None
-    line = fit_line(points.xy_m[group], np.ones(len(group)), ALONG_M)
-    if line.length_m < LEAST_LENGTH_M:
-        return None
-    offset_mm = float(np.median(points.offset_m[group])) / MM
-    first_ns = keys.stamps_ns.min()
-    front_s, rear_s = (float(np.median(keys.stamps_ns[which] - first_ns)) * NS for which in (front, rear))
-    return GhostWall(line.x_m, line.y_m, line.direction_rad / DEG, line.length_m, offset_mm, explained, front_s, rear_s)
+    places = []
+    for group in members(groups):
+        here = group[points.explained[group]]
+        pairs, explained = (len(np.unique(points.pair[some])) for some in (group, here))
+        front, rear = np.unique(points.front[here]), np.unique(points.rear[here])
+        scans, shared = min(len(front), len(rear)), len(np.intersect1d(front, rear))
+        if explained < max(LEAST_PAIRS, LEAST_EXPLAINED * pairs) or scans < LEAST_SCANS or shared > MOST_SHARED * scans:
+            continue
+        line = fit_line(points.xy_m[here], np.ones(len(here)), ALONG_M)
+        if line.length_m >= LEAST_LENGTH_M:
+            offset_mm = float(np.median(points.offset_m[here])) / MM
+            stamps_ns = keys.stamps_ns - keys.stamps_ns.min()
+            times_s = [float(np.median(stamps_ns[which])) * NS for which in (front, rear)]
+            at = (line.x_m, line.y_m, line.direction_rad / DEG, line.length_m)
+            places.append(GhostWall(*at, offset_mm, explained, *times_s))
+    return places

@@ -32,8 +32,8 @@ OPERATORS: Final[dict[str, Callable[[Any, Any], bool]]] = {
 DEFAULT_HITS: Final = "2"
 """Hit threshold of ``wall_thickness.p95_cells`` if the name does not include one."""
 
-MAP_SECTIONS: Final = ("wall_thickness", "map_quality", "map", "slices", "reference.map_distance")
-"""Sections, or parts of them, that are not meaningful if the map is not."""
+MAP_SECTIONS: Final = ("wall_thickness.", "map_quality.", "map.", "slices.", "reference.map_distance.")
+"""Beginnings of the names of sections, or parts of them, that are not meaningful if the map is not."""
 
 SKIPPED: Final = "scans.skipped"
 SKIP_REASONS: Final = (
@@ -132,15 +132,12 @@ def _judge(gate: Gate, document: Mapping[str, Any]) -> GateResult:
     if _about_a_meaningless_map(gate.name, document):
         reasons = "; ".join(map(str, document["map_quality"].get("why") or ["too little of it"]))
         return GateResult(gate, value, f"it is {_format(value)}, but the map is not meaningful: {reasons}")
-    if OPERATORS[gate.comparison](value, gate.bound):
-        return GateResult(gate, value)
-    return GateResult(gate, value, f"it is {_format(value)}")
+    return GateResult(gate, value, "" if OPERATORS[gate.comparison](value, gate.bound) else f"it is {_format(value)}")
 
 
 def _about_a_meaningless_map(name: str, document: Mapping[str, Any]) -> bool:
-    if name == "map_quality.meaningful" or not any(name.startswith(f"{section}.") for section in MAP_SECTIONS):
-        return False
-    return (document.get("map_quality") or {}).get("meaningful", True) is False
+    about_the_map = name.startswith(MAP_SECTIONS) and name != "map_quality.meaningful"
+    return about_the_map and (document.get("map_quality") or {}).get("meaningful", True) is False
 
 
 def _format(value: Number) -> str:
@@ -221,20 +218,10 @@ def names(document: Mapping[str, Any]) -> list[str]:
 def _leaves(value: object) -> Iterator[tuple[str, ...]]:
     if value is None or isinstance(value, Number):
         yield ()
-    children: Iterable[tuple[Any, Any]] = ()
-    if isinstance(value, dict):
-        children = value.items()
-    elif isinstance(value, list):
-        children = enumerate(value)
+    children = enumerate(value) if isinstance(value, list) else value.items() if isinstance(value, dict) else ()
     for key, child in children:
         for rest in _leaves(child):
             yield (str(key), *rest)
-
-
-def _short(known: Iterable[str]) -> list[str]:
-    """Return the names of wall thickness at the default threshold, without that threshold."""
-    usual = f"wall_thickness.{DEFAULT_HITS}."
-    return [name.replace(usual, "wall_thickness.") for name in known if name.startswith(usual)]
 
 
 def _unknown(name: str, known: Sequence[str], example: str = _EXAMPLE) -> str:
@@ -246,7 +233,9 @@ def _unknown(name: str, known: Sequence[str], example: str = _EXAMPLE) -> str:
         return f"no number {name} in run.json; it needs --truth, --truth-map or --relations"
     full = full_name(name)
     near = [k for k in known if k.startswith(f"{full}.")]
-    near = near or difflib.get_close_matches(full, [*known, *_short(known)], n=1, cutoff=0.75)
+    usual = f"wall_thickness.{DEFAULT_HITS}."
+    short = [k.replace(usual, "wall_thickness.") for k in known if k.startswith(usual)]
+    near = near or difflib.get_close_matches(full, [*known, *short], n=1, cutoff=0.75)
     if not near:
         last = difflib.get_close_matches(name.rpartition(".")[2], {k.rpartition(".")[2] for k in known}, n=1)
         near = [k for k in known if last and k.rpartition(".")[2] == last[0]]

@@ -13,8 +13,9 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.kernels.walls.profiles import wall_profiles
+from mavnav.mapping.occupancy_grid import cell_centres
 from mavnav.metrics.fields import Measured, number
-from mavnav.metrics.lines import fit_line, link, members
+from mavnav.metrics.walls import fit_line, link, members
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.metrics.wall_thickness import Sections
+
+    Array = NDArray[np.float64]
 
 LEAST_OFFSET_CELLS: Final = 1.5
 MAX_OFFSET_CELLS: Final = 13
@@ -79,14 +82,6 @@ class GhostWalls(Struct, frozen=True):
     places: tuple[GhostWall, ...]
 
 
-class _Twins(Struct, frozen=True):
-    """Stations with two ridges: (col, row) of the front ridge (n, 2), direction, and offset of the rear one, cells."""
-
-    xy_cells: NDArray[np.float64]
-    direction_rad: NDArray[np.float64]
-    offset_cells: NDArray[np.float64]
-
-
 def ghost_walls(grid: Grid, all_sections: Iterable[Sections]) -> GhostWalls:
     """Find the ghost walls of a map.
 
@@ -101,8 +96,9 @@ def ghost_walls(grid: Grid, all_sections: Iterable[Sections]) -> GhostWalls:
         some = stations[first : first + AT_A_TIME]
         hits, passes = (wall_profiles(counts, some, half_length, reach) for counts in (grid.hits, grid.passes))
         left.append(_twins(some, hits, passes))
-        right.append(_twins(_reverse(some), hits[:, ::-1, ::-1], passes[:, ::-1, ::-1]))
-    return as_ghost_walls(_places(_concatenate(left + right), grid), grid.cell_m)
+        reverse = some + np.array([0.0, 0.0, np.pi])  # which exchanges left and right
+        right.append(_twins(reverse, hits[:, ::-1, ::-1], passes[:, ::-1, ::-1]))
+    return as_ghost_walls(_places(np.hstack(left + right), grid), grid.cell_m)
 
 
 def as_ghost_walls(walls: Iterable[GhostWall], cell_m: float) -> GhostWalls:
@@ -118,7 +114,7 @@ def as_ghost_walls(walls: Iterable[GhostWall], cell_m: float) -> GhostWalls:
     )
 
 
-def _stations(all_sections: Iterable[Sections]) -> NDArray[np.float64]:
+def _stations(all_sections: Iterable[Sections]) -> Array:
     """Return column, row and direction of sections, (n, 3), thinned to one in `SPACING_CELLS` cells.
 
     Cells are counted from the outermost sections, so that the result does not depend on the extent of the map.
@@ -130,31 +126,27 @@ def _stations(all_sections: Iterable[Sections]) -> NDArray[np.float64]:
     return np.ascontiguousarray(every[np.sort(first)])
 
 
-def _reverse(stations: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return stations with the opposite direction, which exchanges left and right."""
-    turned: NDArray[np.float64] = stations + np.array([0.0, 0.0, np.pi])
-    return turned
+def _twins(stations: Array, hits: Array, passes: Array) -> Array:
+    """Return the stations with a second ridge to the left; profiles (n, 2, bins) as of `wall_profiles`.
 
-
-def _twins(stations: NDArray[np.float64], hits: NDArray[np.float64], passes: NDArray[np.float64]) -> _Twins:
-    """Return the stations with a second ridge to the left; profiles (n, 2, bins) as of `wall_profiles`."""
+    Returns (4, m): column and row of the front ridge, direction of the wall, offset of the rear ridge in cells.
+    """
     ridge, twin, valley = _ridges(hits)
-    row, centre = np.arange(len(stations)), hits.shape[2] // 2
+    number, centre = np.arange(len(stations)), hits.shape[2] // 2
     lower = hits.min(axis=1)
-    h_ridge, h_twin = lower[row, ridge], lower[row, twin]
-    crossed = passes.min(axis=1)[row, valley]
+    h_ridge, h_twin = lower[number, ridge], lower[number, twin]
+    crossed = passes.min(axis=1)[number, valley]
     right, left = _outside(passes, ridge, -1), _outside(passes, twin, 1)
     faces_right = (right >= FREE_SHARE * h_ridge) & (crossed >= FREE_SHARE * h_twin)
     faces_left = (left >= FREE_SHARE * h_twin) & (crossed >= FREE_SHARE * h_ridge)
     kept = (twin > ridge) & (faces_right | faces_left)
     front = np.where(faces_right & ~(faces_left & (left > right)), ridge, twin)[kept]
     side = 0.5 * (front - centre)
-    angle = stations[kept, 2]
-    normal = np.column_stack((-np.sin(angle), np.cos(angle)))
-    return _Twins(stations[kept, :2] + side[:, None] * normal, angle, 0.5 * (twin - ridge)[kept])
+    (col, row), angle = stations[kept, :2].T, stations[kept, 2]
+    return np.stack((col - side * np.sin(angle), row + side * np.cos(angle), angle, 0.5 * (twin - ridge)[kept]))
 
 
-def _ridges(hits: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+def _ridges(hits: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
     """Return the ridge at each station, the next one to its left, and the valley between them; bins, (n,) each.
 
     Both halves of the stretch must show both ridges, because a step in a wall is not a second ridge. Without a second
@@ -163,7 +155,7 @@ def _ridges(hits: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.int
     both, lower = hits.sum(axis=1) / 2.0, hits.min(axis=1)
     n, bins = both.shape
     row, centre = np.arange(n), bins // 2
-    ridge = centre - 3 + both[:, centre - 3 : centre + 4].argmax(axis=1) if n else np.zeros(0, np.intp)
+    ridge = centre - 3 + both[:, centre - 3 : centre + 4].argmax(axis=1)
     height = lower[row, ridge][:, None]
     beyond = np.arange(bins) > ridge[:, None]
     lowest = np.minimum.accumulate(np.where(beyond, both, np.inf), axis=1)
@@ -181,28 +173,24 @@ def _ridges(hits: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.int
     return ridge, twin, valley
 
 
-def _outside(passes: NDArray[np.float64], ridge: NDArray[np.intp], side: int) -> NDArray[np.float64]:
+def _outside(passes: Array, ridge: NDArray[np.intp], side: int) -> Array:
     """Return the mean crossings a cell (n,) in the free space next to a ridge."""
     near, far = (round(2 * d) for d in OUTSIDE_CELLS)
     both = passes.mean(axis=1)
     bins = np.clip(ridge[:, None] + side * np.arange(near, far + 1), 0, both.shape[1] - 1)
-    mean: NDArray[np.float64] = np.take_along_axis(both, bins, axis=1).mean(axis=1)
+    mean: Array = np.take_along_axis(both, bins, axis=1).mean(axis=1)
     return mean
 
 
-def _concatenate(twins: list[_Twins]) -> _Twins:
-    parts = ([getattr(t, name) for t in twins] for name in ("xy_cells", "direction_rad", "offset_cells"))
-    return _Twins(*(np.concatenate(part) for part in parts))
-
-
-def _places(twins: _Twins, grid: Grid) -> list[GhostWall]:
+def _places(twins: Array, grid: Grid) -> list[GhostWall]:
     """Link stations along their direction; groups shorter than `LEAST_LENGTH_M` are chance."""
-    xy_m = (twins.xy_cells + 0.5) * grid.cell_m + np.array(grid.origin_xy_m)
-    groups = link(xy_m, twins.direction_rad, reach_m=REACH_M, across_m=ACROSS_CELLS * grid.cell_m, turn_rad=TURN_RAD)
+    col, row, direction_rad, offset_cells = twins
+    xy_m = cell_centres(grid, row, col)
+    groups = link(xy_m, direction_rad, reach_m=REACH_M, across_m=ACROSS_CELLS * grid.cell_m, turn_rad=TURN_RAD)
     places = []
     for here in members(groups):
         line = fit_line(xy_m[here], np.ones(len(here)), SPACING_CELLS * grid.cell_m)
-        offset_mm = float(np.median(twins.offset_cells[here])) * grid.cell_m / MM
+        offset_mm = float(np.median(offset_cells[here])) * grid.cell_m / MM
         if line.length_m >= LEAST_LENGTH_M:
             places.append(GhostWall(line.x_m, line.y_m, line.direction_rad / DEG, line.length_m, offset_mm))
     return places

@@ -90,15 +90,10 @@ def placed_scans(journey: Journey, wanted: NDArray[np.intp]) -> PlacedScans | No
     """
     trajectory = journey.map_T_laser
     row_of = {int(trajectory.stamps_ns[row]): row for row in wanted.tolist()}
-    rows: list[int] = []
-    scans: list[Scan] = []
-    for scan in journey.scans():
-        row = row_of.pop(scan.stamp_ns, None)
-        if row is not None:
-            rows.append(row)
-            scans.append(scan)
-    if not scans:
+    scan_of = {row: s for s in journey.scans() if (row := row_of.pop(s.stamp_ns, None)) is not None}
+    if not scan_of:
         return None
+    rows, scans = list(scan_of), list(scan_of.values())
     ((spec, _),) = Counter(scan.spec for scan in scans).most_common(1)
     others = {k: scan for k, scan in enumerate(scans) if not (scan.spec is spec or _same_beams(scan.spec, spec))}
     ranges_m = [_on_beams(scan, spec) if k in others else scan.ranges_m for k, scan in enumerate(scans)]
@@ -115,7 +110,5 @@ def _on_beams(scan: Scan, spec: LaserSpec) -> Floats:
 
 
 def _same_beams(a: LaserSpec, b: LaserSpec) -> bool:
-    same = a.beams == b.beams and a.range_max_m == b.range_max_m
-    return same and bool(
-        np.allclose((a.angle_min_rad, a.angle_step_rad), (b.angle_min_rad, b.angle_step_rad), atol=1e-6)
-    )
+    same = (a.beams, a.range_max_m) == (b.beams, b.range_max_m)
+    return same and np.allclose((a.angle_min_rad, a.angle_step_rad), (b.angle_min_rad, b.angle_step_rad), atol=1e-6)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, cell_centres, known_area, occupancy
 from mavnav.pose import Pose, transform_points
@@ -161,4 +162,4 @@ def pair_changes(changes: Sequence[Change]) -> list[Change]:
     for off_m, i, j in sorted(pairs):
         if off_m <= MOVED_M and not partners.keys() & {i, j}:
             partners |= {i: j, j: i}
-    return [Change(c.kind, c.x_m, c.y_m, c.m2, c.length_m, partners.get(number)) for number, c in enumerate(changes)]
+    return [replace(change, moved_with=partners.get(number)) for number, change in enumerate(changes)]

@@ -5,7 +5,7 @@ No truth is needed. Neighbours in time show how well scans are matched, returns 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -59,16 +59,11 @@ class Revisits(Struct, frozen=True):
     visible_share: Annotated[Measured, number("part of the points of revisits that the other scan could see")]
 
 
-class Pairs(Struct, frozen=True):
+class Pairs(NamedTuple):
     """Rows of the trajectory whose scans are compared, (n, 2) each: neighbours in time, and revisits of a place."""
 
     short: NDArray[np.intp]
     long: NDArray[np.intp]
-
-    @property
-    def rows(self) -> NDArray[np.intp]:
-        """All rows without repetition."""
-        return np.unique(np.concatenate((self.short, self.long)))
 
 
 def pairs_of(trajectory: Trajectory) -> Pairs:

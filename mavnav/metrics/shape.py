@@ -1,7 +1,8 @@
-"""Shape of a map, without a truth: occupied share, corners, enclosed areas.
+"""Shape of a map, without a truth: crispness, occupied share, corners, enclosed areas.
 
-After Filatov et al., "2D SLAM Quality Evaluation Methods", FRUCT 2017: of two maps of one place, the one with fewer
-occupied cells, corners and enclosed areas is better, because a wall that is drawn twice has more of each.
+Crispness is the number of occupied cells per metre of wall, and the entropy of these cells. The others are after
+Filatov et al., "2D SLAM Quality Evaluation Methods", FRUCT 2017: of two maps of one place, the one with fewer occupied
+cells, corners and enclosed areas is better, because a wall that is drawn twice has more of each.
 """
 
 from __future__ import annotations
@@ -14,12 +15,13 @@ from msgspec import Struct
 from mavnav.kernels.maps.regions import region_sizes
 from mavnav.kernels.walls.smoothing import smooth_image
 from mavnav.mapping.occupancy_grid import OCCUPIED, UNKNOWN
-from mavnav.mapping.tiled_arrays import bands, count
-from mavnav.metrics.fields import number
-from mavnav.metrics.support import dilate
+from mavnav.mapping.tiled_arrays import bands, count, where
+from mavnav.metrics.fields import Measured, number
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from mavnav.mapping.occupancy_grid import Grid
 
 CORNER_RADIUS_M: Final = 0.15
 """Approximate radius of the window of the structure tensor, and minimum distance of two corners."""
@@ -40,11 +42,47 @@ SLOPE_CELLS: Final = 1.5
 LEAST_AREA_M2: Final = 0.01
 
 
+class Crispness(Struct, frozen=True):
+    """Occupied cells per metre of wall and entropy of the cells; null where unknown."""
+
+    occupied_cells_per_m: Annotated[
+        Measured, number("occupied cells per meter of wall", title="cells per m", better="lower")
+    ]
+    entropy_bits: Annotated[
+        Measured, number("mean entropy of a hit cell; lower is crisper", title="entropy", better="lower")
+    ]
+
+
 class EnclosedAreas(Struct, frozen=True):
     """Areas that are not occupied, but enclosed by occupied cells (8-connected)."""
 
     count: Annotated[int, number("enclosed areas")]
     area_m2: Annotated[float, number("sum of the enclosed areas")]
+
+
+def crispness(grid: Grid, cells: NDArray[np.int8], wall_m: float, *, counted: bool) -> Crispness:
+    """Return the crispness of a map with occupancy ``cells``; ``counted``: hits and crossings are real counts."""
+    occupied = count(cells, lambda some: some == OCCUPIED)
+    return Crispness(
+        occupied_cells_per_m=float(occupied / wall_m) if wall_m else np.nan,
+        entropy_bits=entropy_bits(grid) if counted else np.nan,
+    )
+
+
+def entropy_bits(grid: Grid) -> float:
+    """Return the mean entropy of the cells that were hit, with the share of beams that ended there as probability.
+
+    It is 0 if every cell stops every beam that reaches it, and 1 at worst. Free space that was never hit is left out,
+    because a large free area would hide blurred walls. NaN without any hit.
+    """
+    row, col = where(grid.hits, lambda some: some > 0).T
+    hits = grid.hits[row, col].astype(np.float64)
+    p = hits / (hits + grid.passes[row, col])
+    if not len(p):
+        return np.nan
+    q = 1.0 - p
+    log_q = np.log2(q, out=np.zeros_like(q), where=q > 0.0)
+    return float(-(p * np.log2(p) + q * log_q).mean()) + 0.0
 
 
 def occupied_share(cells: NDArray[np.int8]) -> float:
@@ -86,6 +124,13 @@ def corners(cells: NDArray[np.int8], cell_m: float) -> int:
     for _, _, band in bands(occupied.shape):
         peaks[band] &= heights[band] >= least
     return len(region_sizes(peaks, True))
+
+
+def dilate(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return a mask (rows, cols) dilated by the eight neighbours of its cells."""
+    around = np.pad(mask, 1)
+    rows = around[:-2] | around[1:-1] | around[2:]
+    return rows[:, :-2] | rows[:, 1:-1] | rows[:, 2:]
 
 
 def edges(image: NDArray[np.float32], radius: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -1,7 +1,8 @@
 """Wall spread: the width of the hits across a wall, which does not depend on the number of scans.
 
 Single scans show the position and direction of straight walls even if the map is blurred. There the hits of the map are
-summed along the wall, and the width that holds 95 % of those in its ridge is measured. Definition: docs/metrics.md.
+summed along the wall, and the width that holds 95 % of those in its ridge is measured. Definition: docs/metrics.md. The
+section ``wall_thickness`` of run.json begins with it; the `wall_thickness` in cells follows.
 """
 
 from __future__ import annotations
@@ -9,17 +10,19 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Final
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Struct, field
 
 from mavnav.kernels.walls.profiles import wall_profiles
 from mavnav.kernels.walls.straight_beams import straight_beams
-from mavnav.metrics.fields import Measured, number
+from mavnav.metrics.fields import Measured, absent, number, text
 from mavnav.metrics.journey import spread
-from mavnav.metrics.lines import link
-from mavnav.metrics.wall_thickness import quantiles
+from mavnav.metrics.wall_thickness import Sections, WallThickness, quantiles, summary
+from mavnav.metrics.walls import link
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
     from mavnav.mapping.occupancy_grid import Grid
@@ -50,6 +53,11 @@ HELD: Final = (0.025, 0.975)
 
 AT_A_TIME: Final = 2000
 
+WIDTH: Final = "width that holds 95 % of the hits of the ridge"
+
+PAPER_MIN_HITS: Final = 2
+"""Hit threshold of the paper's count: the paper names none, and this one leaves out single stray hits."""
+
 
 class WallSpread(Struct, frozen=True):
     """Summary of all measured walls, weighted by length of wall; NaN if none was measured.
@@ -58,20 +66,10 @@ class WallSpread(Struct, frozen=True):
     """
 
     median_mm: Annotated[
-        Measured,
-        number(
-            "width that holds 95 % of the hits of the ridge; half of the wall length is at most this thick",
-            title="wall median",
-            better="lower",
-        ),
+        Measured, number(f"{WIDTH}; half of the wall length is at most this thick", title="wall median", better="lower")
     ]
     p95_mm: Annotated[
-        Measured,
-        number(
-            "width that holds 95 % of the hits of the ridge; 95 % of the wall length is at most this thick",
-            title="wall p95",
-            better="lower",
-        ),
+        Measured, number(f"{WIDTH}; 95 % of the wall length is at most this thick", title="wall p95", better="lower")
     ]
     median_cells: Annotated[Measured, number("the median in cells of the map")]
     p95_cells: Annotated[Measured, number("the p95 in cells of the map")]
@@ -93,6 +91,49 @@ class WallCuts(Struct, frozen=True):
     direction_rad: Array
     width_m: Array
     length_m: Array
+
+
+class PaperCells(Struct, frozen=True):
+    """The paper's count: cells from the first to the last occupied cell across a wall, of at least ``min_hits``."""
+
+    min_hits: Annotated[int, number("a cell is occupied from so many hits on")]
+    median: Annotated[Measured, number("half of the wall length is at most so many cells thick", unit="cells")]
+    p95: Annotated[Measured, number("95 % of the wall length is at most so many cells thick", unit="cells")]
+    max: Annotated[
+        Measured, number("cells of the thickest section of a wall", title="wall max", unit="cells", better="lower")
+    ]
+
+
+class WallThicknessReport(Struct, frozen=True):
+    """Wall thickness: the spread of hits across the walls, the paper's count of cells, and the published map's walls.
+
+    The sections under a number use that hit threshold.
+    """
+
+    spread: WallSpread = field(default_factory=absent)
+    paper_cells: PaperCells = field(default_factory=absent)
+    hits_1: Annotated[WallThickness, text("cells of at least 1 hit")] = field(name="1", default_factory=absent)
+    hits_2: Annotated[WallThickness, text("cells of at least 2 hits")] = field(name="2", default_factory=absent)
+    hits_5: Annotated[WallThickness, text("cells of at least 5 hits")] = field(name="5", default_factory=absent)
+    published_map: Annotated[WallThickness, text("occupied cells of map.pgm, as of any tool's map file")] = field(
+        default_factory=absent
+    )
+
+
+def wall_report(
+    sections: Mapping[int, Sections], published: Sections | None, cuts: WallCuts | None, cell_m: float
+) -> WallThicknessReport:
+    """Return the summary of the sections at each hit threshold, of the published map, and of the cuts, unless None."""
+    by_hits = {hits: summary(cut, cell_m) for hits, cut in sections.items()}
+    paper = by_hits.get(PAPER_MIN_HITS)
+    return WallThicknessReport(
+        spread=absent() if cuts is None else wall_spread(cuts, cell_m),
+        paper_cells=PaperCells(PAPER_MIN_HITS, paper.median_cells, paper.p95_cells, paper.max_cells)
+        if paper
+        else absent(),
+        **{f"hits_{hits}": thickness for hits, thickness in by_hits.items()},
+        published_map=absent() if published is None else summary(published, cell_m),
+    )
 
 
 def wall_spread(cuts: WallCuts, cell_m: float) -> WallSpread:
@@ -120,7 +161,8 @@ def cut_walls(grid: Grid, scans: PlacedScans | None, tracked: int) -> WallCuts:
     often = seen * tracked >= MIN_SEEN * sampled
     stations = stations[often]
     middle_m, width_m = _widths(grid, stations)
-    xy_m = stations[:, :2] + middle_m[:, None] * _normals(stations[:, 2])
+    normals = np.column_stack((-np.sin(stations[:, 2]), np.cos(stations[:, 2])))
+    xy_m = stations[:, :2] + middle_m[:, None] * normals
     return WallCuts(xy_m, stations[:, 2], width_m, _lengths(xy_m, stations[:, 2]))
 
 
@@ -172,10 +214,6 @@ def _lengths(xy_m: Array, direction: Array) -> Array:
     return length_m
 
 
-def _normals(direction: Array) -> Array:
-    return np.column_stack((-np.sin(direction), np.cos(direction)))
-
-
 def _widths(grid: Grid, stations: Array) -> tuple[Array, Array]:
     """Return the offset of the middle of the wall to the left of each station, m, and its width, m.
 
@@ -185,11 +223,9 @@ def _widths(grid: Grid, stations: Array) -> tuple[Array, Array]:
     cells = np.column_stack(((stations[:, :2] - grid.origin_xy_m) / grid.cell_m - 0.5, stations[:, 2]))
     parts = [
         _ridges(wall_profiles(grid.hits, cells[k : k + AT_A_TIME], half_length, reach), grid.cell_m / 2.0)
-        for k in range(0, len(cells), AT_A_TIME)
+        for k in range(0, max(len(cells), 1), AT_A_TIME)
     ]
-    middle, width, mean_hits = (
-        (np.concatenate(part) for part in zip(*parts, strict=True)) if parts else np.zeros((3, 0))
-    )
+    middle, width, mean_hits = (np.concatenate(part) for part in zip(*parts, strict=True))
     measured = (mean_hits * half_length >= MIN_HITS) & (width <= MAX_WIDTH_M)
     return middle, np.where(measured, width, np.nan)
 
@@ -223,8 +259,7 @@ def _ridges(halves: Array, bin_m: float) -> tuple[Array, Array, Array]:
 def _smooth(profile: Array) -> Array:
     """Return the mean of each bin and its two neighbours."""
     padded = np.pad(profile, ((0, 0), (1, 1)))
-    mean: Array = (padded[:, :-2] + padded[:, 1:-1] + padded[:, 2:]) / 3.0
-    return mean
+    return (padded[:, :-2] + padded[:, 1:-1] + padded[:, 2:]) / 3.0
 
 
 def _extents(smooth: list[Array], peak: NDArray[np.intp], bin_m: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

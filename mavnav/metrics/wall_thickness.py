@@ -68,14 +68,6 @@ class WallThickness(Struct, frozen=True):
     share: Annotated[float, number("part of the occupied cells that was measured; with few the rest says little")]
 
 
-def wall_thickness(hits: NDArray[Any], cell_m: float, min_hits: int) -> WallThickness:
-    """Return the wall thickness of a map at one threshold.
-
-    ``hits`` is (rows, cols); a cell is occupied from ``min_hits`` (1 or more) on; ``cell_m`` is the size of a cell.
-    """
-    return summary(wall_sections(hits, cell_m, min_hits), cell_m)
-
-
 def summary(sections: Sections, cell_m: float) -> WallThickness:
     """Return the summary of the sections at one threshold; ``cell_m`` is the size of a cell."""
     thickness, weight = sections.thickness_cells, sections.length_m
@@ -93,13 +85,6 @@ def summary(sections: Sections, cell_m: float) -> WallThickness:
     )
 
 
-def sections_by_hits(
-    hits: NDArray[Any], cell_m: float, thresholds: tuple[int, ...] = THRESHOLDS
-) -> dict[int, Sections]:
-    """Return the sections of the walls of a map at each threshold; arguments as of `wall_thickness`."""
-    return {min_hits: wall_sections(hits, cell_m, min_hits) for min_hits in thresholds}
-
-
 def quantiles(values: NDArray[np.float64], weights: NDArray[np.float64]) -> tuple[float, float, float]:
     """Return maximum, 95 % quantile and median; NaN without values."""
     if not len(values):
@@ -109,29 +94,27 @@ def quantiles(values: NDArray[np.float64], weights: NDArray[np.float64]) -> tupl
 
 
 def wall_sections(hits: NDArray[Any], cell_m: float, min_hits: int) -> Sections:
-    """Return the sections of the straight walls of a map (docs/metrics.md); arguments as of `wall_thickness`."""
+    """Return the sections of the straight walls of a map (docs/metrics.md).
+
+    ``hits`` is (rows, cols); a cell is occupied from ``min_hits`` (1 or more) on; ``cell_m`` is the size of a cell.
+    """
     if min_hits < 1:
         msg = f"a cell is occupied from 1 hit on, not {min_hits}"
         raise ValueError(msg)
     hits = counts(hits)
     down = _axis_cuts(hits, cell_m, min_hits, diagonal=True)
-    across = _axis_cuts(hits.T, cell_m, min_hits, diagonal=False)
+    col, row, *sizes, angle_rad, cells = _axis_cuts(hits.T, cell_m, min_hits, diagonal=False)
+    across = (row, col, *sizes, np.pi / 2.0 - angle_rad, cells)
+    row, col, depth, length_m, angle_rad, cells = (np.concatenate(pair) for pair in zip(down, across, strict=True))
+    vertical = np.repeat((True, False), (len(down[0]), len(across[0])))
     occupied = count(hits, lambda some: some >= min_hits)
-    return Sections(
-        row=np.concatenate((down[1], across[0])),
-        col=np.concatenate((down[0], across[1])),
-        thickness_cells=np.concatenate((down[2], across[2])),
-        length_m=np.concatenate((down[3], across[3])),
-        vertical=np.repeat((True, False), (len(down[0]), len(across[0]))),
-        direction_rad=np.concatenate((down[4], np.pi / 2.0 - across[4])),
-        share=float(down[5].sum() + across[5].sum()) / max(occupied, 1),
-    )
+    return Sections(row, col, depth, length_m, vertical, angle_rad, share=float(cells.sum()) / max(occupied, 1))
 
 
 def _axis_cuts(hits: NDArray[Any], cell_m: float, min_hits: int, *, diagonal: bool) -> tuple[NDArray[np.float64], ...]:
     """Return the cuts along the columns, for walls nearer to the rows; with ``diagonal`` also for walls at 45 degrees.
 
-    Returns column, middle row, thickness in cells, length in metres, the wall's angle to the row in rad and the number
+    Returns middle row, column, thickness in cells, length in metres, the wall's angle to the row in rad and the number
     of occupied cells of each cut, (n,) each.
     """
     runs = column_runs(hits, min_hits, MAX_GAP_CELLS)
@@ -143,7 +126,7 @@ def _axis_cuts(hits: NDArray[Any], cell_m: float, min_hits: int, *, diagonal: bo
     angle = 0.5 * np.arctan2(2.0 * cov[kept], (var_x - var_y)[kept])
     cos = np.cos(angle)  # component of the normal along the column
     col, first, last, occupied = runs[kept].T.astype(np.float64)
-    return col, (first + last) / 2.0, (last - first) * cos + 1.0, cell_m / cos, angle, occupied
+    return (first + last) / 2.0, col, (last - first) * cos + 1.0, cell_m / cos, angle, occupied
 
 
 def _moments(hits: NDArray[np.uint16], runs: NDArray[np.int64], min_hits: int, radius: float) -> NDArray[np.float64]:

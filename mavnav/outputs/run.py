@@ -9,7 +9,7 @@ from msgspec import Struct, field
 
 from mavnav.errors import ExitCode
 from mavnav.mapping.occupancy_grid import known_area, occupancy
-from mavnav.metrics.wall_report import wall_report
+from mavnav.metrics.wall_spread import wall_report
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -22,10 +22,9 @@ if TYPE_CHECKING:
     from mavnav.logs import Log
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.mapping.slices import Slices
-    from mavnav.metrics.map_distance import TrueMap
     from mavnav.metrics.map_quality import MeasuredMap
-    from mavnav.metrics.reference import Reference
-    from mavnav.metrics.wall_report import WallThicknessReport
+    from mavnav.metrics.reference import Reference, TrueMap
+    from mavnav.metrics.wall_spread import WallThicknessReport
     from mavnav.outputs.documents.run_json import Localisation, MissionResult, Provenance, TruthErrors
     from mavnav.outputs.documents.sections import Continued
     from mavnav.pose import Trajectory

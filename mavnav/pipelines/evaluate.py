@@ -18,10 +18,9 @@ from mavnav.mapping.occupancy_grid import occupied_xy_m
 from mavnav.metrics.fields import ABSENT
 from mavnav.metrics.ghost_walls import GhostWall
 from mavnav.metrics.journey import Journey
-from mavnav.metrics.lines import half_turn
 from mavnav.metrics.map_quality import MapQuality, measure_map
-from mavnav.metrics.wall_report import wall_report
-from mavnav.metrics.walls import StraightWall
+from mavnav.metrics.wall_spread import wall_report
+from mavnav.metrics.walls import StraightWall, half_turn
 from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.files.document import plain
 from mavnav.outputs.files.gridmap import read_npz

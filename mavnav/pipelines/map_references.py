@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from mavnav.errors import UsageError
 from mavnav.ground_truth.references import check_times
-from mavnav.metrics.trajectory_error import MAX_GAP_NS
+from mavnav.metrics.reference import MAX_GAP_NS
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -20,7 +20,7 @@ from mavnav.ground_truth.references import compare_to, load_references
 from mavnav.logs import check_log, open_log
 from mavnav.logs.formats.detect import log_name
 from mavnav.mapping.occupancy_grid import occupied_xy_m
-from mavnav.metrics.trajectory_error import position_errors
+from mavnav.metrics.reference import position_errors
 from mavnav.outputs.directory import check_directory
 from mavnav.outputs.documents.provenance import Typed, provenance, utc_now
 from mavnav.outputs.documents.sections import options_section

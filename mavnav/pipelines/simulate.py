@@ -15,12 +15,11 @@ from msgspec.structs import asdict, replace
 
 from mavnav.atomic_files import short_name, temporary_folder
 from mavnav.errors import NoScansError, UsageError
-from mavnav.ground_truth.references import LEAST_POSES, References, compare_to
-from mavnav.ground_truth.true_map import of_scenario
+from mavnav.ground_truth.references import References, compare_to, of_scenario
 from mavnav.logs import open_log
 from mavnav.logs.writing.recorder import Recording, check_recording, record
 from mavnav.mapping.occupancy_grid import GridBuilder, occupied_xy_m
-from mavnav.metrics.trajectory_error import absolute_error, position_errors
+from mavnav.metrics.reference import LEAST_POSES, absolute_error, position_errors
 from mavnav.outputs.directory import check_apart, check_directory, check_parent
 from mavnav.outputs.documents.provenance import Typed, provenance, utc_now
 from mavnav.outputs.documents.run_json import MissionResult, TruthErrors

@@ -11,7 +11,7 @@ import pytest
 
 from mavnav.batch.document import BATCH_FILE
 from mavnav.commands import check as command
-from mavnav.comparison.files import COMPARISON_FILE
+from mavnav.comparison.document import COMPARISON_FILE
 from mavnav.errors import ExitCode
 
 RUN = {"exit_code": 0, "scans": {"accepted": 100}, "tracking": {"intervals": []}}

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from mavnav.errors import ExitCode
-from mavnav.metrics.trajectory_error import absolute_error
+from mavnav.metrics.reference import absolute_error
 from support.error_lines import expect_error
 
 PICTURES = ("map.png", "true_map.png", "wall_thickness.png")

@@ -16,10 +16,10 @@ from msgspec.structs import replace
 from mavnav.api.results import Comparison
 from mavnav.batch.plan import BatchPlan, plan_batch
 from mavnav.batch.request import BatchRequest
-from mavnav.comparison.files import problems
-from mavnav.comparison.grids import comparison_settings
+from mavnav.comparison.document import problems
 from mavnav.comparison.pipeline import (
     comparison_request,
+    comparison_settings,
     is_report_current,
     plan_comparison,
     run_comparison,

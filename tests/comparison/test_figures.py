@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from mavnav.comparison.figures import best, one_best, relative_costs
+from mavnav.comparison.document import best, one_best, relative_costs
 from mavnav.outputs.documents.quantities import QUANTITIES
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from mavnav.comparison.grids import comparison_settings
+from mavnav.comparison.pipeline import comparison_settings
 from mavnav.config.models import Config, GridSize, paired_yaw_samples
 from mavnav.errors import ConfigError, UsageError
 

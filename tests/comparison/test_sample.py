@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mavnav.comparison import sample
-from mavnav.ground_truth.true_map import read_true_map
+from mavnav.ground_truth.references import read_true_map
 from mavnav.logs import open_log
 from mavnav.profiling import silent
 

@@ -8,9 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavnav.errors import MavnavError, UsageError
-from mavnav.ground_truth.references import References, check_times, compare_to, load_references
+from mavnav.ground_truth.references import (
+    References,
+    check_times,
+    compare_to,
+    load_references,
+    of_scenario,
+    read_true_map,
+)
 from mavnav.ground_truth.tables import read_relations, read_tum
-from mavnav.ground_truth.true_map import of_scenario, read_true_map
 from mavnav.metrics.reference import Reference
 from mavnav.pose import Pose, Trajectory
 from mavnav.simulation.world import load_scenario

@@ -11,7 +11,7 @@ from scipy import ndimage
 from mavnav.config.models import Config
 from mavnav.mapping.occupancy_grid import Grid, GridBuilder
 from mavnav.metrics.journey import Journey, placed_scans
-from mavnav.metrics.support import LEAST_MEASURED_SHARE
+from mavnav.metrics.map_quality import LEAST_MEASURED_SHARE
 from mavnav.metrics.wall_spread import WallCuts, WallSpread, cut_walls, wall_spread
 from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.scan import Scan

@@ -8,10 +8,14 @@ from hypothesis.extra.numpy import arrays
 
 from mavnav.mapping import tiled_arrays
 from mavnav.metrics import wall_thickness as module
-from mavnav.metrics.wall_thickness import wall_sections, wall_thickness
+from mavnav.metrics.wall_thickness import summary, wall_sections
 
 CELL_M = 0.02
 ANGLES = range(0, 91, 3)
+
+
+def wall_thickness(hits, cell_m, min_hits):
+    return summary(wall_sections(hits, cell_m, min_hits), cell_m)
 
 
 def naive(walls, hits, min_hits, cell_m=CELL_M):

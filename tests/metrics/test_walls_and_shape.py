@@ -7,9 +7,8 @@ import pytest
 
 from mavnav.mapping import tiled_arrays
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, Grid, occupancy, occupied_xy_m
-from mavnav.metrics.map_quality import only_occupied
+from mavnav.metrics.map_quality import near_walls, only_occupied
 from mavnav.metrics.shape import corners, enclosed_areas, occupied_share
-from mavnav.metrics.support import near_walls
 from mavnav.metrics.wall_thickness import wall_sections
 from mavnav.metrics.walls import straight_walls
 
@@ -40,7 +39,7 @@ def rectangle(angle_deg: float, width: float = 180, height: float = 120) -> np.n
 
 def walls_of(cells: np.ndarray):
     hits = (cells == OCCUPIED).astype(np.int32)
-    return straight_walls(wall_sections(hits, CELL_M, 1), CELL_M, (1.0, -2.0))
+    return straight_walls(wall_sections(hits, CELL_M, 1), Grid(CELL_M, (1.0, -2.0)))
 
 
 @pytest.mark.parametrize("angle_deg", [0, 10, 30, 45, 77])
@@ -62,7 +61,7 @@ def test_a_room_has_four_walls(angle_deg: float) -> None:
 @pytest.mark.parametrize("cell_m", [0.1, 0.15, 0.25])
 def test_a_hall_on_coarse_cells_has_four_walls(cell_m: float, angle_deg: float) -> None:
     hits = (rectangle(angle_deg) == OCCUPIED).astype(np.int32)
-    walls = straight_walls(wall_sections(hits, cell_m, 1), cell_m, (1.0, -2.0))
+    walls = straight_walls(wall_sections(hits, cell_m, 1), Grid(cell_m, (1.0, -2.0)))
     assert [w.length_m / cell_m for w in walls] == pytest.approx([172, 172, 112, 112], abs=6)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from msgspec import convert
 
-from mavnav.ground_truth.true_map import of_scenario
+from mavnav.ground_truth.references import of_scenario
 from mavnav.logs import open_log
 from mavnav.outputs.report.charts import curves
 from mavnav.outputs.report.entry import load

@@ -118,21 +118,15 @@ def motions_of(map_T_laser: Trajectory, odom_T_base: Trajectory, sweep_s: float)
     every = max(1, int(np.ceil(STEP_S / period_s - 0.1)))
     laser_s, poses = laser_s[::every], poses[::every]
     where, heading_rad = _plane(poses)
-    longest_s = max(LONGEST_STEP_S, 2.0 * every * float(period_s))
-    linked = _without_gap(laser_s, odom_s, longest_s)
+    longest_s = max(LONGEST_STEP_S, 2.0 * every * period_s)
+    gaps = np.concatenate(((0,), np.cumsum(np.diff(odom_s) > longest_s)))
+    stretch = gaps[np.clip(np.searchsorted(odom_s, laser_s), 0, len(gaps) - 1)]  # of the odometry, between its gaps
+    linked = (np.diff(laser_s) <= longest_s) & (np.diff(stretch) == 0)
     return Motions(laser_s, where, heading_rad, linked, odom_s, PlaneSteps.between(*_plane(odom_T_base.xyyaw)))
 
 
 def _plane(xyyaw: Array) -> tuple[Complex, Array]:
     return xyyaw[:, 0] + 1j * xyyaw[:, 1], np.unwrap(xyyaw[:, 2])
-
-
-def _without_gap(laser_s: Array, odom_s: Array, longest_s: float) -> NDArray[np.bool_]:
-    """Return which steps of the laser (n - 1,) are of no gap, and in no gap of the odometry."""
-    gaps = np.concatenate(((0,), np.cumsum(np.diff(odom_s) > longest_s)))
-    stretch = gaps[np.clip(np.searchsorted(odom_s, laser_s), 0, len(gaps) - 1)]
-    linked: NDArray[np.bool_] = (np.diff(laser_s) <= longest_s) & (np.diff(stretch) == 0)
-    return linked
 
 
 def apply_calibration(odom_T_base: Trajectory, offset_s: float, wheels: Wheels) -> Trajectory:

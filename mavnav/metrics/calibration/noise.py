@@ -50,38 +50,32 @@ class Noise(Struct, frozen=True):
     between: Array
     slips: Array
 
-    def _factor(self) -> Array:
-        """Return the Cholesky factor, (2, n): its diagonal, and what is below."""
-        return _factor(self.diagonal, self.between)
-
     def whiten(self, errors: Array) -> Array:
         """Return errors (n,) or (n, k) as multiples of independent standard deviations."""
-        whitened: Array = solve_banded((1, 0), self._factor(), errors)
+        whitened: Array = solve_banded((1, 0), _factor(self.diagonal, self.between), errors)
         return whitened
 
     def unlikeliness(self, errors: Array) -> float:
         """Return twice the negative log-likelihood of errors (n,), up to a constant."""
-        factor = self._factor()
+        factor = _factor(self.diagonal, self.between)
         return float(2.0 * np.log(factor[0]).sum() + np.square(solve_banded((1, 0), factor, errors)).sum())
 
     def alone(self) -> Array:
         """Return the variance of each error if all others are known, (n,)."""
-        ahead, behind = _pivots(self.diagonal, self.between), _pivots(self.diagonal[::-1], self.between[::-1])[::-1]
-        alone: Array = ahead + behind - self.diagonal
-        return alone
+        ahead: Array = np.square(_factor(self.diagonal, self.between)[0])
+        behind: Array = np.square(_factor(self.diagonal[::-1], self.between[::-1])[0])[::-1]
+        return ahead + behind - self.diagonal
 
     def unforeseen(self, errors: Array) -> Array:
         """Return how far each error (n,) is from what the others make expect."""
-        factor = self._factor()
+        factor = _factor(self.diagonal, self.between)
         upper = np.vstack((np.append(0.0, factor[1, :-1]), factor[0]))
         weighted: Array = solve_banded((0, 1), upper, solve_banded((1, 0), factor, errors))
-        unforeseen: Array = weighted * self.alone()
-        return unforeseen
+        return weighted * self.alone()
 
     def of_odometry(self, errors: Array) -> Array:
         """Return the part of each error (n,) that is expected to be the odometry's."""
-        expected: Array = self.slips * self.unforeseen(errors) / self.alone()
-        return expected
+        return self.slips * self.unforeseen(errors) / self.alone()
 
     def inflate_outliers(self, errors: Array) -> Noise:
         """Return the covariance in which steps with errors (n,) out of all proportion are as uncertain as that.
@@ -97,13 +91,9 @@ class Noise(Struct, frozen=True):
 
 
 def _factor(diagonal: Array, between: Array) -> Array:
+    """Return the Cholesky factor of a covariance, (2, n): its diagonal, and what is below."""
     factor: Array = cholesky_banded(np.vstack((diagonal, np.append(between, 0.0))), lower=True)
     return factor
-
-
-def _pivots(diagonal: Array, between: Array) -> Array:
-    pivots: Array = np.square(_factor(diagonal, between)[0])
-    return pivots
 
 
 class NoiseModel(Struct, frozen=True):

@@ -7,17 +7,15 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from msgspec import Struct
 
-from mavnav.metrics.calibration.motion import DISTANCE, LONGEST_OFFSET_S, OFFSET, STEP_S
-from mavnav.metrics.calibration.solve import LEAST_STEPS, estimate
-from mavnav.metrics.calibration.start import start_of
+from mavnav.metrics.calibration.motion import DISTANCE, LONGEST_OFFSET_S, STEP_S
+from mavnav.metrics.calibration.solve import LEAST_STEPS, estimate, start_of
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.metrics.calibration.motion import Array, Complex, Motions
-    from mavnav.metrics.calibration.solve import Estimate
-    from mavnav.metrics.calibration.start import FirstEstimate
+    from mavnav.metrics.calibration.solve import Estimate, FirstEstimate
 
 LEAST_TURN_RAD, LEAST_PATH_M = 90 * DEG, 1.0
 """Motion that a log must have for what turns show, and for what straight motion shows."""
@@ -108,7 +106,7 @@ class Calibration(Struct, frozen=True):
 def calibration_of(motions: Motions) -> Calibration:
     """Estimate what the motions show, and refuse the rest."""
     motion = motion_of(motions)
-    if why := _unusable(motion) or _sparse(motions):
+    if why := _unusable(motions, motion):
         return refusal(why, motion)
     turning = motion.turned_rad >= LEAST_TURN_RAD
     start = start_of(motions, turning=turning)
@@ -142,8 +140,8 @@ def _size(where: Complex, heading_rad: Array, gaps: NDArray[np.int64]) -> tuple[
     return path_m, turned_rad
 
 
-def _unusable(motion: Travel) -> str:
-    """Return why motions show nothing at all; empty where they may."""
+def _unusable(motions: Motions, motion: Travel) -> str:
+    """Return why motions show nothing at all, or the odometry comes too rarely; empty where they may."""
     if motion.steps < LEAST_STEPS:
         text = f"{motion.steps} steps of {STEP_S} s have tracked scans and odometry"
         return f"{text}; {LEAST_STEPS} are needed: record half a minute or more"
@@ -152,15 +150,9 @@ def _unusable(motion: Travel) -> str:
         return f"{text}; {DRIVE_MORE}, with turns of 360 deg in all"
     if motion.odom_path_m < 0.1 * motion.path_m and motion.odom_turned_rad < 0.1 * motion.turned_rad:
         return "the odometry stands still while the laser moves; see that the wheel encoders report"
+    if (period_s := float(np.median(np.diff(motions.odom_s)))) > SLOWEST_ODOM_S:
+        return f"the odometry comes every {period_s:.2g} s; record it at 10 Hz or more"
     return ""
-
-
-def _sparse(motions: Motions) -> str:
-    """Return why the odometry comes too rarely; empty where it does not."""
-    period_s = float(np.median(np.diff(motions.odom_s)))
-    if period_s <= SLOWEST_ODOM_S:
-        return ""
-    return f"the odometry comes every {period_s:.2g} s; record it at 10 Hz or more"
 
 
 def _contradiction(start: FirstEstimate, motion: Travel) -> str:
@@ -177,24 +169,25 @@ def _contradiction(start: FirstEstimate, motion: Travel) -> str:
 
 def _quantity(number: int, fit: Estimate, motion: Travel, start: FirstEstimate) -> QuantityValue:
     kind, value, ci95 = KINDS[number], float(fit.values[number]), float(fit.ci95[number])
-    why = _missing_motion(kind, motion)
-    if not why and number == OFFSET and start.distinct < DISTINCT:
-        why = f"speed and turn rate change too little, and other offsets fit as well; {CHANGE_MORE}"
-    if not why and ci95 > kind.widest:
-        why = f"uncertain by {ci95 * kind.per_si:.2g} {kind.unit}".rstrip() + f"; {_advice(kind, motion)}"
-    return QuantityValue(kind, refused=why) if why else QuantityValue(kind, value * kind.per_si, ci95 * kind.per_si)
+    if why := _doubt(kind, ci95, motion, start):
+        return QuantityValue(kind, refused=why)
+    return QuantityValue(kind, value * kind.per_si, ci95 * kind.per_si)
+
+
+def _doubt(kind: QuantityKind, ci95: float, motion: Travel, start: FirstEstimate) -> str:
+    """Return why the log does not show a quantity; empty where it does."""
+    if kind.advice == TURN_MORE and motion.turned_rad < LEAST_TURN_RAD:
+        return f"the laser turns by {motion.turned_rad / DEG:.0f} deg in all; {TURN_MORE}"
+    if kind.advice == DRIVE_MORE and motion.odom_path_m < LEAST_PATH_M:
+        return f"the base moves by {motion.odom_path_m:.2f} m in all; {DRIVE_MORE}"
+    if kind.advice == CHANGE_MORE and start.distinct < DISTINCT:
+        return f"speed and turn rate change too little, and other offsets fit as well; {CHANGE_MORE}"
+    if ci95 > kind.widest:
+        return f"uncertain by {ci95 * kind.per_si:.2g} {kind.unit}".rstrip() + f"; {_advice(kind, motion)}"
+    return ""
 
 
 def _advice(kind: QuantityKind, motion: Travel) -> str:
     """Return what to record for a shorter interval."""
     turned, driven = motion.turned_rad >= ENOUGH_TURN_RAD, motion.odom_path_m >= ENOUGH_PATH_M
-    enough = {TURN_MORE: turned, DRIVE_MORE: driven}.get(kind.advice, False)
-    return BETTER if enough else kind.advice
-
-
-def _missing_motion(kind: QuantityKind, motion: Travel) -> str:
-    if kind.advice == TURN_MORE and motion.turned_rad < LEAST_TURN_RAD:
-        return f"the laser turns by {motion.turned_rad / DEG:.0f} deg in all; {TURN_MORE}"
-    if kind.advice == DRIVE_MORE and motion.odom_path_m < LEAST_PATH_M:
-        return f"the base moves by {motion.odom_path_m:.2f} m in all; {DRIVE_MORE}"
-    return ""
+    return BETTER if {TURN_MORE: turned, DRIVE_MORE: driven}.get(kind.advice) else kind.advice

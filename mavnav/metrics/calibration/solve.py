@@ -5,29 +5,26 @@ to the offset is taken over a whole step, and the others where odometry and lase
 conditional score of Stefanski and Carroll, *Conditional scores and optimal scores for generalized linear
 measurement-error models*, Biometrika 1987. Uncertainties are those of a jackknife over parts of the log, with
 Student's t for the number of parts that constrain a parameter.
+
+The iteration begins at time offset and mounting by linear least squares, with either side of the laser up.
 """
 
 from __future__ import annotations
 
 from itertools import count, pairwise
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from msgspec import Struct
 from scipy.special import stdtrit
 
-from mavnav.metrics.calibration.motion import LONGEST_OFFSET_S, OFFSET, YAW
+from mavnav.metrics.calibration.motion import LONGEST_OFFSET_S, OFFSET, YAW, PlaneSteps
 from mavnav.metrics.calibration.noise import NoiseModel
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mavnav.metrics.calibration.motion import Motions
+    from mavnav.metrics.calibration.motion import Array, Motions
     from mavnav.metrics.calibration.noise import Noise
-    from mavnav.metrics.calibration.start import FirstEstimate
-
-    Array = NDArray[np.float64]
 
 ROUNDS, LIKELIEST, CLOSE = 20, (0, 2, 5), 1e-5
 """Rounds at most; those in which the noise is estimated anew; changes below this end them."""
@@ -45,6 +42,32 @@ HIGH: Final = np.array((100.0, 100.0, np.inf, LONGEST_OFFSET_S, 3.0, 3.0, 1.0))
 FLOOR: Final = np.array((1e-3, 1e-3, 0.05 * DEG, 1e-3, 2.5e-3, 5e-4, 0.01 * DEG))
 """Standard deviations of what is wrong with all steps alike: of the track, measured with odometry without noise; and of
 the distances, as wheels that slip turn too far."""
+
+OFFSETS_S: Final = np.linspace(-LONGEST_OFFSET_S, LONGEST_OFFSET_S, 101)
+
+ANOTHER_S: Final = 0.25
+"""Offsets farther apart are different ones."""
+
+LEAST: Final = 1e-6
+"""No mean squared error counts as less, m2 or rad2."""
+
+
+class FirstEstimate(NamedTuple):
+    """The first estimate: parameters (7,), whether the laser is mirrored, correlation of the turns, -1 to 1.
+
+    ``cost`` is twice the negative log-likelihood, up to a constant; ``distinct`` by how much other offsets have more.
+    """
+
+    parameters: Array
+    mirrored: bool
+    correlation: float
+    cost: float
+    distinct: float = 0.0
+
+    @property
+    def offset_s(self) -> float:
+        """Time to add to the stamps of the odometry."""
+        return float(self.parameters[OFFSET])
 
 
 class Estimate(Struct, frozen=True):
@@ -72,8 +95,42 @@ class _Equations(Struct, frozen=True):
 
     def normal(self, steps: slice = slice(None)) -> Array:
         rows = self.derivatives[:, steps].reshape(-1, self.derivatives.shape[2])
-        normal: Array = rows.T @ rows
-        return normal
+        return rows.T @ rows
+
+
+def start_of(motions: Motions, *, turning: bool) -> FirstEstimate:
+    """Return the offset and the side up that fit best; without turning they fit alike: it is as the log says."""
+    sides = {False: motions, True: motions.mirror()} if turning else {False: motions}
+    starts = [_start_at_offset(each, float(s), mirrored=side) for side, each in sides.items() for s in OFFSETS_S]
+    best = min(starts, key=lambda start: start.cost)
+    others = [start.cost for start in starts if abs(start.offset_s - best.offset_s) > ANOTHER_S]
+    return best._replace(distinct=min(others) - best.cost)
+
+
+def _start_at_offset(motions: Motions, offset_s: float, *, mirrored: bool) -> FirstEstimate:
+    """Solve for an offset: a step of the laser is linear in scale and yaw together, and in lever arm and yaw."""
+    laser, base = motions.laser_steps(), PlaneSteps.between(*motions.base(offset_s))
+    linked = motions.linked
+    turned, by_odometry = laser.turned[linked], base.turned[linked]
+    turn_scale = max(float(turned @ by_odometry), 0.0) / float(by_odometry @ by_odometry + LEAST)
+    lever = 2j * np.sin(0.5 * turn_scale * base.turned)  # how a point beside the base moves, seen from the mean heading
+    columns = np.column_stack((base.moved, lever))[linked]
+    moved = laser.moved[linked]
+    normal = columns.conj().T @ columns + LEAST * np.eye(2)
+    along, arm = np.linalg.solve(normal, columns.conj().T @ moved)
+    plane_m2 = np.square(np.abs(moved - columns @ (along, arm))).mean() + LEAST
+    turns_rad2 = np.square(turned - turn_scale * by_odometry).mean() + LEAST
+    yaw_rad = -float(np.angle(along))
+    at = arm * np.exp(1j * yaw_rad)
+    parameters = np.array((at.real, at.imag, yaw_rad, offset_s, abs(along), turn_scale, 0.0))
+    cost = len(moved) * float(2.0 * np.log(plane_m2) + np.log(turns_rad2))
+    return FirstEstimate(parameters, mirrored, _correlation(turned, by_odometry), cost)
+
+
+def _correlation(a: Array, b: Array) -> float:
+    """Return the correlation of two series, 0 where one does not change."""
+    size = float(np.sqrt(np.square(a).sum() * np.square(b).sum()))
+    return float((a * b).sum()) / size if size > 0.0 else 0.0
 
 
 def estimate(motions: Motions, start: FirstEstimate) -> Estimate:
@@ -88,7 +145,8 @@ def estimate(motions: Motions, start: FirstEstimate) -> Estimate:
 
 def _solve(motions: Motions, values: Array) -> tuple[Array, _Equations]:
     """Iterate from first values (7,) to the best; the noise and the steps out of all proportion follow from the fit."""
-    models, centre, added = _models(motions), _centre(values), np.zeros((3, len(motions.linked)))
+    models, added = _models(motions), np.zeros((3, len(motions.linked)))
+    centre = np.array((0.0, 0.0, values[YAW], 0.0, 1.0, 1.0, 0.0))  # any yaw of the laser is as likely as another
     noises: list[Noise] = []
     for k in count():
         errors = _errors(motions, values)
@@ -103,11 +161,6 @@ def _solve(motions: Motions, values: Array) -> tuple[Array, _Equations]:
         if k == ROUNDS or (k > max(LIKELIEST) and np.abs(change).max() < CLOSE):
             break
     return values, equations
-
-
-def _centre(start: Array) -> Array:
-    """Return what the prior expects; any yaw of the laser is as likely as another."""
-    return np.array((0.0, 0.0, start[YAW], 0.0, 1.0, 1.0, 0.0))
 
 
 def _models(motions: Motions) -> list[NoiseModel]:

@@ -15,7 +15,7 @@ from mavnav.logs import Damage
 from mavnav.metrics.fields import Measured, number, text
 from mavnav.metrics.map_quality import MapQuality
 from mavnav.metrics.reference import Reference
-from mavnav.metrics.wall_report import WallThicknessReport
+from mavnav.metrics.wall_spread import WallThicknessReport
 from mavnav.outputs.documents.sections import OPTIONAL, AttitudeSource, Continued, MapSlice, Options, Tracking
 
 

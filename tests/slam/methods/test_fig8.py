@@ -9,7 +9,7 @@ import pytest
 
 from mavnav.config.loading import load_config
 from mavnav.metrics.ghost_walls import GhostWalls
-from mavnav.metrics.map_quality import map_quality
+from mavnav.metrics.map_quality import measure_map
 from mavnav.pose import Pose
 from mavnav.scan import Scan
 from mavnav.simulation.world.laser import take_scan
@@ -33,7 +33,7 @@ def corridor() -> list[Scan]:
 
 def ghosts(scans: list[Scan], grid: str, azimuth: int) -> GhostWalls:
     config = load_config("fig8", [], {"grid": grid, "azimuth": azimuth})
-    return map_quality(run_slam(lambda: iter(scans), config, 0.1).grid).ghost_walls
+    return measure_map(run_slam(lambda: iter(scans), config, 0.1).grid).quality.ghost_walls
 
 
 def test_a_coarse_grid_draws_walls_twice_finer_ones_do_not(corridor: list[Scan]) -> None:

@@ -11,7 +11,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from mavnav.config.models import Config
-from mavnav.metrics.wall_thickness import wall_thickness
+from mavnav.metrics.wall_thickness import summary, wall_sections
 from mavnav.pose import Pose, Trajectory, rigid_fit, transform_points, wrap_angle
 from mavnav.scan import Scan
 from mavnav.simulation.mission import Flight, fly
@@ -171,7 +171,9 @@ def test_the_map_stays_clean(fault: str) -> None:
     drive, outcome = replayed(fault, odometry=True)
     _, healthy = replayed("nothing", odometry=True)
     for hits in (1, 2):
-        after, before = (wall_thickness(o.grid.hits, o.grid.cell_m, hits).p95_mm for o in (outcome, healthy))
+        after, before = (
+            summary(wall_sections(o.grid.hits, o.grid.cell_m, hits), o.grid.cell_m).p95_mm for o in (outcome, healthy)
+        )
         assert after < before + 20.0
     assert cells_in_the_open(drive, outcome) <= 2
 
@@ -181,7 +183,9 @@ def test_a_person_enters_the_map_on_line_but_thickens_no_wall() -> None:
     drive, outcome = replayed("a person for 5 scans", odometry=True)
     _, healthy = replayed("nothing", odometry=True)
     assert 20 < cells_in_the_open(drive, outcome) < 200
-    after, before = (wall_thickness(o.grid.hits, o.grid.cell_m, 2).p95_mm for o in (outcome, healthy))
+    after, before = (
+        summary(wall_sections(o.grid.hits, o.grid.cell_m, 2), o.grid.cell_m).p95_mm for o in (outcome, healthy)
+    )
     assert after < before + 20.0
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mavnav.ground_truth.references import References, compare_to
 from mavnav.ground_truth.tables import read_tum
-from mavnav.metrics.trajectory_error import absolute_error, position_errors, relative_error
+from mavnav.metrics.reference import absolute_error, position_errors, relative_error
 from mavnav.pose import Pose, Trajectory, rigid_fit, transform_points
 from support.synthetic import TOUR, along, drifting_odometry
 
