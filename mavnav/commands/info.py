@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from mavnav.commands.options import Json, LogFile, Quiet, with_options
+from mavnav.commands import shared
 from mavnav.commands.progress import reporting
 from mavnav.commands.terminal import LISTED, emit_json, note_problems, print_table
 from mavnav.config.options import read_options
@@ -21,17 +21,14 @@ SCHEMA_VERSION = 1
 
 EPILOG = """
 [bold]Examples[/bold]
-
 mavnav info drive.mcap
-
 mavnav info rosbag2_folder --topic /front/scan
-
 mavnav info drive.bag --json | jq .scans
 """
 
 
-@with_options("topic", "strict")
-def info(log: LogFile, *, json: Json = False, quiet: Quiet = False, **given: object) -> None:
+@shared.with_options("topic", "strict")
+def info(log: shared.LogFile, *, json: shared.Json = False, quiet: shared.Quiet = False, **given: object) -> None:
     """Examine a log: topics, sensor, scans, rate, validity of ranges, odometry, and everything that is damaged."""
     from mavnav.logs import survey
 
