@@ -145,9 +145,7 @@ def _explain(error: BaseException) -> int:
         case signals.Stopped():
             note(f"mavnav: {error.word}")
             return error.exit_code
-        case BrokenPipeError():
-            return ExitCode.OUTPUT
-        case SystemExit(__context__=BrokenPipeError()):  # raised by typer if the reader of a pipe ends, as in `| head`
+        case BrokenPipeError() | SystemExit(__context__=BrokenPipeError()):  # typer's, if a reader ends, as in `| head`
             return ExitCode.OUTPUT
         case OSError() if _is_stdout(error):
             note(f"mavnav: error: the result cannot be written to stdout: {error.strerror}; make room, or redirect it")

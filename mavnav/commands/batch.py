@@ -11,8 +11,7 @@ import typer
 
 from mavnav.commands import shared, signals
 from mavnav.commands.batch_rows import print_verdict, row_printer
-from mavnav.commands.progress import loading_modules, reporting
-from mavnav.commands.run_progress import watching
+from mavnav.commands.progress import loading_modules, reporting, watching
 from mavnav.commands.terminal import emit_json, note
 from mavnav.config.options import READING, read_options
 from mavnav.units import pluralize
@@ -118,7 +117,10 @@ def batch(
 ) -> None:
     """Replay many logs with many settings; a failed run does not stop the others, finished runs are reused."""
     if schema:
-        _print_schema()
+        from mavnav.batch.manifest import Manifest
+        from mavnav.config.loading import schema_of
+
+        emit_json(schema_of(Manifest))
         return
     with reporting(quiet=quiet) as report:
         with loading_modules():
@@ -214,13 +216,6 @@ def _cluster(request: BatchRequest, *, quiet: bool) -> Iterator[Cluster | None]:
         if not quiet:
             note(f"mavnav: {pluralize(cluster.workers, 'worker')}; dashboard at {cluster.dashboard}")
         yield cluster
-
-
-def _print_schema() -> None:
-    from mavnav.batch.manifest import Manifest
-    from mavnav.config.loading import schema_of
-
-    emit_json(schema_of(Manifest))
 
 
 def _write_for_ci(document: dict[str, Any], junit: Path | None, summary: Path | None, *, annotations: bool) -> None:

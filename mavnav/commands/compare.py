@@ -9,8 +9,7 @@ import typer
 
 from mavnav.commands import shared
 from mavnav.commands.comparison_table import print_comparison
-from mavnav.commands.progress import loading_modules, reporting
-from mavnav.commands.run_progress import watching
+from mavnav.commands.progress import loading_modules, reporting, watching
 from mavnav.commands.terminal import emit, emit_json, note
 from mavnav.config.options import READING, REFERENCES, read_options, settings_of
 from mavnav.errors import UsageError
@@ -94,8 +93,9 @@ def compare(
         load_kernels(plan, report)
     document, page = _run_and_draw(plan, quiet=quiet)
     _print_result(document, page, json=json)
-    if preview:
-        _show_maps(document, target, stderr=json)
+    for cell in document["cells"] if preview else ():
+        if cell["directory"]:
+            shared.show_preview(target / cell["directory"], cell["name"], stderr=json)
     raise typer.Exit(document["exit_code"])
 
 
@@ -137,9 +137,3 @@ def _print_result(document: dict[str, Any], page: Path, *, json: bool) -> None:
         note(f"mavnav: error: {problem}")
     for remark in remarks(document):
         note(f"mavnav: warning: {remark}")
-
-
-def _show_maps(document: dict[str, Any], directory: Path, *, stderr: bool) -> None:
-    for cell in document["cells"]:
-        if cell["directory"]:
-            shared.show_preview(directory / cell["directory"], cell["name"], stderr=stderr)

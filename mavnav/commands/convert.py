@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -38,13 +39,8 @@ def convert(
     from mavnav.logs.writing.convert import convert_log
 
     with reporting(quiet=quiet) as report:
-        done = convert_log(
-            log,
-            target,
-            strict=bool(given["strict"]),
-            force=force,
-            progress=lambda n, total: report("converting", n, total),
-        )
+        strict, progress = bool(given["strict"]), partial(report, "converting")
+        done = convert_log(log, target, strict=strict, force=force, progress=progress)
     code = ExitCode.DAMAGED_INPUT if done.damage else ExitCode.DONE
     result = document(log, target, done, code)
     print_result(result, _rows(result), json=json)
