@@ -169,7 +169,7 @@ def calibrate(
 
     options = options_of({"topic": topic, "start_s": start_s, "end_s": end_s, "odom": odom, "strict": strict})
     chosen = load_config(config_of(config), sets_of(settings), settings_of(options))
-    named = {"document": document, "picture": picture, "report": report, "config": config}
-    *files, file = [optional_path(each, name) for name, each in named.items()]
-    request = CalibrationRequest(path_of(log, "log"), chosen, options, *files, force=force, config_file=file)
+    files = optional_path(document, "document"), optional_path(picture, "picture"), optional_path(report, "report")
+    config_file = optional_path(config, "config")
+    request = CalibrationRequest(path_of(log, "log"), chosen, options, *files, force=force, config_file=config_file)
     return calibrated(request, progress or silent)
