@@ -11,8 +11,7 @@ TYPE_CHECKING = False  # as in typing, whose import would take most of the time
 if TYPE_CHECKING:
     from typing import Any
 
-    from mavnav.api.comparing import compare
-    from mavnav.api.functions import open_log, replay, simulate
+    from mavnav.api.functions import compare, open_log, replay, simulate
     from mavnav.api.results import Comparison, Run, load_run
     from mavnav.api.sessions import calibrate, diff, merge
     from mavnav.api.tracking import track
@@ -47,7 +46,7 @@ __all__ = [
     "track",
 ]
 _MODULES = {
-    **dict.fromkeys(("open_log", "replay", "simulate"), "mavnav.api.functions"),
+    **dict.fromkeys(("compare", "open_log", "replay", "simulate"), "mavnav.api.functions"),
     **dict.fromkeys(("Comparison", "Run", "load_run"), "mavnav.api.results"),
     **dict.fromkeys(("calibrate", "diff", "merge"), "mavnav.api.sessions"),
     **dict.fromkeys(("LaserSpec", "Scan"), "mavnav.scan"),
@@ -56,7 +55,6 @@ _MODULES = {
         ("ConfigError", "MavnavError", "NoScansError", "OutputError", "TopicError", "UsageError"), "mavnav.errors"
     ),
     "Log": "mavnav.logs",
-    "compare": "mavnav.api.comparing",
     "track": "mavnav.api.tracking",
 }
 

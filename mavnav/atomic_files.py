@@ -161,22 +161,18 @@ def _remove(folder: Path) -> None:
 
 def _rename_unless_taken(partial: Path, final: Path) -> None:
     """Rename a file or folder to its final name, unless that exists."""
-    if partial.is_dir():
-        try:
-            partial.rename(final)  # an empty folder may be there
-        except OSError as error:
-            if error.errno in {EEXIST, ENOTEMPTY}:
-                raise FileExistsError(EEXIST, "another process has written it meanwhile", str(final)) from error
-            raise
-        return
+    is_folder = partial.is_dir()
     try:
-        final.hardlink_to(partial)
-    except FileExistsError as error:
-        raise FileExistsError(EEXIST, "another process has written it meanwhile", str(final)) from error
-    except OSError:  # a file system without links
-        if os.path.lexists(final):
-            raise FileExistsError(EEXIST, "another process has written it meanwhile", str(final)) from None
-        partial.replace(final)
+        if is_folder:
+            partial.rename(final)  # an empty folder may be there
+        else:
+            final.hardlink_to(partial)
+    except OSError as error:
+        if error.errno in {EEXIST, ENOTEMPTY} or (not is_folder and os.path.lexists(final)):
+            raise FileExistsError(EEXIST, "another process has written it meanwhile", str(final)) from error
+        if is_folder:
+            raise
+        partial.replace(final)  # a file system without links
 
 
 def discard(target: Path, pid: int) -> None:
@@ -204,12 +200,11 @@ def _label(final: Path) -> str:
 @cache
 def machine() -> str:
     """Return a name of this machine among others that share the folder: hash of host, boot and container."""
-    places = ("/proc/sys/kernel/random/boot_id", "/proc/self/ns/pid")
     parts = [platform.node()]
     with suppress(OSError):
-        parts.append(Path(places[0]).read_text(encoding="ascii"))
+        parts.append(Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii"))
     with suppress(OSError):
-        parts.append(str(Path(places[1]).stat().st_ino))
+        parts.append(str(Path("/proc/self/ns/pid").stat().st_ino))
     return sha256(" ".join(parts).encode()).hexdigest()[:12]
 
 

@@ -32,19 +32,12 @@ _PATH_ERRORS = {errno.ENAMETOOLONG: "choose a shorter name"} | dict.fromkeys(
 
 EPILOG = """
 [bold]Examples[/bold]
-
 mavnav info drive.mcap
-
 mavnav replay drive.mcap -o runs/drive
-
 mavnav replay drive.bag --method paper --grid 20x20 --azimuth 40
-
 mavnav compare drive.mcap --grid 5x5 --grid 10x10 --grid 20x20
-
 mavnav batch logs/ -j 4 --gate 'map.accepted_share>=0.95'
-
 mavnav simulate corner.yaml
-
 [bold]Exit codes[/bold]  0 done; 1 the mission or a quality gate failed, a session did not join (merge), the maps \
 cannot be aligned (diff), or nothing could be estimated (calibrate); 2 usage or configuration; 3 done but the input \
 was damaged; 4 no usable scans; 5 tracking was lost for good; 6 the output cannot be written; 70 a bug; \
@@ -121,8 +114,8 @@ def app_for(args: Sequence[str]) -> typer.Typer:
 
 
 def _epilog(text: str, page: str) -> str:
-    """Return the text after the options in a help page, with the documentation page."""
-    return f"{text.rstrip()}\n\n[bold]Documentation[/bold]  docs/{page}"
+    """Return the text after the options in a help page, each line a paragraph, with the documentation page."""
+    return "\n\n".join([*text.strip().split("\n"), f"[bold]Documentation[/bold]  docs/{page}"])
 
 
 def run(args: Sequence[str], *, debug: bool = False) -> int:
@@ -152,9 +145,7 @@ def _explain(error: BaseException) -> int:
         case signals.Stopped():
             note(f"mavnav: {error.word}")
             return error.exit_code
-        case BrokenPipeError():
-            return ExitCode.OUTPUT
-        case SystemExit(__context__=BrokenPipeError()):  # raised by typer if the reader of a pipe ends, as in `| head`
+        case BrokenPipeError() | SystemExit(__context__=BrokenPipeError()):  # typer's, if a reader ends, as in `| head`
             return ExitCode.OUTPUT
         case OSError() if _is_stdout(error):
             note(f"mavnav: error: the result cannot be written to stdout: {error.strerror}; make room, or redirect it")
@@ -168,17 +159,14 @@ def _explain(error: BaseException) -> int:
             note("mavnav: error: out of memory; try larger cells, narrower windows, or a part of the log with --end")
             return ExitCode.USAGE
         case _:
-            return _explain_bug(error)
+            bug = f"a bug: {type(error).__name__}: {error}; run again with --debug and report what it shows"
+            note(f"mavnav: error: {bug}")
+            return ExitCode.BUG
 
 
 def _is_stdout(error: OSError) -> bool:
     """Return whether an error is of a full or closed stream; errors of files have a file name."""
     return error.filename is None and error.errno in _STREAM_ERRORS
-
-
-def _explain_bug(error: BaseException) -> int:
-    note(f"mavnav: error: a bug: {type(error).__name__}: {error}; run again with --debug and report what it shows")
-    return ExitCode.BUG
 
 
 def _split_debug(args: Sequence[str]) -> tuple[list[str], bool]:

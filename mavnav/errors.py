@@ -26,32 +26,21 @@ if TYPE_CHECKING:
 
 
 class ExitCode(IntEnum):
-    """Exit codes of the command line."""
+    """Exit codes of the command line, from good to bad."""
 
     DONE = 0
-    GATE_FAILED = 1
-    USAGE = 2
     DAMAGED_INPUT = 3
-    NO_SCANS = 4
+    GATE_FAILED = 1
     TRACKING_LOST = 5
+    NO_SCANS = 4
+    USAGE = 2
     OUTPUT = 6
     BUG = 70
     INTERRUPTED = 130
     TERMINATED = 143
 
 
-SEVERITY = (
-    ExitCode.DONE,
-    ExitCode.DAMAGED_INPUT,
-    ExitCode.GATE_FAILED,
-    ExitCode.TRACKING_LOST,
-    ExitCode.NO_SCANS,
-    ExitCode.USAGE,
-    ExitCode.OUTPUT,
-    ExitCode.BUG,
-    ExitCode.INTERRUPTED,
-    ExitCode.TERMINATED,
-)
+SEVERITY = tuple(ExitCode)
 """Exit codes from good to bad: of several runs, or a run and its quality gates, the worst is returned."""
 
 

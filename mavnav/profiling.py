@@ -77,11 +77,8 @@ def timed(name: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
         @wraps(function)
         def within(*args: P.args, **kwargs: P.kwargs) -> R:
-            before = _switch(name)
-            try:
+            with Stage(name):
                 return function(*args, **kwargs)
-            finally:
-                _switch(before)
 
         return within
 

@@ -102,13 +102,8 @@ def diff(
     """
     from mavnav.pipelines.diff import DiffRequest, diff_maps  # noqa: PLC0415  heavy
 
-    request = DiffRequest(
-        path_of(a, "a"),
-        path_of(b, "b"),
-        optional_path(picture, "picture"),
-        optional_path(report, "report"),
-        force=force,
-    )
+    files = optional_path(picture, "picture"), optional_path(report, "report")
+    request = DiffRequest(path_of(a, "a"), path_of(b, "b"), *files, force=force)
     return diff_maps(request, progress or silent)
 
 
@@ -172,17 +167,9 @@ def calibrate(
     from mavnav.pipelines.calibrate import CalibrationRequest  # noqa: PLC0415  heavy
     from mavnav.pipelines.calibrate import calibrate as calibrated  # noqa: PLC0415
 
-    names = {"topic": topic, "start_s": start_s, "end_s": end_s, "odom": odom, "strict": strict}
-    options = options_of(names)
+    options = options_of({"topic": topic, "start_s": start_s, "end_s": end_s, "odom": odom, "strict": strict})
     chosen = load_config(config_of(config), sets_of(settings), settings_of(options))
-    request = CalibrationRequest(
-        path_of(log, "log"),
-        chosen,
-        options,
-        document=optional_path(document, "document"),
-        picture=optional_path(picture, "picture"),
-        report=optional_path(report, "report"),
-        force=force,
-        config_file=optional_path(config, "config"),
-    )
+    files = optional_path(document, "document"), optional_path(picture, "picture"), optional_path(report, "report")
+    config_file = optional_path(config, "config")
+    request = CalibrationRequest(path_of(log, "log"), chosen, options, *files, force=force, config_file=config_file)
     return calibrated(request, progress or silent)

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any, SupportsFloat, Unpack
 import numpy as np
 from msgspec.structs import replace
 
-from mavnav.api.arguments import config_of, options_of, sets_of
-from mavnav.api.signatures import with_options
+from mavnav.api.arguments import config_of, options_of, sets_of, with_options
 from mavnav.config.loading import load_config
 from mavnav.config.options import SEARCHING, settings_of
 from mavnav.errors import UsageError

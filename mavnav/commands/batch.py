@@ -9,27 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mavnav.commands import signals
+from mavnav.commands import shared, signals
 from mavnav.commands.batch_rows import print_verdict, row_printer
-from mavnav.commands.gating import Gates
-from mavnav.commands.options import (
-    Azimuths,
-    ConfigFile,
-    Jobs,
-    Methods,
-    Quiet,
-    RunAgain,
-    Sets,
-    check_option,
-    directory_option,
-    output_option,
-    resource_option,
-    schema_option,
-    shared_option,
-    with_options,
-)
-from mavnav.commands.progress import loading_modules, reporting
-from mavnav.commands.run_progress import watching
+from mavnav.commands.progress import loading_modules, reporting, watching
 from mavnav.commands.terminal import emit_json, note
 from mavnav.config.options import READING, read_options
 from mavnav.units import pluralize
@@ -45,18 +27,14 @@ if TYPE_CHECKING:
 
 EPILOG = """
 [bold]Examples[/bold]
-
 mavnav batch logs/ -j 4 --gate 'map.accepted_share>=0.95'
-
 mavnav batch 'drives/**/*.mcap' --method robust --method paper --grid 10x10 --grid 20x20
-
 mavnav batch nightly.yaml --baseline baseline.json --gate baseline --junit batch.xml --summary batch.md
-
 mavnav batch nightly.yaml --scheduler tcp://10.0.0.1:8786
 """
 
 
-@with_options(*READING, "strict", "online")
+@shared.with_options(*READING, "strict", "online")
 def batch(
     context: typer.Context,
     sources: Annotated[
@@ -66,74 +44,83 @@ def batch(
         ),
     ] = None,
     *,
-    schema: Annotated[bool, schema_option(help="Print the JSON Schema of manifests.")] = False,
-    methods: Methods = None,
-    grids: Annotated[list[str] | None, shared_option("grid", help="Search grid; repeatable (default 10x10).")] = None,
-    azimuths: Azimuths = None,
-    config: ConfigFile = None,
-    sets: Sets = None,
-    directory: Annotated[
-        Path | None, directory_option(help="Output directory (default runs/batch, or runs/batch-MANIFEST).")
+    schema: Annotated[bool, shared.schema_option(help="Print the JSON Schema of manifests.")] = False,
+    methods: shared.Methods = None,
+    grids: Annotated[
+        list[str] | None, shared.replay_option("grid", help="Search grid; repeatable (default 10x10).")
     ] = None,
-    force: RunAgain = False,
-    pages: Annotated[bool, output_option("--report", help="Also write a page for every run.")] = False,
+    azimuths: shared.Azimuths = None,
+    config: shared.ConfigFile = None,
+    sets: shared.Sets = None,
+    directory: Annotated[
+        Path | None, shared.directory_option(help="Output directory (default runs/batch, or runs/batch-MANIFEST).")
+    ] = None,
+    force: shared.RunAgain = False,
+    pages: Annotated[bool, shared.output_option("--report", help="Also write a page for every run.")] = False,
     json: Annotated[
-        bool, output_option("--json", help="Print one line of JSON for each run, then one for all.")
+        bool, shared.output_option("--json", help="Print one line of JSON for each run, then one for all.")
     ] = False,
-    junit: Annotated[Path | None, output_option(metavar="FILE", help="Write JUnit XML for CI.")] = None,
+    junit: Annotated[Path | None, shared.output_option(metavar="FILE", help="Write JUnit XML for CI.")] = None,
     summary: Annotated[
         Path | None,
-        output_option(
+        shared.output_option(
             metavar="FILE", help="Write a Markdown summary (default: GitHub's step summary, where there is one)."
         ),
     ] = None,
     annotations: Annotated[
-        bool, output_option("--annotations", help="Print GitHub annotations on stderr (default on GitHub).")
+        bool, shared.output_option("--annotations", help="Print GitHub annotations on stderr (default on GitHub).")
     ] = False,
-    quiet: Quiet = False,
-    gates: Gates = None,
+    quiet: shared.Quiet = False,
+    gates: shared.Gates = None,
     accept: Annotated[
         list[int] | None,
-        check_option("--accept", metavar="CODE", help="Exit code that counts as done (0 does); repeatable."),
+        shared.check_option("--accept", metavar="CODE", help="Exit code that counts as done (0 does); repeatable."),
     ] = None,
-    baseline: Annotated[Path | None, check_option(metavar="DIR|FILE", help="Compare with an earlier batch.")] = None,
+    baseline: Annotated[
+        Path | None, shared.check_option(metavar="DIR|FILE", help="Compare with an earlier batch.")
+    ] = None,
     tolerances: Annotated[
         list[str] | None,
-        check_option(
+        shared.check_option(
             "--tolerance", metavar="NAME=X[%]", help="Allowed change of a metric against the baseline; repeatable."
         ),
     ] = None,
     update_baseline: Annotated[
-        bool, check_option("--update-baseline", help="Overwrite the baseline file with this batch.")
+        bool, shared.check_option("--update-baseline", help="Overwrite the baseline file with this batch.")
     ] = False,
-    jobs: Jobs = None,
+    jobs: shared.Jobs = None,
     timeout: Annotated[
-        float | None, resource_option(min=0.1, metavar="SECONDS", help="Time limit of a run (default none).")
+        float | None, shared.resource_option(min=0.1, metavar="SECONDS", help="Time limit of a run (default none).")
     ] = None,
     memory_mb: Annotated[
         int | None,
-        resource_option(
+        shared.resource_option(
             "--memory-mb", min=1, max=10**9, metavar="MB", help="Memory limit of a run (Linux; default none)."
         ),
     ] = None,
     tries: Annotated[
-        int | None, resource_option(min=1, metavar="N", help="Attempts if the process of a run is killed (default 3).")
+        int | None,
+        shared.resource_option(min=1, metavar="N", help="Attempts if the process of a run is killed (default 3)."),
     ] = None,
     scheduler: Annotated[
         str | None,
-        resource_option(
+        shared.resource_option(
             metavar="tcp://HOST:PORT|local",
             help=r"Run on a Dask cluster (default this machine; needs mavnav\[cluster]).",
         ),
     ] = None,
     part: Annotated[
-        str | None, resource_option(metavar="I/N", help="Run part I of N (default all); all parts share --output.")
+        str | None,
+        shared.resource_option(metavar="I/N", help="Run part I of N (default all); all parts share --output."),
     ] = None,
     **given: object,
 ) -> None:
     """Replay many logs with many settings; a failed run does not stop the others, finished runs are reused."""
     if schema:
-        _print_schema()
+        from mavnav.batch.manifest import Manifest
+        from mavnav.config.loading import schema_of
+
+        emit_json(schema_of(Manifest))
         return
     with reporting(quiet=quiet) as report:
         with loading_modules():
@@ -229,13 +216,6 @@ def _cluster(request: BatchRequest, *, quiet: bool) -> Iterator[Cluster | None]:
         if not quiet:
             note(f"mavnav: {pluralize(cluster.workers, 'worker')}; dashboard at {cluster.dashboard}")
         yield cluster
-
-
-def _print_schema() -> None:
-    from mavnav.batch.manifest import Manifest
-    from mavnav.config.loading import schema_of
-
-    emit_json(schema_of(Manifest))
 
 
 def _write_for_ci(document: dict[str, Any], junit: Path | None, summary: Path | None, *, annotations: bool) -> None:

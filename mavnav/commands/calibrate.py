@@ -3,42 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import Annotated, Any, Final
 
 import typer
 
-from mavnav.commands.options import (
-    ConfigFile,
-    Force,
-    Json,
-    LogFile,
-    Quiet,
-    ReportFile,
-    Sets,
-    output_option,
-    with_options,
-)
+from mavnav.commands import shared
 from mavnav.commands.progress import REPLAY, loading_modules, reporting
-from mavnav.commands.terminal import emit, emit_json, note, note_problems, print_table
+from mavnav.commands.terminal import Rows, emit, emit_json, note, note_problems, print_table
 from mavnav.config.options import read_options, settings_of
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 EPILOG = """
 [bold]Examples[/bold]
-
 mavnav calibrate drive.mcap
-
 mavnav calibrate drive.bag --odom /wheel_odom -o calibration.json --picture calibration.png
-
 mavnav calibrate drive.mcap --json | jq -r .lines.static_transform
 """
 
 MOUNTING: Final = ("x_m", "y_m", "yaw_deg")
 
 
-@with_options(
+@shared.with_options(
     "topic",
     "start_s",
     "end_s",
@@ -52,21 +36,22 @@ MOUNTING: Final = ("x_m", "y_m", "yaw_deg")
     },
 )
 def calibrate(
-    log: LogFile,
+    log: shared.LogFile,
     *,
-    config: ConfigFile = None,
-    sets: Sets = None,
+    config: shared.ConfigFile = None,
+    sets: shared.Sets = None,
     output: Annotated[
-        Path | None, output_option("--output", "-o", metavar="FILE.json", help="Write the JSON document to a file.")
+        Path | None,
+        shared.output_option("--output", "-o", metavar="FILE.json", help="Write the JSON document to a file."),
     ] = None,
     picture: Annotated[
         Path | None,
-        output_option("--picture", metavar="FILE.png", help="Draw turn rates and errors of the fit over time."),
+        shared.output_option("--picture", metavar="FILE.png", help="Draw turn rates and errors of the fit over time."),
     ] = None,
-    report_page: ReportFile = None,
-    force: Force = False,
-    json: Json = False,
-    quiet: Quiet = False,
+    report_page: shared.ReportFile = None,
+    force: shared.Force = False,
+    json: shared.Json = False,
+    quiet: shared.Quiet = False,
     **given: object,
 ) -> None:
     """Calibrate laser and odometry: mounting, time offset and wheel scales, each with a 95 % interval."""
@@ -90,17 +75,18 @@ def calibrate(
         document = calibrated(request, report)
     if json:
         emit_json(document)
-    elif not document["refused"]:
-        print_table(list(_rows(document)))
-        _print_lines(document["lines"])
-    if not json:
+    else:
+        if not document["refused"]:
+            print_table(_rows(document))
+            for line in filter(None, document["lines"].values()):
+                emit(f"\n{line}")
         note_problems(document)
     if document["refused"]:
         note(f"mavnav: error: {log}: {document['refused']}")
     raise typer.Exit(document["exit_code"])
 
 
-def _rows(document: dict[str, Any]) -> Iterator[tuple[str, str]]:
+def _rows(document: dict[str, Any]) -> Rows:
     from mavnav.outputs.report.summary_page import QUANTITY_NAMES
 
     source = document["input"]
@@ -108,18 +94,16 @@ def _rows(document: dict[str, Any]) -> Iterator[tuple[str, str]]:
     moved = f"{document['motion']['path_m']:.1f} m, {document['motion']['turned_deg']:.0f} deg in all"
     yield "calibrated", f"{frames}, {source['topic']} with {source['odometry']['topic']}; {moved}"
     for row in document["quantities"]:
-        yield QUANTITY_NAMES[row["name"]][0], _text(row)
-    yield "upside down", _switch_text(document["upside_down"])
-    yield "beams reversed", _switch_text(document["beams_reversed"])
-    yield "range bias", _switch_text(document["range_bias"])
+        title, digits = QUANTITY_NAMES[row["name"]]
+        yield title, _text(row, digits)
+    for name in ("upside_down", "beams_reversed", "range_bias"):
+        yield name.replace("_", " "), _switch_text(document[name])
 
 
-def _text(row: dict[str, Any]) -> str:
+def _text(row: dict[str, Any], digits: int) -> str:
     if row["refused"]:
         return f"not determined: {row['refused']}"
-    from mavnav.outputs.report.summary_page import QUANTITY_NAMES
-
-    digits, unit = QUANTITY_NAMES[row["name"]][1], f" {row['unit']}".rstrip()
+    unit = f" {row['unit']}".rstrip()
     estimate = f"{row['value']:.{digits}f}{unit} +- {row['ci95']:.{digits}f}"
     if row["in_log"] is None:
         return f"{estimate}; the log has no transform"
@@ -132,9 +116,3 @@ def _switch_text(switch: dict[str, Any]) -> str:
     if switch["refused"]:
         return f"not determined: {switch['refused']}"
     return f"{'yes' if switch['value'] else 'no'}; {'agrees' if switch['agrees'] else 'differs'}"
-
-
-def _print_lines(lines: dict[str, str | None]) -> None:
-    for line in filter(None, lines.values()):
-        emit("")
-        emit(line)

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
 import typer
 
-from mavnav.commands.gating import Gates, gates_of
-from mavnav.commands.options import Json
+from mavnav.commands import shared
 from mavnav.commands.terminal import emit, emit_json, note, printable
 from mavnav.config.named_files import read_json
 from mavnav.errors import ExitCode, UsageError, worst
@@ -24,9 +23,7 @@ WHOLE_FILES: Final = ("batch.json", "comparison.json")
 
 EPILOG = """
 [bold]Examples[/bold]
-
 mavnav check runs/drive-robust-20-10x10 --gate 'wall_thickness.spread.p95_mm<=150'
-
 mavnav check runs/* --gate 'map.accepted_share>=0.95' --gate 'tracking.lost==false'
 """
 
@@ -37,13 +34,13 @@ def check(
         typer.Argument(metavar="RUN", help="Directories of runs, comparisons or batches.", show_default=False),
     ],
     *,
-    gates: Gates = None,
-    json: Json = False,
+    gates: shared.Gates = None,
+    json: shared.Json = False,
 ) -> None:
     """Check finished runs against quality gates; exits with the worst code of the runs and their gates."""
     from mavnav.metrics.gates import check_known
 
-    bounds = gates_of(gates)
+    bounds = shared.gates_of(gates)
     finished = [run for path in runs for run in _runs_at(path)]
     check_known(bounds, [run.document for run in finished if run.document is not None])
     rows = [_judge(run, bounds) for run in finished]

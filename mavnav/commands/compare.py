@@ -7,24 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mavnav.commands import shared
 from mavnav.commands.comparison_table import print_comparison
-from mavnav.commands.gating import Gates, gates_of
-from mavnav.commands.map_preview import Preview, show_preview
-from mavnav.commands.options import (
-    Azimuths,
-    ConfigFile,
-    Jobs,
-    Json,
-    Methods,
-    Quiet,
-    RunAgain,
-    Sets,
-    directory_option,
-    shared_option,
-    with_options,
-)
-from mavnav.commands.progress import loading_modules, reporting
-from mavnav.commands.run_progress import watching
+from mavnav.commands.progress import loading_modules, reporting, watching
 from mavnav.commands.terminal import emit, emit_json, note
 from mavnav.config.options import READING, REFERENCES, read_options, settings_of
 from mavnav.errors import UsageError
@@ -35,18 +20,14 @@ if TYPE_CHECKING:
 
 EPILOG = """
 [bold]Examples[/bold]
-
 mavnav compare drive.mcap --grid 5x5 --grid 10x10 --grid 20x20
-
 mavnav compare --grid 20x20
-
 mavnav compare a.bag b.mcap --method robust --method paper -j 4 -o grids
-
 mavnav compare drive.mcap --grid 40x40 --azimuth 40 --gate 'wall_thickness.spread.p95_mm<=150'
 """
 
 
-@with_options(*READING, "online", *REFERENCES)
+@shared.with_options(*READING, "online", *REFERENCES)
 def compare(
     context: typer.Context,
     logs: Annotated[
@@ -54,23 +35,25 @@ def compare(
         typer.Argument(metavar="LOG", help="Logs (default: the sample corridor).", show_default=False),
     ] = None,
     *,
-    methods: Methods = None,
+    methods: shared.Methods = None,
     grids: Annotated[
         list[str] | None,
-        shared_option(
+        shared.replay_option(
             "grid", help="Search grid; repeatable (default 5x5, 10x10, 20x20). To a single one, 10x10 is added."
         ),
     ] = None,
-    azimuths: Azimuths = None,
-    config: ConfigFile = None,
-    sets: Sets = None,
-    directory: Annotated[Path | None, directory_option(help="Output directory (default runs/compare-LOG).")] = None,
-    force: RunAgain = False,
-    jobs: Jobs = None,
-    preview: Preview = False,
-    json: Json = False,
-    quiet: Quiet = False,
-    gates: Gates = None,
+    azimuths: shared.Azimuths = None,
+    config: shared.ConfigFile = None,
+    sets: shared.Sets = None,
+    directory: Annotated[
+        Path | None, shared.directory_option(help="Output directory (default runs/compare-LOG).")
+    ] = None,
+    force: shared.RunAgain = False,
+    jobs: shared.Jobs = None,
+    preview: shared.Preview = False,
+    json: shared.Json = False,
+    quiet: shared.Quiet = False,
+    gates: shared.Gates = None,
     **given: object,
 ) -> None:
     """Replay logs with several search grids, or methods, and compare maps, metrics and cost.
@@ -81,7 +64,7 @@ def compare(
     for log in logs or []:
         if not log.exists():
             raise UsageError(f"{log}: no such file; name a log")
-    bounds = gates_of(gates)
+    bounds = shared.gates_of(gates)
     with reporting(quiet=quiet) as report:
         with loading_modules():
             from mavnav.batch.plan import load_kernels
@@ -109,8 +92,9 @@ def compare(
         load_kernels(plan, report)
     document, page = _run_and_draw(plan, quiet=quiet)
     _print_result(document, page, json=json)
-    if preview:
-        _show_maps(document, target, stderr=json)
+    for cell in document["cells"] if preview else ():
+        if cell["directory"]:
+            shared.show_preview(target / cell["directory"], cell["name"], stderr=json)
     raise typer.Exit(document["exit_code"])
 
 
@@ -152,9 +136,3 @@ def _print_result(document: dict[str, Any], page: Path, *, json: bool) -> None:
         note(f"mavnav: error: {problem}")
     for remark in remarks(document):
         note(f"mavnav: warning: {remark}")
-
-
-def _show_maps(document: dict[str, Any], directory: Path, *, stderr: bool) -> None:
-    for cell in document["cells"]:
-        if cell["directory"]:
-            show_preview(directory / cell["directory"], cell["name"], stderr=stderr)

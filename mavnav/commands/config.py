@@ -6,18 +6,14 @@ from typing import Annotated, Literal
 
 import typer
 
-from mavnav.commands import completion
-from mavnav.commands.options import Sets
+from mavnav.commands import completion, shared
 from mavnav.commands.terminal import emit, emit_json
 from mavnav.commands.values import CommandGroup, PlainCommand
 
 EPILOG = """
 [bold]Examples[/bold]
-
 mavnav config show paper
-
 mavnav config show --set robust.cell_mm=25 > my.yaml
-
 mavnav config schema run
 """
 
@@ -35,16 +31,8 @@ def show(
             autocompletion=completion.presets,
         ),
     ] = None,
-    sets: Sets = None,
-    method: Annotated[
-        str | None,
-        typer.Option(
-            metavar="robust|paper",
-            help="SLAM method (default robust).",
-            show_default=False,
-            autocompletion=completion.words("robust", "paper"),
-        ),
-    ] = None,
+    sets: shared.Sets = None,
+    method: Annotated[str | None, shared.replay_option("method")] = None,
 ) -> None:
     """Print the effective configuration as YAML with comments; it can be given to --config."""
     from mavnav.config.loading import load_config, to_yaml
@@ -59,12 +47,8 @@ def schema(
     ] = "config",
 ) -> None:
     """Print the JSON Schema of configuration files, for editors that check while you type, or of run.json."""
-    if document == "run":
-        from mavnav.outputs.documents.schema import run_schema
-
-        emit_json(run_schema())
-        return
     from mavnav.config.loading import schema_of
     from mavnav.config.models import Config
+    from mavnav.outputs.documents.schema import run_schema
 
-    emit_json(schema_of(Config))
+    emit_json(run_schema() if document == "run" else schema_of(Config))

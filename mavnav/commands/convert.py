@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mavnav.commands.options import Force, Json, LogFile, Quiet, with_options
+from mavnav.commands import shared
 from mavnav.commands.progress import reporting
-from mavnav.commands.terminal import emit_json, note_problems, print_table
+from mavnav.commands.terminal import Rows, note_problems, print_result
 from mavnav.errors import ExitCode
 
 if TYPE_CHECKING:
@@ -19,40 +20,31 @@ SCHEMA_VERSION = 1
 
 EPILOG = """
 [bold]Examples[/bold]
-
 mavnav convert crashed.bag.active drive.mcap
-
 mavnav convert rosbag2_folder drive.mcap --strict --json | jq .left_out
 """
 
 
-@with_options("strict")
+@shared.with_options("strict")
 def convert(
-    log: LogFile,
+    log: shared.LogFile,
     target: Annotated[Path, typer.Argument(metavar="OUT.mcap", help="The file to write.", show_default=False)],
     *,
-    force: Force = False,
-    json: Json = False,
-    quiet: Quiet = False,
+    force: shared.Force = False,
+    json: shared.Json = False,
+    quiet: shared.Quiet = False,
     **given: object,
 ) -> None:
     """Convert a log, as far as it can be read, to an indexed MCAP with ROS 2 messages."""
     from mavnav.logs.writing.convert import convert_log
 
     with reporting(quiet=quiet) as report:
-        done = convert_log(
-            log,
-            target,
-            strict=bool(given["strict"]),
-            force=force,
-            progress=lambda n, total: report("converting", n, total),
-        )
+        strict, progress = bool(given["strict"]), partial(report, "converting")
+        done = convert_log(log, target, strict=strict, force=force, progress=progress)
     code = ExitCode.DAMAGED_INPUT if done.damage else ExitCode.DONE
     result = document(log, target, done, code)
-    if json:
-        emit_json(result)
-    else:
-        print_table(_rows(result))
+    print_result(result, _rows(result), json=json)
+    if not json:
         note_problems(result)
     raise typer.Exit(code)
 
@@ -74,7 +66,7 @@ def document(log: Path, target: Path, done: Conversion, code: ExitCode) -> dict[
     }
 
 
-def _rows(result: dict[str, Any]) -> list[tuple[str, str]]:
+def _rows(result: dict[str, Any]) -> Rows:
     """Return the rows of the table."""
     file = result["output"]
     rows = [("written", f"{file['path']}, {file['size_bytes'] / 1e6:.1f} MB, {result['messages']} messages")]

@@ -3,57 +3,53 @@
 from __future__ import annotations
 
 from collections import Counter
+from functools import partial
+from itertools import zip_longest
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from mavnav.commands.options import Json, LogFile, Quiet, with_options
+from mavnav.commands import shared
 from mavnav.commands.progress import reporting
-from mavnav.commands.terminal import LISTED, emit_json, note_problems, print_table
+from mavnav.commands.terminal import LISTED, Rows, note_problems, print_result
 from mavnav.config.options import read_options
 from mavnav.errors import ExitCode, MavnavError
 from mavnav.units import DEG, NS, pluralize
 
 if TYPE_CHECKING:
     from mavnav.logs import Log, Survey
+    from mavnav.logs.levelling import RecordedAttitude
+    from mavnav.logs.records import Imu, Odometry
+    from mavnav.pose import Pose
 
 SCHEMA_VERSION = 1
 
 EPILOG = """
 [bold]Examples[/bold]
-
 mavnav info drive.mcap
-
 mavnav info rosbag2_folder --topic /front/scan
-
 mavnav info drive.bag --json | jq .scans
 """
 
 
-@with_options("topic", "strict")
-def info(log: LogFile, *, json: Json = False, quiet: Quiet = False, **given: object) -> None:
+@shared.with_options("topic", "strict")
+def info(log: shared.LogFile, *, json: shared.Json = False, quiet: shared.Quiet = False, **given: object) -> None:
     """Examine a log: topics, sensor, scans, rate, validity of ranges, odometry, and everything that is damaged."""
     from mavnav.logs import survey
 
     options = read_options(given)
     name = options.get("topic")
     with reporting(quiet=quiet) as report:
-        contents = survey(
-            log,
-            topic=name,
-            strict=options.get("strict", False),
-            progress=lambda done, total: report("reading", done, total),
-        )
+        contents = survey(log, topic=name, strict=options.get("strict", False), progress=partial(report, "reading"))
     logs, error = _choices(contents, name)
-    if error is not None:
-        shown = document(contents, logs, error.exit_code)
-        if not json:  # the error line names its cause
-            shown["damage"] = [each for each in shown["damage"] if each["what"] not in str(error)]
-        _print_result(shown, json=json)
-        raise error
-    code = ExitCode.DAMAGED_INPUT if contents.damage else ExitCode.DONE
-    _print_result(document(contents, logs, code), json=json)
-    raise typer.Exit(code)
+    code = error.exit_code if error else ExitCode.DAMAGED_INPUT if contents.damage else ExitCode.DONE
+    shown = document(contents, logs, code)
+    if error and not json:  # the error line names its cause
+        shown["damage"] = [each for each in shown["damage"] if each["what"] not in str(error)]
+    print_result(shown, _rows(shown), json=json)
+    if not json:
+        note_problems(shown)
+    raise error or typer.Exit(code)
 
 
 def _choices(survey: Survey, topic: str | None) -> tuple[list[Log], MavnavError | None]:
@@ -106,10 +102,10 @@ def _topic(log: Log | None) -> dict[str, Any]:
         "time": _time(log) if log else None,
         "health": _health(log) if log else None,
         "cleaning": log.cleaning if log else {},
-        "odometry": _odometry(log) if log else None,
-        "imu": _imu(log) if log else None,
-        "attitude": _attitude(log) if log else None,
-        "mounting": _mounting(log) if log else None,
+        "odometry": _odometry(log.odometry) if log and log.odometry else None,
+        "imu": _imu(log.imu) if log and log.imu else None,
+        "attitude": _attitude(log.attitude) if log and log.attitude else None,
+        "mounting": _mounting(log, log.base_T_laser) if log and log.base_T_laser else None,
     }
 
 
@@ -137,11 +133,9 @@ def _counts(survey: Survey, logs: list[Log]) -> dict[str, Any]:
 def _sensor(log: Log) -> dict[str, Any]:
     from msgspec.structs import asdict
 
-    sensor = asdict(log.sensor)
     # JSON has no infinity: null means that the sensor has no limit.
-    limit = sensor["range_max_m"]
-    sensor["range_max_m"] = None if limit == float("inf") else limit
-    return {**sensor, "field_of_view_rad": log.sensor.field_of_view_rad}
+    limit_m = None if log.sensor.range_max_m == float("inf") else log.sensor.range_max_m
+    return asdict(log.sensor) | {"range_max_m": limit_m, "field_of_view_rad": log.sensor.field_of_view_rad}
 
 
 def _time(log: Log) -> dict[str, Any]:
@@ -168,72 +162,58 @@ def _health(log: Log) -> dict[str, Any]:
     return {**asdict(health), "findings": [asdict(finding) for finding in health.findings]}
 
 
-def _imu(log: Log) -> dict[str, Any] | None:
-    if log.imu is None:
-        return None
-    turns = log.imu.rotation
-    span_s = float(turns.stamps_ns[-1] - turns.stamps_ns[0]) * NS
-    return {"topic": log.imu.topic, "messages": len(turns.stamps_ns), "rate_hz": (len(turns.stamps_ns) - 1) / span_s}
+def _imu(imu: Imu) -> dict[str, Any]:
+    stamps_ns = imu.rotation.stamps_ns
+    span_s = float(stamps_ns[-1] - stamps_ns[0]) * NS
+    return {"topic": imu.topic, "messages": len(stamps_ns), "rate_hz": (len(stamps_ns) - 1) / span_s}
 
 
-def _attitude(log: Log) -> dict[str, Any] | None:
+def _attitude(attitude: RecordedAttitude) -> dict[str, Any]:
     from mavnav.outputs.documents.sections import attitude_source
     from mavnav.outputs.files.document import plain
 
-    return None if log.attitude is None else plain(attitude_source(log.attitude))
+    described: dict[str, Any] = plain(attitude_source(attitude))
+    return described
 
 
-def _odometry(log: Log) -> dict[str, Any] | None:
-    if log.odometry is None:
-        return None
-    track = log.odometry.odom_T_base
-    return {
-        "topic": log.odometry.topic,
-        "source": log.odometry.source,
-        "poses": len(track),
-        "length_m": track.length_m if len(track) > 1 else 0.0,
-    }
+def _odometry(odometry: Odometry) -> dict[str, Any]:
+    track = odometry.odom_T_base
+    length_m = track.length_m if len(track) > 1 else 0.0
+    return {"topic": odometry.topic, "source": odometry.source, "poses": len(track), "length_m": length_m}
 
 
-def _mounting(log: Log) -> dict[str, Any] | None:
-    if log.base_T_laser is None:
-        return None
-    return {"source": log.mounting_source, "base_frame": log.base_frame, **log.base_T_laser._asdict()}
+def _mounting(log: Log, base_T_laser: Pose) -> dict[str, Any]:
+    return {"source": log.mounting_source, "base_frame": log.base_frame, **base_T_laser._asdict()}
 
 
-def _print_result(document: dict[str, Any], *, json: bool) -> None:
-    """Print the document, or the table and on stderr what must not be missed."""
-    if json:
-        emit_json(document)
-        return
-    print_table(_rows(document))
-    note_problems(document)
-
-
-def _rows(document: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return the rows of the table."""
+def _rows(document: dict[str, Any]) -> Rows:
+    """Yield the rows of the table."""
     source, scans = document["input"], document["scans"]
-    rows = [
-        ("log", source["path"]),
-        ("format", f"{source['format']}, {source['size_bytes'] / 1e6:.1f} MB"),
-        *_topic_rows(document["topics"]),
-    ]
+    yield "log", source["path"]
+    yield "format", f"{source['format']}, {source['size_bytes'] / 1e6:.1f} MB"
+    yield from _list("topics", [f"{t['name']}  {t['type']}  {t['encoding']}  {t['count']}" for t in document["topics"]])
     skipped = "".join(f", {count} {reason.replace('_', ' ')}" for reason, count in scans["skipped"].items())
     suspect = f", {scans['suspect']} of the usable are suspect" if scans["suspect"] else ""
-    rows.append(("scans", f"{scans['usable']} usable of {scans['total']}{skipped}{suspect}"))
+    yield "scans", f"{scans['usable']} usable of {scans['total']}{skipped}{suspect}"
     for topic in document["scan_topics"]:
-        rows += [
-            ("scan topic", f"{topic['topic']}, frame {topic['frame_id']}, {topic['scans']['usable']} scans"),
-            *_sensor_rows(topic["sensor"]),
-            *_time_rows(topic["time"]),
-            ("ranges", _shares(topic["cleaning"])),
-            *_health_rows(topic["health"]),
-            ("odometry", _odometry_text(topic["odometry"])),
-            *_imu_row(topic["imu"]),
-            ("attitude", _attitude_text(topic["attitude"])),
-            ("mounting", _mounting_text(topic["mounting"])),
-        ]
-    return [*rows, ("verdict", _verdict(document))]
+        odometry, imu, findings = topic["odometry"], topic["imu"], topic["health"]["findings"]
+        yield "scan topic", f"{topic['topic']}, frame {topic['frame_id']}, {topic['scans']['usable']} scans"
+        yield "sensor", _sensor_text(topic["sensor"])
+        yield from _time_rows(topic["time"])
+        yield "ranges", _shares(topic["cleaning"])
+        yield from _list("health", [f"{each['what']}: {each['advice']}" for each in findings], "healthy")
+        poses = f"{odometry['topic']}, {odometry['poses']} poses, {odometry['length_m']:.2f} m" if odometry else "none"
+        yield "odometry", poses
+        if imu:
+            yield "imu", f"{imu['topic']}, {imu['messages']} messages, {imu['rate_hz']:.0f} Hz"
+        yield "attitude", _attitude_text(topic["attitude"])
+        yield "mounting", _mounting_text(topic["mounting"])
+    yield "verdict", _verdict(document)
+
+
+def _list(name: str, lines: list[str], otherwise: str = "none") -> Rows:
+    """Return a row for each line, the first with the name; without any line, one that says so."""
+    return zip_longest([name], lines or [otherwise], fillvalue="")
 
 
 def _verdict(document: dict[str, Any]) -> str:
@@ -248,45 +228,24 @@ def _verdict(document: dict[str, Any]) -> str:
             return "no scan can be used"
 
 
-def _topic_rows(topics: list[dict[str, Any]]) -> list[tuple[str, str]]:
-    lines = [f"{t['name']}  {t['type']}  {t['encoding']}  {t['count']}" for t in topics] or ["none"]
-    return [("topics" if k == 0 else "", line) for k, line in enumerate(lines)]
-
-
-def _sensor_rows(sensor: dict[str, Any]) -> list[tuple[str, str]]:
+def _sensor_text(sensor: dict[str, Any]) -> str:
     limit = sensor["range_max_m"]
     reach = f"{sensor['range_min_m']:g} m to {limit:g} m" if limit else f"from {sensor['range_min_m']:g} m on"
     field, step = sensor["field_of_view_rad"] / DEG, sensor["angle_step_rad"] / DEG
-    return [("sensor", f"{sensor['beams']} beams over {field:.1f} deg, step {step:.3f} deg, {reach}")]
+    return f"{sensor['beams']} beams over {field:.1f} deg, step {step:.3f} deg, {reach}"
 
 
-def _time_rows(time: dict[str, Any]) -> list[tuple[str, str]]:
+def _time_rows(time: dict[str, Any]) -> Rows:
     rate = f", {time['rate_hz']:.2f} Hz" if time["rate_hz"] else ""
     start = f"from {time['first_ns'] * NS:.3f} s, {time['stamp_source']} stamps"
+    yield "time", f"{time['duration_s']:.2f} s{rate}, {start}"
     longest = max((gap["duration_s"] for gap in time["gaps"]), default=0.0)
-    gaps = f"{len(time['gaps'])}, the longest {longest:.2f} s" if time["gaps"] else "none"
-    return [("time", f"{time['duration_s']:.2f} s{rate}, {start}"), ("gaps", gaps)]
+    yield "gaps", f"{len(time['gaps'])}, the longest {longest:.2f} s" if time["gaps"] else "none"
 
 
 def _shares(cleaning: dict[str, int]) -> str:
     beams = max(sum(cleaning.values()), 1)
     return ", ".join(f"{kind.replace('_', ' ')} {100 * n / beams:.2f} %" for kind, n in cleaning.items() if n)
-
-
-def _health_rows(health: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return a row for a healthy sensor, else one for each finding with what to do."""
-    lines = [f"{finding['what']}: {finding['advice']}" for finding in health["findings"]] or ["healthy"]
-    return [("health" if k == 0 else "", line) for k, line in enumerate(lines)]
-
-
-def _odometry_text(odometry: dict[str, Any] | None) -> str:
-    if odometry is None:
-        return "none"
-    return f"{odometry['topic']}, {odometry['poses']} poses, {odometry['length_m']:.2f} m"
-
-
-def _imu_row(imu: dict[str, Any] | None) -> list[tuple[str, str]]:
-    return [] if imu is None else [("imu", f"{imu['topic']}, {imu['messages']} messages, {imu['rate_hz']:.0f} Hz")]
 
 
 def _attitude_text(attitude: dict[str, Any] | None) -> str:

@@ -7,16 +7,14 @@ from typing import Annotated, Any
 
 import typer
 
-from mavnav.commands.options import ConfigFile, Force, Json, Quiet, Sets, WriteReport, directory_option
+from mavnav.commands import shared
 from mavnav.commands.progress import loading_modules, reporting
-from mavnav.commands.terminal import emit_json, note, print_table
+from mavnav.commands.terminal import note, print_result
 from mavnav.units import pluralize
 
 EPILOG = """
 [bold]Examples[/bold]
-
 mavnav merge monday.bag tuesday.bag runs/wednesday -o runs/building
-
 mavnav merge logs/*.mcap -o runs/building --json | jq '.sessions[] | select(.joined | not)'
 """
 
@@ -27,15 +25,15 @@ def merge(
         typer.Argument(metavar="RUN|LOG", help="Run directories and logs, in any order.", show_default=False),
     ],
     *,
-    directory: Annotated[Path, directory_option(help="Directory of the result (default runs/merged).")] = Path(
+    directory: Annotated[Path, shared.directory_option(help="Directory of the result (default runs/merged).")] = Path(
         "runs/merged"
     ),
-    config: ConfigFile = None,
-    sets: Sets = None,
-    report_page: WriteReport = False,
-    force: Force = False,
-    json: Json = False,
-    quiet: Quiet = False,
+    config: shared.ConfigFile = None,
+    sets: shared.Sets = None,
+    report_page: shared.WriteReport = False,
+    force: shared.Force = False,
+    json: shared.Json = False,
+    quiet: shared.Quiet = False,
 ) -> None:
     """Join sessions of one building to one map: each is found in the map of the others."""
     with reporting(quiet=quiet) as report:
@@ -51,10 +49,7 @@ def merge(
         if not session["joined"]:
             note(f"mavnav: error: {_label(session)} did not join: {session['why']}")
         _note_input(session)
-    if json:
-        emit_json(document)
-    else:
-        print_table([*(_row(session) for session in document["sessions"]), ("written", str(directory))])
+    print_result(document, [*map(_row, document["sessions"]), ("written", str(directory))], json=json)
     raise typer.Exit(document["exit_code"])
 
 

@@ -7,27 +7,23 @@ from typing import Annotated, Any
 
 import typer
 
-from mavnav.commands.options import Json, Quiet, with_options
+from mavnav.commands import shared
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.quality_rows import more_rows, quality_rows, reference_rows, wall_rows
-from mavnav.commands.terminal import emit, emit_json, note, print_table
+from mavnav.commands.terminal import Rows, emit, emit_json, note, print_table
 from mavnav.config.options import REFERENCES, read_options, reference_files
 from mavnav.errors import UsageError
 
 EPILOG = """
 [bold]Examples[/bold]
-
 mavnav metrics runs/drive-robust-20-10x10
-
 mavnav metrics other_tool/map.yaml --json | jq '.maps[0].map_quality.ghost_walls'
-
 mavnav metrics runs/* --truth groundtruth.tum
-
 mavnav metrics map.yaml --truth-map corridor.yaml
 """
 
 
-@with_options(
+@shared.with_options(
     *REFERENCES,
     truth={"usage": "--truth FILE.tum", "help": "Ground-truth trajectory of the laser, a TUM file: ATE and RPE."},
 )
@@ -37,8 +33,8 @@ def metrics(
         typer.Argument(metavar="RUN|MAP.yaml", help="Run directories, or map_server maps (YAML).", show_default=False),
     ],
     *,
-    json: Json = False,
-    quiet: Quiet = False,
+    json: shared.Json = False,
+    quiet: shared.Quiet = False,
     **given: object,
 ) -> None:
     """Measure maps: wall thickness, ghost walls, crispness, support, errors against a reference."""
@@ -63,13 +59,10 @@ def metrics(
         print_table(_summary(entry))
 
 
-def _summary(entry: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return the rows of the table on one map."""
-    quality = entry["map_quality"]
-    return [
-        (entry["kind"], entry["path"]),
-        *wall_rows(entry),
-        *quality_rows(quality),
-        *more_rows(quality),
-        *reference_rows(entry.get("reference")),
-    ]
+def _summary(entry: dict[str, Any]) -> Rows:
+    """Yield the rows of the table on one map."""
+    yield entry["kind"], entry["path"]
+    yield from wall_rows(entry)
+    yield from quality_rows(entry["map_quality"])
+    yield from more_rows(entry["map_quality"])
+    yield from reference_rows(entry.get("reference"))

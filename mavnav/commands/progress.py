@@ -1,4 +1,4 @@
-"""Progress of a long job on stderr: a bar with the remaining time on a terminal, else a plain line every 5 s."""
+"""Progress on stderr: bars on a terminal; else plain lines, of a long job every 5 s, of many runs when one ends."""
 
 from __future__ import annotations
 
@@ -7,18 +7,24 @@ import sys
 import threading
 from contextlib import contextmanager
 from time import monotonic
-from typing import TYPE_CHECKING, Final, cast
+from typing import TYPE_CHECKING, Final, ParamSpec
 
 from mavnav.commands import signals
-from mavnav.commands.terminal import console, note
+from mavnav.commands.terminal import console, note, printable
 from mavnav.profiling import silent
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from rich.progress import Progress as Bars
+    from rich.progress import TaskID
 
+    from mavnav.jobs import Event, Outcome, Retried
     from mavnav.profiling import Progress
+
+    Listener = Callable[[Event], None]
+
+P = ParamSpec("P")
 
 BAR_PERIOD_S = 0.1
 LINE_PERIOD_S = 5.0
@@ -39,8 +45,9 @@ class _ProgressState:
     def __init__(self, period_s: float, stages: dict[str, int]) -> None:
         """Start without a phase."""
         self.period_s, self.stages = period_s, stages
-        self.phase, self.done, self.total = "", 0, cast("int | None", None)
-        self.began_s, self.job_began_s, self.reported_s = 0.0, cast("float | None", None), monotonic()
+        self.phase, self.done, self.began_s, self.reported_s = "", 0, 0.0, monotonic()
+        self.total: int | None = None
+        self.job_began_s: float | None = None
 
     def due(self, phase: str, done: int, total: int | None) -> bool:
         """Store a report; return whether to show it: its phase is new, or a period has passed since the last one."""
@@ -93,13 +100,28 @@ def reporting(*, quiet: bool, stages: dict[str, int] | None = None) -> Iterator[
     With ``stages``, each line contains the number of the stage, and the remaining time is that of the whole job. The
     callback also raises the exception of a signal that arrived and that Python has dropped.
     """
-    with _reporting(stages or {}, quiet=quiet) as report:
+    if quiet:
+        yield _raising(silent)
+    elif sys.stderr.isatty():
+        with _bars() as shown:
+            yield _raising(_bar_report(shown, stages or {}))
+    else:
+        state, ended = _ProgressState(LINE_PERIOD_S, stages or {}), threading.Event()
+        threading.Thread(target=_print_when_idle, args=(state, ended), daemon=True).start()
+        try:
+            yield _raising(_line_report(state))
+        finally:
+            ended.set()
 
-        def report_or_raise(phase: str, done: int, total: int | None) -> None:
-            signals.raise_pending()
-            report(phase, done, total)
 
-        yield report_or_raise
+def _raising(call: Callable[P, None]) -> Callable[P, None]:
+    """Return a callback that first raises the exception of a signal that arrived and that Python has dropped."""
+
+    def raise_or_call(*args: P.args, **values: P.kwargs) -> None:
+        signals.raise_pending()
+        call(*args, **values)
+
+    return raise_or_call
 
 
 @contextmanager
@@ -117,23 +139,7 @@ def loading_modules() -> Iterator[None]:
         gc.enable()
 
 
-@contextmanager
-def _reporting(stages: dict[str, int], *, quiet: bool) -> Iterator[Progress]:
-    if quiet:
-        yield silent
-    elif sys.stderr.isatty():
-        with bars() as shown:
-            yield _bar_report(shown, stages)
-    else:
-        state, ended = _ProgressState(LINE_PERIOD_S, stages), threading.Event()
-        threading.Thread(target=_print_when_idle, args=(state, ended), daemon=True).start()
-        try:
-            yield _line_report(state)
-        finally:
-            ended.set()
-
-
-def bars() -> Bars:
+def _bars() -> Bars:
     """Return progress bars on stderr that vanish at the end: description, bar, share, remaining time."""
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
@@ -181,3 +187,74 @@ def _print_when_idle(state: _ProgressState, ended: threading.Event) -> None:
         if phase and (lasts or now_s - state.reported_s >= state.period_s):
             announced, state.reported_s = phase, now_s
             note(f"mavnav: {state.text()}" if now_s - state.began_s >= state.period_s else f"mavnav: {state.title()}")
+
+
+@contextmanager
+def watching(names: Sequence[str], *, quiet: bool, lines: bool = True) -> Iterator[Listener]:
+    """Yield a listener to the events of the jobs ``names``; it also raises a signal that Python has dropped.
+
+    Without a terminal, it prints a line for every run that ends, unless ``lines`` is false.
+    """
+    if quiet or not names:
+        yield _raising(lambda _event: None)
+    elif sys.stderr.isatty():
+        with _bars() as shown:
+            yield _raising(_bar_listener(shown, names))
+    else:
+        yield _raising(_line_listener(names, ends=lines))
+
+
+def _line_listener(names: Sequence[str], *, ends: bool) -> Listener:
+    from mavnav.jobs import Ended, Retried
+
+    ended = 0
+
+    def listen(event: Event) -> None:
+        nonlocal ended
+        if isinstance(event, Retried):
+            note(_retry_text(names[event.index], event))
+        elif isinstance(event, Ended) and ends:
+            ended += 1
+            note(f"mavnav: {ended} of {len(names)}: {names[event.index]} {_ending(event.outcome)}")
+
+    return listen
+
+
+def _retry_text(name: str, event: Retried) -> str:
+    return f"mavnav: {name}: {event.error}; it is tried again at the end"
+
+
+def _ending(outcome: Outcome) -> str:
+    """Return the text of how a job ended."""
+    from mavnav.jobs import Status
+
+    return f"done in {outcome.seconds:.1f} s" if outcome.status is Status.DONE else f"failed: {outcome.error}"
+
+
+def _bar_listener(shown: Bars, names: Sequence[str]) -> Listener:
+    """Show a bar for all runs and one for each current run; print a line for each failure."""
+    from mavnav.jobs import Ended, Progressed, Retried, Started, Status
+
+    failed, whole = 0, shown.add_task(f"{len(names)} runs", total=len(names))
+    tasks: dict[int, TaskID] = {}
+
+    def listen(event: Event) -> None:
+        nonlocal failed
+        match event:
+            case Started(index):
+                tasks[index] = shown.add_task(printable(names[index]), total=None)
+            case Progressed(index, phase, done, total):
+                text = printable(f"{names[index]}: {phase}")
+                shown.update(tasks[index], description=text, completed=done, total=total)
+            case Retried(index):
+                shown.remove_task(tasks.pop(index))
+                note(_retry_text(names[index], event))
+            case Ended(index, outcome):
+                shown.remove_task(tasks.pop(index))
+                shown.advance(whole)
+                if outcome.status is not Status.DONE:
+                    failed += 1
+                    shown.update(whole, description=f"{len(names)} runs, {failed} failed")
+                    note(f"mavnav: {names[index]} {_ending(outcome)}")
+
+    return listen

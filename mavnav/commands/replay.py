@@ -8,32 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mavnav.commands import signals
-from mavnav.commands.gating import Gates, check_gates, gated_code, gates_of
+from mavnav.commands import shared, signals
 from mavnav.commands.lost_advice import lost_line
-from mavnav.commands.map_preview import Preview, show_preview
-from mavnav.commands.options import (
-    Again,
-    ConfigFile,
-    Force,
-    Json,
-    MaybeLogFile,
-    Outputs,
-    Quiet,
-    Sets,
-    WriteReport,
-    again_directory,
-    directory_option,
-    note_repetition,
-    note_without_effect,
-    output_option,
-    output_values,
-    run_to_repeat,
-    with_options,
-)
 from mavnav.commands.progress import REPLAY, loading_modules, reporting
 from mavnav.commands.quality_rows import closing_rows, doubt_rows, quality_rows, reference_rows, wall_rows
-from mavnav.commands.terminal import emit, emit_json, note, print_table
+from mavnav.commands.terminal import Rows, emit, note, print_result
 from mavnav.config.options import OPTIONS, REFERENCES, read_options, settings_of
 from mavnav.errors import ExitCode, UsageError
 from mavnav.units import pluralize
@@ -44,88 +23,73 @@ if TYPE_CHECKING:
 
 EPILOG = """
 [bold]Examples[/bold]
-
 mavnav replay drive.mcap
-
 mavnav replay drive.bag -o runs/drive --odom off --start 5 --end 60
-
 mavnav replay rosbag2_folder --method paper --grid 20x20 --azimuth 40
-
 mavnav replay drive.mcap --map office.yaml --start-pose 2.1,0.4,1.57
-
 mavnav replay drive.mcap --set robust.cell_mm=25 --json | jq .wall_thickness
-
 mavnav replay --again runs/drive-robust-20-10x10 -o runs/repeated
 """
 
 
-@with_options(*OPTIONS)
+@shared.with_options(*OPTIONS)
 def replay(
     context: typer.Context,
-    log: MaybeLogFile = None,
+    log: shared.MaybeLogFile = None,
     *,
-    again: Again = None,
-    config: ConfigFile = None,
-    sets: Sets = None,
+    again: shared.Again = None,
+    config: shared.ConfigFile = None,
+    sets: shared.Sets = None,
     directory: Annotated[
-        Path | None, directory_option(help="Run directory (default runs/LOG-METHOD-YAW-GRID).")
+        Path | None, shared.directory_option(help="Run directory (default runs/LOG-METHOD-YAW-GRID).")
     ] = None,
-    force: Force = False,
-    report: WriteReport = False,
-    outputs: Outputs = None,
-    preview: Preview = False,
-    profile: Annotated[bool, output_option("--profile", help="Print the time of each stage.")] = False,
-    json: Json = False,
-    quiet: Quiet = False,
-    gates: Gates = None,
+    force: shared.Force = False,
+    report: shared.WriteReport = False,
+    outputs: shared.Outputs = None,
+    preview: shared.Preview = False,
+    profile: Annotated[bool, shared.output_option("--profile", help="Print the time of each stage.")] = False,
+    json: shared.Json = False,
+    quiet: shared.Quiet = False,
+    gates: shared.Gates = None,
     **given: object,
 ) -> None:
     """Map a recorded log: trajectory, map, pictures and wall thickness."""
     fields = {} if again is None else _earlier_fields(context, again, log, directory)
-    log = fields.get("log", log)
+    log = fields.pop("log", log)
     if log is None:
         raise UsageError("no log; name one, or a run directory with --again")
-    options = fields.get("options") or read_options(given)
-    chosen = fields.get("config") or _config(config, sets or [], options)
-    bounds, written = gates_of(gates), output_values(outputs, report=report, preview=preview)
+    options = fields.pop("options", None) or read_options(given)
+    chosen = fields.pop("config", None) or _config(config, sets or [], options)
+    bounds, written = shared.gates_of(gates), shared.output_values(outputs, report=report, preview=preview)
     _check_files(log, options)
     optional = {"reference": {*REFERENCES}, "localisation": {"map"}, "continued": {"continue_from"}}
-    check_gates(bounds, *(section for section, names in optional.items() if names & options.keys()))
+    shared.check_gates(bounds, *(section for section, names in optional.items() if names & options.keys()))
     with reporting(quiet=quiet, stages=REPLAY) as progress:
         startup_s, started_s = process_time(), perf_counter()
         with loading_modules():
-            from msgspec.structs import replace
-
             from mavnav.outputs.documents.provenance import Typed
             from mavnav.pipelines.replay import ReplayRequest, replay_directory, replay_log
         compile_s = perf_counter() - started_s
-        target = directory or (again_directory(again) if again else replay_directory(log, chosen))
-        request = ReplayRequest(
-            log=log,
-            directory=target,
-            config=chosen,
-            options=options,
-            force=force,
-            **written,
-            typed=Typed(context.obj, config, tuple(sets or ())),
-        )
-        request = replace(request, **fields)
+        target = directory or (shared.again_directory(again) if again else replay_directory(log, chosen))
+        fields = {"typed": Typed(context.obj, config, tuple(sets or ())), **written, **fields}
+        request = ReplayRequest(log, target, chosen, options, force, **fields)
         _, document = replay_log(request, progress, compile_s, signals.deferring, startup_s)
-    _print_result(document, target, json=json)
+    print_result(document, _summary(document, target), json=json)
+    _note_problems(document)
     if again:
-        note_repetition(again, document)
+        shared.note_repetition(again, document)
     if profile:
         print_stages(document["timing"]["stages"], stderr=json)
     if preview:
-        show_preview(target, stderr=json)
-    raise typer.Exit(gated_code(document, bounds))
+        shared.show_preview(target, stderr=json)
+    raise typer.Exit(shared.gated_code(document, bounds))
 
 
 def _earlier_fields(context: typer.Context, again: Path, log: Path | None, directory: Path | None) -> dict[str, Any]:
     """Return the fields of a request that repeat a run, and report what differs; ``log`` is given if it has moved."""
     from mavnav.pipelines.again import replay_again, typed_again
 
-    run = run_to_repeat(context, again, directory, "log", "profile", simulated=False)
+    run = shared.run_to_repeat(context, again, directory, "log", "profile", simulated=False)
     return replay_again(run, log) | {"typed": typed_again(run, context.obj)}
 
 
@@ -139,7 +103,7 @@ def _config(file: str | None, sets: list[str], options: ReplayOptions[Path]) -> 
 
         base = run_layer(continued)
     config = load_config(file, sets, overrides, base)
-    note_without_effect(config, [*(text.partition("=")[0] for text in sets), *overrides])
+    shared.note_without_effect(config, [*(text.partition("=")[0] for text in sets), *overrides])
     return config
 
 
@@ -153,12 +117,8 @@ def _check_files(log: Path, options: ReplayOptions[Path]) -> None:
         raise UsageError(f"{log}: no such file; name a log")
 
 
-def _print_result(document: dict[str, Any], directory: Path, *, json: bool) -> None:
-    """Print the result on stdout, and on stderr what the user must not miss."""
-    if json:
-        emit_json(document)
-    else:
-        print_table(_summary(document, directory))
+def _note_problems(document: dict[str, Any]) -> None:
+    """Print on stderr what the user must not miss."""
     for warning in document["warnings"]:
         note(f"mavnav: warning: {warning}")
     if document["damage"]:
@@ -192,27 +152,28 @@ def _note_continued(continued: dict[str, Any], log: str) -> None:
         )
 
 
-def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]:
-    """Return the rows of the table that ends a run."""
+def _summary(document: dict[str, Any], directory: Path) -> Rows:
+    """Yield the rows of the table that ends a run."""
     scans, tracking, timing = document["scans"], document["tracking"], document["timing"]
     lost = sum(interval["scans"] for interval in tracking["intervals"])
+    yield "scans", f"{scans['processed']} of {scans['total']}"
+    yield "accepted", f"{100 * scans['accepted'] / max(scans['processed'], 1):.1f} %"
+    yield "rejected", f"{scans['rejected']} scans" + (f", {lost} of them lost" if lost else "")
     stretches = pluralize(len(tracking["intervals"]), "stretch")
-    rows = [
-        ("scans", f"{scans['processed']} of {scans['total']}"),
-        ("accepted", f"{100 * scans['accepted'] / max(scans['processed'], 1):.1f} %"),
-        ("rejected", f"{scans['rejected']} scans" + (f", {lost} of them lost" if lost else "")),
-        ("lost", f"{lost} scans in {stretches}" if tracking["intervals"] else "never"),
-        *([("left out", text)] if (text := left_out_text(tracking.get("parts", []))) else []),
-        ("path", f"{tracking['path_length_m']:.2f} m"),
-        *doubt_rows(tracking["doubt"]),
-    ]
+    yield "lost", f"{lost} scans in {stretches}" if tracking["intervals"] else "never"
+    if text := left_out_text(tracking.get("parts", [])):
+        yield "left out", text
+    yield "path", f"{tracking['path_length_m']:.2f} m"
+    yield from doubt_rows(tracking["doubt"])
     if "continued" in document and document["continued"]["joined"]:
-        rows.append(("continued", _continuation_text(document["continued"])))
+        yield "continued", _continuation_text(document["continued"])
     if "localisation" in document:
-        rows.append(("found in the map", _pose_text(document["localisation"])))
-    rows += [*wall_rows(document), *quality_rows(document["map_quality"]), *reference_rows(document.get("reference"))]
-    rows.append(("speed", f"{timing['scans_per_s']:.0f} scans/s, {timing['realtime_factor']:.1f} times real time"))
-    return [*rows, *closing_rows(directory, document, "wall_thickness.png")]
+        yield "found in the map", _pose_text(document["localisation"])
+    yield from wall_rows(document)
+    yield from quality_rows(document["map_quality"])
+    yield from reference_rows(document.get("reference"))
+    yield "speed", f"{timing['scans_per_s']:.0f} scans/s, {timing['realtime_factor']:.1f} times real time"
+    yield from closing_rows(directory, document, "wall_thickness.png")
 
 
 def left_out_text(parts: list[dict[str, Any]]) -> str:
@@ -239,8 +200,4 @@ def print_stages(stages: dict[str, float], *, stderr: bool) -> None:
     """Print the seconds by stage, the longest first, and each one's share."""
     total_s = max(sum(stages.values()), 1e-9)
     for name, spent_s in sorted(stages.items(), key=lambda stage: -stage[1]):
-        line = f"{name:<14}{spent_s:>9.3f} s {100 * spent_s / total_s:>5.1f} %"
-        if stderr:
-            note(line)
-        else:
-            emit(line)
+        (note if stderr else emit)(f"{name:<14}{spent_s:>9.3f} s {100 * spent_s / total_s:>5.1f} %")

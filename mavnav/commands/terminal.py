@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Iterable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, TextIO
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+Rows = Iterable[tuple[str, str]]
+"""Names and values of a summary table."""
 
 LISTED: Final = 10
 """Maximum number of items of a list that are printed."""
@@ -106,8 +110,17 @@ def json_text(document: dict[str, Any], *, indent: int | None = None) -> str:
     return re.sub(r"##(?=\w*\[)", r"#\\u0023", dumps(document, indent=indent))
 
 
-def print_table(rows: list[tuple[str, str]]) -> None:
+def print_result(document: dict[str, Any], rows: Rows, *, json: bool) -> None:
+    """Print a result on stdout: the document with ``json``, else its rows as a table."""
+    if json:
+        emit_json(document)
+    else:
+        print_table(rows)
+
+
+def print_table(rows: Rows) -> None:
     """Print names and values on stdout: on a terminal as a table, else as plain lines, which need no imports."""
+    rows = list(rows)
     if not sys.stdout.isatty():
         width = max((len(name) for name, _ in rows), default=0)
         emit("\n".join(f"{name:<{width}}  {printable(value)}" for name, value in rows))

@@ -9,12 +9,9 @@ from __future__ import annotations
 import re
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from typer.core import TyperCommand, TyperGroup
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
 
 _PLAIN: Final[dict[Any, re.Pattern[str]]] = {
     int: re.compile("[0-9]{1,15}"),
@@ -28,11 +25,18 @@ class _Parameters:
 
     def get_params(self, ctx: Any) -> list[Any]:  # noqa: ANN401  typer's Context
         """Return options and arguments as help shows them: flags and arguments have no type."""
-        return _without_types(super().get_params(ctx))  # type: ignore[misc]
+        params: list[Any] = super().get_params(ctx)  # type: ignore[misc]
+        for param in params:
+            if getattr(param, "is_flag", False) or param.param_type_name == "argument":
+                param.display_type_rich = lambda ctx: ""  # noqa: ARG005  the name is typer's
+        return params
 
     def parse_args(self, ctx: Any, args: list[str]) -> Any:  # noqa: ANN401  typer's Context
         """Parse as typer does, with a reader before that of each option and argument."""
-        _put_readers(self.get_params(ctx))
+        for param in self.get_params(ctx):
+            if hasattr(param, "get_runtime_param"):
+                reader = _Reader(param.get_runtime_param)
+                param.get_runtime_param = lambda reader=reader: reader
         return super().parse_args(ctx, args)  # type: ignore[misc]
 
 
@@ -42,20 +46,6 @@ class PlainCommand(_Parameters, TyperCommand):
 
 class CommandGroup(_Parameters, TyperGroup):
     """The same for a command with commands."""
-
-
-def _without_types(params: list[Any]) -> list[Any]:
-    for param in params:
-        if getattr(param, "is_flag", False) or param.param_type_name == "argument":
-            param.display_type_rich = lambda ctx: ""  # noqa: ARG005  the name is typer's
-    return params
-
-
-def _put_readers(params: Iterable[Any]) -> None:
-    for param in params:
-        if hasattr(param, "get_runtime_param"):
-            reader = _Reader(param.get_runtime_param)
-            param.get_runtime_param = lambda reader=reader: reader
 
 
 class _Reader:

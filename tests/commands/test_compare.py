@@ -12,8 +12,8 @@ import pytest
 
 from conftest import SHORT_COMPARISON
 from mavnav.commands.comparison_table import bar, print_comparison
-from mavnav.commands.gating import gated_code, gates_of
-from mavnav.commands.run_progress import watching
+from mavnav.commands.progress import watching
+from mavnav.commands.shared import gated_code, gates_of
 from mavnav.errors import ExitCode, UsageError
 from mavnav.jobs import Ended, Outcome, Retried, Started, Status
 

@@ -264,4 +264,4 @@ def test_places_seen_twice_but_never_by_neighbouring_scans_have_a_row() -> None:
         "support": {"wall_m": 3.0},
         "why": [],
     }
-    assert ("revisits", "12.3 mm apart") in quality_rows(quality)
+    assert ("revisits", "12.3 mm apart") in list(quality_rows(quality))

@@ -98,19 +98,19 @@ def test_doubt_is_reported_with_its_reasons(run):
     (held, failed) = judge([parse_gate(f"tracking.doubt.probability<={p}") for p in (0.8, 0.5)], document)
     assert held.passed
     assert not failed.passed
-    assert doubt_rows(doubt) == [("doubtful", "75 %: slip")]
+    assert list(doubt_rows(doubt)) == [("doubtful", "75 %: slip")]
 
 
 def test_little_doubt_is_no_warning_and_no_row(run):
     document = strict(run_document(doubtful(run, 0.3), {}))
     assert document["warnings"] == strict(run_document(run, {}))["warnings"]
-    assert doubt_rows(document["tracking"]["doubt"]) == []
+    assert list(doubt_rows(document["tracking"]["doubt"])) == []
 
 
 def test_a_run_that_was_not_judged_has_no_probability(run):
     doubt = strict(run_document(run, {}))["tracking"]["doubt"]
     assert doubt == {"probability": None, "reasons": [], "tried": []}
-    assert doubt_rows(doubt) == []
+    assert list(doubt_rows(doubt)) == []
 
 
 def lost_for_good(run):

@@ -1,10 +1,11 @@
-"""Options that several commands share, one set a topic; help shows each set in a panel of its own."""
+"""Options that several commands share, with what they do; help shows each set in a panel of its own."""
 
 from __future__ import annotations
 
 import inspect
 import json
 import os
+import sys
 from functools import partial
 from inspect import Parameter
 from pathlib import Path
@@ -13,15 +14,16 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args
 import typer
 
 from mavnav.commands import completion
-from mavnav.commands.terminal import note
+from mavnav.commands.terminal import can_print, note, printable
 from mavnav.config.option_kinds import CHECKS, INPUT, OUTPUT, RESOURCES, SEARCH, SWITCH
 from mavnav.config.options import OPTIONS
-from mavnav.errors import UsageError
+from mavnav.errors import ExitCode, UsageError, worst
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from mavnav.config.models import Config
+    from mavnav.metrics.gates import Gate
     from mavnav.pipelines.again import EarlierRun
 
 Command = TypeVar("Command", bound="Callable[..., None]")
@@ -39,7 +41,7 @@ schema_option = partial(input_option, "--schema")
 """Options whose help differs between commands."""
 
 
-def shared_option(name: str, **changes: str) -> Any:  # noqa: ANN401  as typer.Option
+def replay_option(name: str, **changes: str) -> Any:  # noqa: ANN401  as typer.Option
     """Return an option of a replay for typer, with ``changes`` of its usage, help or completer."""
     option = OPTIONS[name]._replace(**changes)  # type: ignore[arg-type]
     words = [word for word in (option.metavar or "").split("|") if word.isalpha() and word.islower()]
@@ -57,7 +59,7 @@ def shared_option(name: str, **changes: str) -> Any:  # noqa: ANN401  as typer.O
 def with_options(*names: str, **changes: dict[str, str]) -> Callable[[Command], Command]:
     """Give options of a replay to a command, which takes them as ``**given``; typer reads the signature.
 
-    ``changes`` are those of `shared_option` by the name of the option. In its panel of the help, an option follows
+    ``changes`` are those of `replay_option` by the name of the option. In its panel of the help, an option follows
     those of the command, but for the general ones in `_LAST`.
     """
     shared = [_parameter(name, changes.get(name, {})) for name in names]
@@ -75,7 +77,7 @@ def with_options(*names: str, **changes: dict[str, str]) -> Callable[[Command], 
 
 def _parameter(name: str, changes: dict[str, str]) -> Parameter:
     kind = OPTIONS[name].kind
-    annotation: Any = Annotated[kind.typed, shared_option(name, **changes)]
+    annotation: Any = Annotated[kind.typed, replay_option(name, **changes)]
     return Parameter(name, Parameter.KEYWORD_ONLY, default=False if kind is SWITCH else None, annotation=annotation)
 
 
@@ -102,10 +104,10 @@ MaybeLogFile = Annotated[Path | None, _log_argument()]
 Again = Annotated[
     Path | None, input_option("--again", metavar="RUN", help="Repeat the run in this directory, with its options.")
 ]
-Methods = Annotated[list[str] | None, shared_option("method", help="SLAM method (default robust); repeatable.")]
+Methods = Annotated[list[str] | None, replay_option("method", help="SLAM method (default robust); repeatable.")]
 Azimuths = Annotated[
     list[int] | None,
-    shared_option(
+    replay_option(
         "azimuth", help="Yaw samples: one number for all grids, or one for each (default twice N, at most 40)."
     ),
 ]
@@ -146,6 +148,17 @@ Json = Annotated[bool, output_option("--json", help="Print one JSON document on 
 Quiet = Annotated[bool, output_option("--quiet", "-q", help="Show no progress.")]
 Jobs = Annotated[
     int | None, resource_option("--jobs", "-j", min=1, metavar="N", help="Parallel runs (default one a core).")
+]
+
+
+Preview = Annotated[bool, output_option("--preview", help="Print the map as text (on stderr with --json).")]
+Gates = Annotated[
+    list[str] | None,
+    check_option(
+        "--gate",
+        metavar="'NAME<=X'",
+        help="Exit with code 1 unless this holds of run.json, e.g. 'tracking.lost==false'; repeatable.",
+    ),
 ]
 
 
@@ -210,3 +223,49 @@ def note_without_effect(config: Config, keys: Iterable[str]) -> None:
     """Warn of settings that were given by their dotted keys and that the chosen method does not read."""
     for key in config.without_effect(keys):
         note(f"mavnav: warning: {key} has no effect with method {config.method}")
+
+
+def gates_of(texts: list[str] | None) -> list[Gate]:
+    """Read the gates; raises UsageError, before the work."""
+    if not texts:
+        return []
+    from mavnav.metrics.gates import parse_gate
+
+    return [parse_gate(text) for text in texts]
+
+
+def check_gates(gates: list[Gate], *sections: str) -> None:
+    """Raise UsageError for a gate on a number that run.json will not have, before the work.
+
+    ``sections`` are the optional sections of run.json that it will have.
+    """
+    if not gates:
+        return
+    from mavnav.metrics.gates import check_names
+    from mavnav.outputs.documents.schema import number_names, run_keys
+
+    more = [key for key in run_keys() if key.partition(".")[0] in sections]
+    check_names((gate.name for gate in gates), [*number_names(reference="reference" in sections), *more])
+
+
+def gated_code(document: dict[str, Any], gates: list[Gate]) -> ExitCode:
+    """Return the exit code of a document and its gates, and report on stderr which of them do not hold.
+
+    Raises UsageError for a name that is a number in other runs only: a run is written by then.
+    """
+    from mavnav.metrics.gates import judge
+
+    failed = [verdict for verdict in judge(gates, document) if not verdict.passed]
+    for verdict in failed:
+        note(f"mavnav: error: gate {verdict.gate.text} failed: {verdict.why}")
+    return worst([document["exit_code"], *(ExitCode.GATE_FAILED for _ in failed)])
+
+
+def show_preview(directory: Path, title: str = "", *, stderr: bool = False) -> None:
+    """Print the map of a run directory as a few lines of text, under a title if one is given."""
+    from mavnav.outputs.files.gridmap import read_npz
+    from mavnav.outputs.pictures.preview import preview
+
+    stream = sys.stderr if stderr else sys.stdout
+    lines = preview(read_npz(directory / "hits.npz"), braille=can_print("\u28ff", stream))
+    print(*["", *([printable(title)] if title else []), *lines], sep="\n", file=stream, flush=True)
