@@ -8,12 +8,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from msgspec import Struct, field
 
-from mavnav.pose import transform_points
+from mavnav.pose import Pose, transform_points
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-    from mavnav.pose import Pose
 
     Array = NDArray[np.float64]
 
@@ -261,5 +259,4 @@ def _to_arcs(arcs: Array, x: Array, y: Array) -> Array:
     cx, cy, radius, start, sweep = arcs.T
     ends = [np.hypot(x - cx - radius * np.cos(end), y - cy - radius * np.sin(end)) for end in (start, start + sweep)]
     within = _on_arc(np.arctan2(y - cy, x - cx), start, sweep)
-    distance: Array = np.where(within, np.abs(np.hypot(x - cx, y - cy) - radius), np.minimum(*ends))
-    return distance
+    return np.where(within, np.abs(np.hypot(x - cx, y - cy) - radius), np.minimum(*ends))
