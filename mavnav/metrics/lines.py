@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec import Struct
 
-from mavnav.kernels.walls.links import link_groups
+from mavnav.kernels.maps.regions import link_groups
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mavnav.kernels.maps.layout import SearchGrid
 from mavnav.pose import Pose, wrap_angle
 from mavnav.profiling import timed
 from mavnav.slam.matching.scan_matching import Match, with_effort
@@ -79,7 +80,7 @@ def _search_polar(
 
     paper = config.paper
     extensions = paper.expert.max_extensions if paper.expert.extend_border else 0
-    samples = polar_search.SearchGrid(azimuth, grid.nx, grid.ny, extensions, prune=config.search == "pruned")
+    samples = SearchGrid(azimuth, grid.nx, grid.ny, extensions, prune=config.search == "pruned")
     schedule = polar_search.Schedule(
         half_m=paper.window_m,
         half_rad=paper.window_rad,
@@ -119,6 +120,6 @@ def polar_points(ranges_m: NDArray[np.float64], spec: LaserSpec, mixed_pixel_m: 
 
     A mixed pixel differs from both neighbouring beams by more than ``mixed_pixel_m``.
     """
-    from mavnav.kernels.scans import beams  # noqa: PLC0415  the paper's alone
+    from mavnav.kernels.polar_search.cost import good_beams  # noqa: PLC0415  the paper's alone
 
-    return beams.good_beams(ranges_m, spec.directions, spec.angle_min_rad, spec.angle_step_rad, mixed_pixel_m)
+    return good_beams(ranges_m, spec.directions, spec.angle_min_rad, spec.angle_step_rad, mixed_pixel_m)

@@ -8,6 +8,7 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.kernels.line_search import search as line_search
+from mavnav.kernels.maps.layout import SearchGrid
 from mavnav.mapping.line_map import LineMap
 from mavnav.pose import Pose, wrap_angle
 from mavnav.profiling import timed
@@ -102,7 +103,7 @@ class Schedule(Struct, frozen=True):
             known_points=line_map.known_points,
             dense_points=robust.expert.sparse_points,
         )
-        samples = line_search.SearchGrid(
+        samples = SearchGrid(
             config.azimuth, grid.nx, grid.ny, robust.expert.max_extensions, prune=config.search == "pruned"
         )
         return cls(np.array(samples, float), np.array(limits, float))

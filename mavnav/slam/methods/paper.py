@@ -31,7 +31,7 @@ class Paper:
 
     uses_odometry = False
     refiner = None
-    own_kernels = ("scans.beams", "polar_search.search", "maps.raycast")
+    own_kernels = ("polar_search.cost", "polar_search.search", "maps.raycast")
     """The modules of kernels that no other method needs."""
 
     def __init__(self, config: Config) -> None:
