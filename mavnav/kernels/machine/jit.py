@@ -16,7 +16,6 @@ from mavnav.kernels.machine.types import Signature, Type
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-
 P = ParamSpec("P")
 R = TypeVar("R")
 
