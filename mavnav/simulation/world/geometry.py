@@ -259,4 +259,5 @@ def _to_arcs(arcs: Array, x: Array, y: Array) -> Array:
     cx, cy, radius, start, sweep = arcs.T
     ends = [np.hypot(x - cx - radius * np.cos(end), y - cy - radius * np.sin(end)) for end in (start, start + sweep)]
     within = _on_arc(np.arctan2(y - cy, x - cx), start, sweep)
-    return np.where(within, np.abs(np.hypot(x - cx, y - cy) - radius), np.minimum(*ends))
+    distance: Array = np.where(within, np.abs(np.hypot(x - cx, y - cy) - radius), np.minimum(*ends))
+    return distance
