@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import numpy as np
 from msgspec import Struct
 
-from mavnav.kernels.walls.links import link_groups
+from mavnav.kernels.maps.regions import link_groups
 from mavnav.mapping.occupancy_grid import cell_centres
 from mavnav.metrics.fields import number
 from mavnav.metrics.wall_thickness import Sections, quantiles

@@ -11,14 +11,14 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from mavnav.pose import Pose, Trajectory
-from mavnav.scan import level_scan
-from mavnav.simulation.obstacles import Obstacles
+from mavnav.mapping.occupancy_grid import GridBuilder
+from mavnav.pose import Pose, Trajectory, transform_points
+from mavnav.scan import Attitude, Scan, level_scan
 from mavnav.simulation.planner.potential_field import MotionCommand, Planner
-from mavnav.simulation.vehicle import disturbance, sweeping, tilts_over, vehicle_of
+from mavnav.simulation.vehicle import Vehicle, disturbance, sweeping, tilts_over, vehicle_of
 from mavnav.simulation.world import LaserModel, Scenario, laser_model, take_scan
 from mavnav.slam.matching.motion_model import Motion
-from mavnav.slam.matching.steps import Steps
+from mavnav.slam.matching.steps import Step, Steps
 from mavnav.slam.methods.registry import make_method
 from mavnav.slam.pipeline import finish
 from mavnav.slam.track import Track
@@ -30,11 +30,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.mapping.occupancy_grid import GridBuilder
-    from mavnav.scan import Attitude, Scan
-    from mavnav.simulation.vehicle import Vehicle
     from mavnav.simulation.world.shapes import XY
-    from mavnav.slam.matching.steps import Step
     from mavnav.slam.result import SlamResult
     from mavnav.slam.track import OnStep
 
@@ -138,6 +134,33 @@ SPACING_RADII = 0.5
 
 TOLERANCE_RADII = 2.0
 """Distance from a position in truth at which it still counts as reached, in radii of the goal."""
+
+
+class Obstacles(Struct, frozen=True):
+    """What the planner goes round: the whole map, or of an aerial vehicle that knows its attitude a slice of it.
+
+    ``slice_m`` are the lower and upper end of the slice, None for the whole map.
+    """
+
+    grid: GridBuilder
+    slice_m: tuple[float, float] | None = None
+
+    @classmethod
+    def of(cls, scenario: Scenario, whole: GridBuilder) -> Obstacles:
+        """Take the map of the SLAM method as it is, or begin a slice of the same cells where scans are levelled."""
+        if scenario.flight is None or not scenario.levels_scans:
+            return cls(whole)
+        return cls(GridBuilder(whole.cell_m), scenario.flight.slice_m)
+
+    def note(self, scan: Scan, step: Step) -> None:
+        """Count the returns of an accepted scan in the slice; their beams have not left it, as the laser is in it."""
+        if self.slice_m is None or scan.heights_m is None or not step.tracked:
+            return
+        low_m, high_m = self.slice_m
+        with np.errstate(invalid="ignore"):  # NaN: no return
+            within = (scan.heights_m > low_m) & (scan.heights_m < high_m)
+        xy_m = scan.ranges_m[within, None] * scan.spec.directions[within]
+        self.grid.insert(step.match.map_T_laser, transform_points(step.match.map_T_laser, xy_m))
 
 
 class Pilot:

@@ -9,7 +9,7 @@ from msgspec import Struct, field
 
 from mavnav.pose import Pose
 from mavnav.simulation.planner.potential_field import MotionCommand
-from mavnav.simulation.world import Body
+from mavnav.simulation.world import Body, Scenario
 from mavnav.units import DEG, MM, NS
 
 if TYPE_CHECKING:
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.scan import Attitude, LaserSpec
-    from mavnav.simulation.world import Scenario
 
 START_NS = 1_700_000_000_000_000_000
 """Stamp of the first scan, the same for every mission."""

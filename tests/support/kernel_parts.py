@@ -14,7 +14,7 @@ from mavnav.kernels.line_search.plane import shift_sums as _shift_sums
 from mavnav.kernels.line_search.quadratic_form import quadratic_form as _quadratic_form
 from mavnav.kernels.line_search.search import on_mapped_area as _on_mapped_area
 from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import F64_1D, F64_2D, U32_2D, float64, int64, void
+from mavnav.kernels.machine.types import F64_1D, F64_2D, I64_1D, U32_2D, Out
 from mavnav.kernels.scans.points import voxel_means as _voxel_means
 
 
@@ -36,32 +36,49 @@ def _lines(nearest, lines, geometry):
     return Lines(nearest, lines, origin_x_m, origin_y_m, cell_m)
 
 
-@kernel(int64(F64_2D, float64, float64[:, ::1]))
-def voxel_means(points, voxel_m, out):
+@kernel
+def voxel_means(points: F64_2D, voxel_m: float, out: Out[F64_2D]) -> int:
     return _voxel_means(points, voxel_m, out)
 
 
-@kernel(float64(F64_1D, F64_1D, float64, float64, float64, U32_2D, F64_2D, F64_1D))
-def cost_sum(x, y, to_x, to_y, truncate_m2, nearest, lines, geometry):
+@kernel
+def cost_sum(
+    x: F64_1D, y: F64_1D, to_x: float, to_y: float, truncate_m2: float, nearest: U32_2D, lines: F64_2D, geometry: F64_1D
+) -> float:
     return _cost_sum(x, y, to_x, to_y, truncate_m2, _lines(nearest, lines, geometry), float("inf"))
 
 
-@kernel(void(F64_2D, F64_1D, F64_1D, float64[::1], U32_2D, F64_2D, F64_1D))
-def turn_sums(points, at, window, sums, nearest, lines, geometry):
+@kernel
+def turn_sums(
+    points: F64_2D, at: F64_1D, window: F64_1D, sums: Out[F64_1D], nearest: U32_2D, lines: F64_2D, geometry: F64_1D
+) -> None:
     turns = turns_of(_window(window).half_rad, len(sums))
     _turn_sums(points, _middle(at), _window(window), turns, sums, _lines(nearest, lines, geometry))
 
 
-@kernel(void(F64_2D, F64_1D, F64_1D, float64[:, ::1], U32_2D, F64_2D, F64_1D))
-def shift_sums(points, at, window, sums, nearest, lines, geometry):
+@kernel
+def shift_sums(
+    points: F64_2D, at: F64_1D, window: F64_1D, sums: Out[F64_2D], nearest: U32_2D, lines: F64_2D, geometry: F64_1D
+) -> None:
     _shift_sums(points, _middle(at), _window(window), sums, _lines(nearest, lines, geometry))
 
 
-@kernel(int64(F64_2D, F64_1D, F64_1D, float64[:, ::1], int64[::1], U32_2D, F64_2D, F64_1D))
-def quadratic_form(points, at, window, form, loose, nearest, lines, geometry):
+@kernel
+def quadratic_form(
+    points: F64_2D,
+    at: F64_1D,
+    window: F64_1D,
+    form: Out[F64_2D],
+    loose: Out[I64_1D],
+    nearest: U32_2D,
+    lines: F64_2D,
+    geometry: F64_1D,
+) -> int:
     return _quadratic_form(points, _middle(at), _window(window), form, loose, _lines(nearest, lines, geometry))
 
 
-@kernel(float64[:, ::1](F64_2D, F64_1D, float64, float64, U32_2D, F64_2D, F64_1D))
-def on_mapped_area(points, at, closeness, known_points, nearest, lines, geometry):
+@kernel
+def on_mapped_area(
+    points: F64_2D, at: F64_1D, closeness: float, known_points: float, nearest: U32_2D, lines: F64_2D, geometry: F64_1D
+) -> F64_2D:
     return _on_mapped_area(points, _middle(at), closeness, known_points, _lines(nearest, lines, geometry))

@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from mavnav.kernels.line_search.cost import SearchWindow, cost_sum, least, mean_absolute, rotate
+from mavnav.kernels.line_search.cost import Lines, Middle, SearchWindow, cost_sum, least, mean_absolute, rotate
 from mavnav.kernels.line_search.quadratic_form import quadratic_form
 from mavnav.kernels.machine.jit import helper
-from mavnav.kernels.machine.types import float64, int64, uint64
+from mavnav.kernels.machine.types import F64_1D, F64_2D, I64_1D, float64, int64, uint64
 from mavnav.kernels.maps.lookup import slot_of
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mavnav.kernels.line_search.cost import Lines, Middle
 
 ARC_COST = 30
 """Cost of the polynomials along an arc of two cells, in yaw samples that are summed point by point."""
 
 
 @helper
-def turns_of(half_rad: float, azimuths: int) -> NDArray[np.float64]:
+def turns_of(half_rad: float, azimuths: int) -> F64_2D:
     """Return cosine - 1 and sine of the turns of the yaw samples from the middle, (2, azimuths)."""
     out = np.empty((2, azimuths))
     for i in range((azimuths + 1) // 2):
@@ -33,7 +26,7 @@ def turns_of(half_rad: float, azimuths: int) -> NDArray[np.float64]:
 
 
 @helper
-def _runs(cells: NDArray[np.float64], starts: NDArray[np.int64]) -> int:
+def _runs(cells: F64_1D, starts: I64_1D) -> int:
     """Write the starts of runs of equal cells, and after them the number of cells; return the number of runs."""
     n, last = 0, len(cells) - 1
     starts[0] = 0
@@ -46,12 +39,7 @@ def _runs(cells: NDArray[np.float64], starts: NDArray[np.int64]) -> int:
 
 @helper
 def turn_sums(
-    points: NDArray[np.float64],
-    middle: Middle,
-    window: SearchWindow,
-    turns: NDArray[np.float64],
-    sums: NDArray[np.float64],
-    line_map: Lines,
+    points: F64_2D, middle: Middle, window: SearchWindow, turns: F64_2D, sums: F64_1D, line_map: Lines
 ) -> None:
     """Add the costs of all yaw samples to ``sums`` (azimuths,), exact except for rounding.
 
@@ -123,9 +111,7 @@ def turn_sums(
 
 
 @helper
-def least_turn(
-    points: NDArray[np.float64], middle: Middle, window: SearchWindow, turns: NDArray[np.float64], line_map: Lines
-) -> int:
+def least_turn(points: F64_2D, middle: Middle, window: SearchWindow, turns: F64_2D, line_map: Lines) -> int:
     """Return the index of the yaw sample of least cost, with the lines found separately for every candidate."""
     azimuths, half_rad, pruned = turns.shape[1], window.half_rad, window.prune
     sums, step, near = np.zeros(azimuths), 2 * half_rad / (azimuths - 1), np.inf

@@ -13,8 +13,7 @@ from mavnav.kernels.machine.jit import helper
 from mavnav.kernels.maps.lookup import line_distance2, slot_at
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from mavnav.kernels.machine.types import F64_1D, F64_2D, U32_2D
 CHUNK = 32
 """Number of points between two comparisons with the bound."""
 ROUNDING_M2 = 1e-9
@@ -24,8 +23,8 @@ ROUNDING_M2 = 1e-9
 class Lines(NamedTuple):
     """The map: ``nearest`` and ``lines`` as in ``linemap``, its origin in the map frame and its cell edge, m."""
 
-    nearest: NDArray[np.uint32]
-    lines: NDArray[np.float64]
+    nearest: U32_2D
+    lines: F64_2D
     origin_x_m: float
     origin_y_m: float
     cell_m: float
@@ -52,7 +51,7 @@ class SearchWindow(NamedTuple):
 
 
 @helper
-def mean(values: NDArray[np.float64]) -> float:
+def mean(values: F64_1D) -> float:
     """Return the mean; NumPy's own takes 0.1 s at start-up in a kernel, because it loads scipy."""
     total = 0.0
     for value in values:
@@ -61,7 +60,7 @@ def mean(values: NDArray[np.float64]) -> float:
 
 
 @helper
-def mean_absolute(values: NDArray[np.float64]) -> float:
+def mean_absolute(values: F64_2D) -> float:
     """Return the mean of the absolute values of (rows, cols)."""
     total = 0.0
     for row in range(values.shape[0]):
@@ -71,7 +70,7 @@ def mean_absolute(values: NDArray[np.float64]) -> float:
 
 
 @helper
-def least(sums: NDArray[np.float64]) -> tuple[float, int]:
+def least(sums: F64_1D) -> tuple[float, int]:
     """Return the least sum plus a tolerance for rounding, and its index; -1 if another sum is within the tolerance."""
     at = 0
     for k in range(len(sums)):
@@ -84,7 +83,7 @@ def least(sums: NDArray[np.float64]) -> tuple[float, int]:
 
 
 @helper
-def rotate(points: NDArray[np.float64], yaw_rad: float, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
+def rotate(points: F64_2D, yaw_rad: float, x: F64_1D, y: F64_1D) -> None:
     """Write the points (2, n), rotated by a yaw, to ``x`` and ``y`` (n,)."""
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
     from_x, from_y = points[0], points[1]
@@ -95,13 +94,7 @@ def rotate(points: NDArray[np.float64], yaw_rad: float, x: NDArray[np.float64], 
 
 @helper
 def cost_sum(
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    to_x: float,
-    to_y: float,
-    truncate_m2: float,
-    line_map: Lines,
-    bound: float,
+    x: F64_1D, y: F64_1D, to_x: float, to_y: float, truncate_m2: float, line_map: Lines, bound: float
 ) -> float:
     """Return the sum of the squared, truncated distances of points, shifted by ``to_x``, ``to_y``, to their lines.
 

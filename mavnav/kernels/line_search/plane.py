@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from mavnav.kernels.line_search.cost import ROUNDING_M2, SearchWindow, cost_sum, least, rotate
+from mavnav.kernels.line_search.cost import ROUNDING_M2, Lines, Middle, SearchWindow, cost_sum, least, rotate
 from mavnav.kernels.line_search.quadratic_form import quadratic_form
 from mavnav.kernels.machine.jit import helper
-from mavnav.kernels.machine.types import int64, uint64
+from mavnav.kernels.machine.types import F64_1D, F64_2D, F64_3D, I64_1D, int64, uint64
 from mavnav.kernels.maps.lookup import slot_of
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mavnav.kernels.line_search.cost import Lines, Middle
 
 RECTANGLE_COST = 3
 """Cost of a polynomial on a rectangle of candidates, in candidates that are summed point by point."""
@@ -31,9 +24,7 @@ def _shift(ji: int, nx: int, ny: int, middle: Middle, window: SearchWindow) -> t
 
 
 @helper
-def _integrate(
-    diffs: NDArray[np.float64], right: NDArray[np.float64], up: NDArray[np.float64], sums: NDArray[np.float64]
-) -> None:
+def _integrate(diffs: F64_3D, right: F64_1D, up: F64_1D, sums: F64_2D) -> None:
     """Integrate second differences (ny, nx, 6) of polynomials, and add each candidate's value to ``sums``."""
     ny, nx = sums.shape
     flat = diffs.ravel()
@@ -53,14 +44,7 @@ def _integrate(
 
 
 @helper
-def _spans(
-    p: float,
-    origin: float,
-    inverse: float,
-    to: NDArray[np.float64],
-    cells: NDArray[np.int64],
-    starts: NDArray[np.int64],
-) -> int:
+def _spans(p: float, origin: float, inverse: float, to: F64_1D, cells: I64_1D, starts: I64_1D) -> int:
     """Write the cells that a point reaches by evenly spaced moves along an axis, and the first move to each.
 
     After the last cell the number of moves is written. The operations are those of ``slot_at``. Returns the number of
@@ -84,7 +68,7 @@ def _spans(
 
 
 @helper
-def _nodes(middle_m: float, half_m: float, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _nodes(middle_m: float, half_m: float, count: int) -> tuple[F64_1D, F64_1D]:
     """Return the nodes of a grid along an axis, and their distances from its middle."""
     to, away = np.empty(count), np.empty(count)
     for i in range(count):
@@ -94,9 +78,7 @@ def _nodes(middle_m: float, half_m: float, count: int) -> tuple[NDArray[np.float
 
 
 @helper
-def shift_sums(
-    points: NDArray[np.float64], middle: Middle, window: SearchWindow, sums: NDArray[np.float64], line_map: Lines
-) -> None:
+def shift_sums(points: F64_2D, middle: Middle, window: SearchWindow, sums: F64_2D, line_map: Lines) -> None:
     """Add the costs of all shifts of the rotated points to ``sums`` (ny, nx), exact except for rounding.
 
     Points that stay in their cells are summed in one quadratic form. For each other point, the candidates that put it
@@ -159,9 +141,7 @@ def shift_sums(
 
 
 @helper
-def least_shift(
-    points: NDArray[np.float64], middle: Middle, window: SearchWindow, nx: int, ny: int, line_map: Lines
-) -> int:
+def least_shift(points: F64_2D, middle: Middle, window: SearchWindow, nx: int, ny: int, line_map: Lines) -> int:
     """Return the index j nx + i of the shift of least cost, with the lines found separately for every candidate."""
     n, pruned, truncate_m2 = points.shape[1], window.prune, window.truncate_m2
     by_cells = pruned and RECTANGLE_COST * (2 * window.half_m / line_map.cell_m + 1) ** 2 < nx * ny

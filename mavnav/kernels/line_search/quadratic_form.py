@@ -7,12 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.kernels.machine.jit import helper
-from mavnav.kernels.machine.types import float64, int32, int64, uint64
+from mavnav.kernels.machine.types import F64_2D, I64_1D, float64, int32, int64, uint64
 from mavnav.kernels.maps.lookup import slot_of
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from mavnav.kernels.line_search.cost import Lines, Middle, SearchWindow
 
 LANES = 32
@@ -20,7 +18,7 @@ LANES = 32
 
 
 @helper
-def _fold(sums: NDArray[np.float64]) -> None:
+def _fold(sums: F64_2D) -> None:
     """Sum the lanes of each row into its first one."""
     half = LANES // 2
     while half:
@@ -32,12 +30,7 @@ def _fold(sums: NDArray[np.float64]) -> None:
 
 @helper
 def quadratic_form(
-    points: NDArray[np.float64],
-    middle: Middle,
-    window: SearchWindow,
-    form: NDArray[np.float64],
-    loose: NDArray[np.int64],
-    line_map: Lines,
+    points: F64_2D, middle: Middle, window: SearchWindow, form: F64_2D, loose: I64_1D, line_map: Lines
 ) -> int:
     """Write the quadratic form (5, 5) of the cost sum in (1, cos - 1, sin, right, up) of a motion from the middle.
 
@@ -120,7 +113,7 @@ def quadratic_form(
 
 
 @helper
-def least_of_form(form: NDArray[np.float64], window: SearchWindow, turns: NDArray[np.float64], nx: int, ny: int) -> int:
+def least_of_form(form: F64_2D, window: SearchWindow, turns: F64_2D, nx: int, ny: int) -> int:
     """Return the index (a ny + j) nx + i of the least value over yaw samples, ups and rights.
 
     Along a row the form is a parabola with its minimum at one of the two nodes around its vertex.

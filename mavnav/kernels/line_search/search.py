@@ -20,7 +20,7 @@ Both forms end early where the scan fits nowhere in the window (`HOPELESS`), exc
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,11 +29,8 @@ from mavnav.kernels.line_search.cost import Lines, Middle, SearchWindow, mean, r
 from mavnav.kernels.line_search.plane import least_shift
 from mavnav.kernels.line_search.quadratic_form import least_of_form, quadratic_form
 from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import F64_1D, F64_2D, U32_2D, Several, boolean, float64, int64, uint64
+from mavnav.kernels.machine.types import F64_1D, F64_2D, U32_2D, uint64
 from mavnav.kernels.maps.lookup import closeness_of, line_distance2, slot_at, slot_of
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 MAX_LEVELS = 40
 LEAST_MAPPED_SHARE = 0.5
@@ -54,16 +51,6 @@ class Grid(NamedTuple):
     nx: int
     ny: int
     extensions: int
-
-
-class SearchGrid(NamedTuple):
-    """The argument ``grid`` of `search`: a `Grid`, its numbers per grid, and 1 to prune."""
-
-    azimuths: float
-    nx: float
-    ny: float
-    extensions: float
-    prune: float
 
 
 class SearchLimits(NamedTuple):
@@ -103,7 +90,7 @@ def _turn(middle: Middle, turn_rad: float) -> Middle:
 
 
 @helper
-def _move_back(points: NDArray[np.float64], right_m: float, up_m: float) -> None:
+def _move_back(points: F64_2D, right_m: float, up_m: float) -> None:
     """Subtract a shift from points (2, n); an expression with whole arrays would take 1 s to compile."""
     for k in range(points.shape[1]):
         points[0, k] -= right_m
@@ -112,13 +99,7 @@ def _move_back(points: NDArray[np.float64], right_m: float, up_m: float) -> None
 
 @helper
 def _joint_search(
-    points: NDArray[np.float64],
-    middle: Middle,
-    window: SearchWindow,
-    grid: Grid,
-    turns: NDArray[np.float64],
-    rounds: int,
-    line_map: Lines,
+    points: F64_2D, middle: Middle, window: SearchWindow, grid: Grid, turns: F64_2D, rounds: int, line_map: Lines
 ) -> tuple[Middle, int]:
     """Search yaw and plane jointly with fixed correspondences, ``rounds`` times, or more if the best is on the border.
 
@@ -141,7 +122,7 @@ def _joint_search(
 
 
 @helper
-def _evaluate(points: NDArray[np.float64], middle: Middle, truncate_m2: float, line_map: Lines) -> tuple[float, int]:
+def _evaluate(points: F64_2D, middle: Middle, truncate_m2: float, line_map: Lines) -> tuple[float, int]:
     """Return the cost sum of the points at the middle, m2, and the number within half the truncation distance."""
     nearest, lines, ox, oy, cell = line_map
     n, total, inliers = points.shape[1], 0.0, 0
@@ -157,11 +138,11 @@ def _evaluate(points: NDArray[np.float64], middle: Middle, truncate_m2: float, l
 
 @helper
 def _alternating_search(
-    points: NDArray[np.float64],
+    points: F64_2D,
     middle: Middle,
     window: SearchWindow,
     grid: Grid,
-    turns: NDArray[np.float64],
+    turns: F64_2D,
     rounds: int,
     most_m2: float,
     line_map: Lines,
@@ -196,9 +177,7 @@ def _alternating_search(
 
 
 @helper
-def on_mapped_area(
-    points: NDArray[np.float64], middle: Middle, closeness: float, known_points: float, line_map: Lines
-) -> NDArray[np.float64]:
+def on_mapped_area(points: F64_2D, middle: Middle, closeness: float, known_points: float, line_map: Lines) -> F64_2D:
     """Return the points (2, m) on mapped area; all points if these are too few.
 
     Mapped area has an occupied cell near, with a closeness in ``nearest`` of at least ``closeness``, and its line is
@@ -226,15 +205,9 @@ def on_mapped_area(
     return out
 
 
-@kernel(Several((*(5 * [float64]), int64, int64, boolean))(F64_2D, F64_1D, F64_1D, F64_1D, U32_2D, F64_2D, F64_1D))
+@kernel
 def search(
-    points: NDArray[np.float64],
-    start: NDArray[np.float64],
-    grid: NDArray[np.float64],
-    limits: NDArray[np.float64],
-    nearest: NDArray[np.uint32],
-    lines: NDArray[np.float64],
-    geometry: NDArray[np.float64],
+    points: F64_2D, start: F64_1D, grid: F64_1D, limits: F64_1D, nearest: U32_2D, lines: F64_2D, geometry: F64_1D
 ) -> tuple[float, float, float, float, float, int, int, bool]:
     """Find the pose of the scan in the map; returns x, y, yaw, cost_m2, inliers, evaluations, grids, converged.
 
@@ -298,14 +271,12 @@ def search(
             pivot_x, pivot_y = pivot_x + right, pivot_y + up
             _move_back(centred, right, up)
             _move_back(active, right, up)
-            c, s = np.cos(middle.yaw_rad), np.sin(middle.yaw_rad)
-            middle = Middle(
-                middle.x_m + (c * right - s * up),
-                middle.y_m + (s * right + c * up),
-                middle.yaw_rad,
-                middle.expected_x_m + (start_c * right - start_s * up),
-                middle.expected_y_m + (start_s * right + start_c * up),
-            )
+            at_x, at_y, yaw, expected_x, expected_y = middle
+            c, s = np.cos(yaw), np.sin(yaw)
+            at_x, at_y = at_x + (c * right - s * up), at_y + (s * right + c * up)
+            expected_x += start_c * right - start_s * up
+            expected_y += start_s * right + start_c * up
+            middle = Middle(at_x, at_y, yaw, expected_x, expected_y)
             continue
         if last:
             converged = True

@@ -57,17 +57,16 @@ def prepare(progress: Progress, unused: Collection[str] = ()) -> None:
 
 def not_on_disk(unused: Collection[str] = ()) -> list[Kernel]:
     """Return the kernels of the loaded modules, but those in ``unused``, whose machine code is not on disk."""
-    skipped = {_full(name) for name in unused}
-    return [made for made in KERNELS if not made.loaded and made.module not in skipped and made.code is None]
+    return [made for made in KERNELS if not made.loaded and _file(made) not in unused and made.code is None]
 
 
-def _full(name: str) -> str:
-    return f"mavnav.kernels.{name}"
+def _file(made: Kernel) -> str:
+    return made.module.removeprefix("mavnav.kernels.")
 
 
 def _rank(made: Kernel) -> int:
     """Return the position of a kernel in the order of compilation."""
-    return LONG.index(made.module[len(_full("")) :]) if made.module in map(_full, LONG) else len(LONG)
+    return LONG.index(_file(made)) if _file(made) in LONG else len(LONG)
 
 
 def _compile(kernels: Sequence[Kernel]) -> Iterator[None]:

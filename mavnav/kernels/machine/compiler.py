@@ -18,11 +18,10 @@ import numba
 import numpy as np
 
 from mavnav.kernels.machine.loader import MachineCode, link
+from mavnav.kernels.machine.types import Signature
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-
-    from mavnav.kernels.machine.types import Signature
 
 _OPTIONS: Final = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
 
@@ -40,11 +39,11 @@ def as_helper(function: Callable[..., Any]) -> Any:  # noqa: ANN401
     return numba.njit(no_cpython_wrapper=True, **_OPTIONS)(function)
 
 
-def compile_kernel(function: Callable[..., Any], signature: Signature) -> tuple[Callable[..., Any], MachineCode | None]:
+def compile_kernel(function: Callable[..., Any]) -> tuple[Callable[..., Any], MachineCode | None]:
     """Compile a kernel; return the callable, and its code, None if this numba does not provide it."""
     made = numba.njit(**_OPTIONS)(function)
     with whole_kernels(made.targetctx):
-        made.compile(signature.numba)
+        made.compile(Signature.of(function).numba)
     made.disable_compile()
     (result,) = made.overloads.values()
     try:

@@ -7,13 +7,14 @@ from contextlib import suppress
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, cast
 
+import numpy as np
+
 from mavnav.kernels.machine.cache import read_code, source_stamp, write_code
 from mavnav.kernels.machine.loader import MachineCode, link
+from mavnav.kernels.machine.types import Signature, Type
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    from mavnav.kernels.machine.types import Signature, Type
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -46,20 +47,20 @@ class Helper:
 
 
 class Kernel:
-    """A function compiled to machine code for one signature, with its cache entry."""
+    """A function compiled to machine code for one signature, its annotations, with its cache entry."""
 
-    def __init__(self, function: Callable[..., Any], signature: Signature) -> None:
+    def __init__(self, function: Callable[..., Any]) -> None:
         """Wrap a function; its code is loaded by the first call."""
-        self.function, self.signature = function, signature
+        self.function = function
         self.module, self.name = function.__module__, function.__qualname__
-        self.arrays = [(k, each.ndim, *_demands(each)) for k, each in enumerate(signature.arguments) if each.ndim]
         self.loaded = self.compiled = False
         self.__doc__, self.__name__ = function.__doc__, function.__name__
 
     def __call__(self, *args: Any) -> Any:  # noqa: ANN401
         """Call the machine code; raises TypeError for arguments of other types."""
+        arrays = self._arrays
         try:
-            for k, ndim, dtype, mask in self.arrays:
+            for k, ndim, dtype, mask in arrays:
                 array = args[k]
                 if array.ndim != ndim or array.flags.num & mask != mask:
                     raise TypeError(self._mismatch(args))
@@ -68,6 +69,12 @@ class Kernel:
         except (AttributeError, IndexError):
             raise TypeError(self._mismatch(args)) from None
         return self.run(*args)
+
+    @cached_property
+    def _arrays(self) -> list[tuple[int, int, Any, int]]:
+        """Position, number of dimensions, dtype and necessary flags of the arguments that are arrays."""
+        arguments = enumerate(Signature.of(self.function).arguments)
+        return [(k, each.ndim, *_demands(each)) for k, each in arguments if each.ndim]
 
     def run(self, *args: Any) -> Any:  # noqa: ANN401
         """Load the machine code, which replaces this method, and call it."""
@@ -101,7 +108,7 @@ class Kernel:
         if run is None:
             from mavnav.kernels.machine.compiler import compile_kernel  # noqa: PLC0415
 
-            run, made = compile_kernel(self.function, self.signature)
+            run, made = compile_kernel(self.function)
             self.compiled = True
             if made is not None:
                 write_code(self._entry, made.pack())
@@ -123,20 +130,15 @@ KERNELS: list[Kernel] = []
 """All kernels of the loaded modules."""
 
 
-def kernel(signature: Signature) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Return a decorator that compiles a function called from Python for one explicit signature, once per machine.
+def kernel(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile a function called from Python for one signature, its annotations (``types``), once per machine.
 
     Its machine code is loaded by the first call. Division is C-like, and the GIL is released.
     """
-
-    def decorate(function: Callable[P, R]) -> Callable[P, R]:
-        if DISABLED:
-            return function
-        made = Kernel(function, signature)
-        KERNELS.append(made)
-        return cast("Callable[P, R]", made)
-
-    return decorate
+    if DISABLED:
+        return function
+    KERNELS.append(Kernel(function))
+    return cast("Callable[P, R]", KERNELS[-1])
 
 
 def helper(function: Callable[P, R]) -> Callable[P, R]:
@@ -149,7 +151,5 @@ def helper(function: Callable[P, R]) -> Callable[P, R]:
 
 def _demands(array: Type) -> tuple[Any, int]:
     """Return the dtype of an array type, and the flags that an array must have."""
-    import numpy as np  # noqa: PLC0415
-
     ordered = _C_ORDERED if array.layout == "C" else 0
     return np.dtype(array.name), _ALIGNED | ordered | (0 if array.readonly else _WRITABLE)

@@ -1,15 +1,23 @@
 """The types of the arguments and results of kernels, by their numba names; numba is not imported.
 
-Read-only arrays are C-ordered unless the name ends in STRIDED. Inside a kernel a scalar type converts a number, as
-numba's types do.
+The annotations of a kernel are its signature: int, float and bool stand for int64, float64 and bool. Its arrays are
+C-ordered unless the name ends in STRIDED, and only read unless they are ``Out[...]`` or results. Helpers have the same
+annotations, but numba infers their types. Inside a kernel a scalar type of numpy converts a number.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from inspect import get_annotations
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
+import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
 
 
 class Type(Struct, frozen=True):
@@ -18,19 +26,7 @@ class Type(Struct, frozen=True):
     name: str
     ndim: int = 0
     layout: str = "C"
-    readonly: bool = False
-
-    def __getitem__(self, axes: slice | tuple[slice, ...]) -> Type:
-        """Return the type of a writable C-ordered array: ``float64[:, ::1]``."""
-        return replace(self, ndim=len(axes) if isinstance(axes, tuple) else 1)
-
-    def __call__(self, *types: Any) -> Any:  # noqa: ANN401
-        """Return the signature of a kernel with this result and these argument types; or convert a number."""
-        if all(isinstance(each, Type) for each in types):
-            return Signature(self, types)
-        import numpy as np  # noqa: PLC0415
-
-        return np.dtype(self.name).type(*types)
+    readonly: bool = True
 
     @property
     def numba(self) -> Any:  # noqa: ANN401
@@ -40,66 +36,69 @@ class Type(Struct, frozen=True):
         scalar = getattr(types, self.name)
         return types.Array(scalar, self.ndim, self.layout, readonly=self.readonly) if self.ndim else scalar
 
-    @property
-    def _numba_type_(self) -> Any:  # noqa: ANN401
-        """Numba's type of a number conversion in the code of a kernel."""
-        from numba import types  # noqa: PLC0415
-
-        return types.NumberClass(getattr(types, self.name))
-
-
-class Several(Struct, frozen=True):
-    """The type of a tuple of results."""
-
-    items: tuple[Type, ...]
-
-    def __call__(self, *types: Type) -> Signature:
-        """Return the signature of a kernel with this result and these argument types."""
-        return Signature(self, types)
-
-    @property
-    def numba(self) -> Any:  # noqa: ANN401
-        """The type itself; imports numba."""
-        from numba import types  # noqa: PLC0415
-
-        return types.Tuple([item.numba for item in self.items])
-
 
 class Signature(Struct, frozen=True):
-    """The types of the result and of the arguments of a kernel."""
+    """The types of the arguments and of the results of a kernel."""
 
-    result: Type | Several
     arguments: tuple[Type, ...]
+    results: tuple[Type, ...]
+
+    @classmethod
+    def of(cls, function: Callable[..., Any]) -> Signature:
+        """Read the annotations of a function."""
+        *arguments, result = get_annotations(function, eval_str=True).values()
+        results = result.__args__ if getattr(result, "__origin__", None) is tuple else (result,)
+        return cls(tuple(map(_type_of, arguments)), tuple(replace(_type_of(each), readonly=False) for each in results))
 
     @property
     def numba(self) -> Any:  # noqa: ANN401
         """The signature itself; imports numba."""
-        return self.result.numba(*(argument.numba for argument in self.arguments))
+        from numba import types  # noqa: PLC0415
+
+        results = [each.numba for each in self.results]
+        result = types.Tuple(results) if len(results) > 1 else results[0]
+        return result(*(each.numba for each in self.arguments))
 
 
-boolean, void = Type("bool_"), Type("void")
-int8, int16, int32, int64 = Type("int8"), Type("int16"), Type("int32"), Type("int64")
-uint8, uint16, uint32, uint64 = Type("uint8"), Type("uint16"), Type("uint32"), Type("uint64")
-float32, float64 = Type("float32"), Type("float64")
+def _type_of(annotation: Any) -> Type:  # noqa: ANN401
+    """Return the type that an annotation states, of an array read-only unless it is ``Out[...]``."""
+    if annotation in _SCALARS:
+        return _SCALARS[annotation]
+    array: Type
+    array, *out = annotation.__metadata__
+    return replace(array, readonly=not out)
 
-BOOL_2D = Type("bool_", 2, readonly=True)
 
-F32_2D = Type("float32", 2, readonly=True)
+_numpy: Any = np  # to the type checker a number stays what it is
+int32, int64, float64 = _numpy.int32, _numpy.int64, _numpy.float64
+uint8, uint16, uint64 = _numpy.uint8, _numpy.uint16, _numpy.uint64
 
-F64_1D = Type("float64", 1, readonly=True)
-F64_2D = Type("float64", 2, readonly=True)
-F64_3D = Type("float64", 3, readonly=True)
+_SCALARS = {bool: Type("bool_"), int: Type("int64"), float: Type("float64"), None: Type("void")}
 
-I8_2D = Type("int8", 2, readonly=True)
-I16_3D = Type("int16", 3, readonly=True)
-I32_2D = Type("int32", 2, readonly=True)
-I64_1D = Type("int64", 1, readonly=True)
-I64_2D = Type("int64", 2, readonly=True)
-I64_3D = Type("int64", 3, readonly=True)
+Array = TypeVar("Array")
+Out = Annotated[Array, "out"]
+"""An array that the kernel writes to."""
 
-U8_3D = Type("uint8", 3, readonly=True)
-
-U16_2D = Type("uint16", 2, readonly=True)
-U16_3D = Type("uint16", 3, readonly=True)
-U16_2D_STRIDED = Type("uint16", 2, "A", readonly=True)
-U32_2D = Type("uint32", 2, readonly=True)
+BOOL_1D = Annotated["NDArray[np.bool_]", Type("bool_", 1)]
+BOOL_2D = Annotated["NDArray[np.bool_]", Type("bool_", 2)]
+F32_1D = Annotated["NDArray[np.float32]", Type("float32", 1)]
+F32_2D = Annotated["NDArray[np.float32]", Type("float32", 2)]
+F64_1D = Annotated["NDArray[np.float64]", Type("float64", 1)]
+F64_2D = Annotated["NDArray[np.float64]", Type("float64", 2)]
+F64_3D = Annotated["NDArray[np.float64]", Type("float64", 3)]
+I16_3D = Annotated["NDArray[np.int16]", Type("int16", 3)]
+I32_1D = Annotated["NDArray[np.int32]", Type("int32", 1)]
+I32_2D = Annotated["NDArray[np.int32]", Type("int32", 2)]
+I32_3D = Annotated["NDArray[np.int32]", Type("int32", 3)]
+I64_1D = Annotated["NDArray[np.int64]", Type("int64", 1)]
+I64_2D = Annotated["NDArray[np.int64]", Type("int64", 2)]
+I64_3D = Annotated["NDArray[np.int64]", Type("int64", 3)]
+I8_2D = Annotated["NDArray[np.int8]", Type("int8", 2)]
+U16_1D = Annotated["NDArray[np.uint16]", Type("uint16", 1)]
+U16_2D = Annotated["NDArray[np.uint16]", Type("uint16", 2)]
+U16_2D_STRIDED = Annotated["NDArray[np.uint16]", Type("uint16", 2, "A")]
+U16_3D = Annotated["NDArray[np.uint16]", Type("uint16", 3)]
+U32_2D = Annotated["NDArray[np.uint32]", Type("uint32", 2)]
+U8_1D = Annotated["NDArray[np.uint8]", Type("uint8", 1)]
+U8_2D = Annotated["NDArray[np.uint8]", Type("uint8", 2)]
+U8_3D = Annotated["NDArray[np.uint8]", Type("uint8", 3)]

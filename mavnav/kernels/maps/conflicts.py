@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from mavnav.kernels.machine.jit import helper, kernel
 from mavnav.kernels.machine.types import F64_1D, F64_2D, U16_2D, U16_3D, U32_2D, int64
 from mavnav.kernels.maps.layout import EXPLAINED_CELLS, FAR, WALL_HITS
 from mavnav.kernels.maps.lookup import closeness_of, count_at
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 FREE_PASSES = 3  # minimum number of beams that crossed a free cell
 GRAZE_CELLS = 10  # last part of a beam, not tested: it may run along the wall that it ends on
@@ -23,7 +18,7 @@ LEAST = FAR + 1 - CLEAR_CELLS * CLEAR_CELLS  # the closeness of a hit cell `CLEA
 
 
 @helper
-def _in_free_space(row: int, col: int, hits: NDArray[np.uint16], passes: NDArray[np.uint16]) -> bool:
+def _in_free_space(row: int, col: int, hits: U16_3D, passes: U16_2D) -> bool:
     """Return whether a cell is free, with no hit within `EXPLAINED_CELLS`."""
     rows, cols = passes.shape
     if not (0 <= row < rows and 0 <= col < cols) or passes[row, col] < FREE_PASSES:
@@ -43,9 +38,9 @@ def _through_wall(
     v0: float,
     u1: float,
     v1: float,
-    hits: NDArray[np.uint16],
-    passes: NDArray[np.uint16],
-    nearest: NDArray[np.uint32],
+    hits: U16_3D,
+    passes: U16_2D,
+    nearest: U32_2D,
     offset: tuple[float, float],
 ) -> bool:
     """Return whether the beam from (u0, v0) to (u1, v1), in cells, meets a wall well before its end.
@@ -70,15 +65,9 @@ def _through_wall(
     return False
 
 
-@kernel(int64(F64_2D, F64_1D, F64_1D, U16_3D, U16_2D, U32_2D, F64_1D))
+@kernel
 def conflicts(
-    points: NDArray[np.float64],
-    pose: NDArray[np.float64],
-    lattice: NDArray[np.float64],
-    hits: NDArray[np.uint16],
-    passes: NDArray[np.uint16],
-    nearest: NDArray[np.uint32],
-    geometry: NDArray[np.float64],
+    points: F64_2D, pose: F64_1D, lattice: F64_1D, hits: U16_3D, passes: U16_2D, nearest: U32_2D, geometry: F64_1D
 ) -> int:
     """Count the visibility conflicts of points (n, 2), laser frame, m, with the laser at ``pose``: x, y (m), yaw (rad).
 
@@ -93,8 +82,7 @@ def conflicts(
     for k in range(len(points)):
         px, py = points[k, 0], points[k, 1]
         u1, v1 = (x + c * px - s * py - ox) / cell, (y + s * px + c * py - oy) / cell
-        if _in_free_space(int(np.floor(v1)), int(np.floor(u1)), hits, passes) or _through_wall(
-            u0, v0, u1, v1, hits, passes, nearest, offset
-        ):
+        row, col = int(np.floor(v1)), int(np.floor(u1))
+        if _in_free_space(row, col, hits, passes) or _through_wall(u0, v0, u1, v1, hits, passes, nearest, offset):
             count += 1
     return count

@@ -6,28 +6,18 @@ of the point. The distance at the centre of a cell, less half its diagonal, is a
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from mavnav.kernels.machine.jit import kernel
-from mavnav.kernels.machine.types import F64_1D, F64_2D, I64_1D, U32_2D, Several, float64, int64, uint8
+from mavnav.kernels.machine.types import F64_1D, F64_2D, I64_1D, U8_3D, U32_2D, int64, uint8
 from mavnav.kernels.maps.layout import LEVELS, WORST
 from mavnav.kernels.maps.lookup import line_distance2, slot_of
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
-
-@kernel(Several((uint8[:, :, ::1], uint8[:, :, ::1]))(I64_1D, int64, float64, U32_2D, F64_2D, F64_1D))
+@kernel
 def cost_floors(
-    box: NDArray[np.int64],
-    step: int,
-    truncate_m: float,
-    nearest: NDArray[np.uint32],
-    lines: NDArray[np.float64],
-    geometry: NDArray[np.float64],
-) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    box: I64_1D, step: int, truncate_m: float, nearest: U32_2D, lines: F64_2D, geometry: F64_1D
+) -> tuple[U8_3D, U8_3D]:
     """Return lower bounds of the cost of a point in the cells of a box, in units of the truncated cost / `WORST`.
 
     ``box`` is first row, first col, rows and cols; it may extend beyond the map, where the cost is the truncated one.

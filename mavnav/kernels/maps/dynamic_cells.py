@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import I16_3D, U16_2D, U16_3D, int64
+from mavnav.kernels.machine.types import I16_3D, I64_2D, U16_2D, U16_3D, int64
 from mavnav.kernels.maps.layout import EXPLAINED_CELLS, MOST_SHIELDED, WALL_HITS
 from mavnav.kernels.maps.lookup import count_at
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 CLEAR_BEAMS = 8  # minimum number of beams that passed clear through a dynamic cell
 STAYS_SHARE = 0.15  # minimum share of hits among the beams to a static cell
@@ -25,9 +20,7 @@ def _clear(passes: int, shielded: int) -> int:
 
 
 @helper
-def _is_open(
-    row: int, col: int, hits: NDArray[np.uint16], passes: NDArray[np.uint16], shielded: NDArray[np.int16]
-) -> bool:
+def _is_open(row: int, col: int, hits: U16_3D, passes: U16_2D, shielded: I16_3D) -> bool:
     """Return whether beams passed clear through a cell in which few ended, with no wall within `EXPLAINED_CELLS`."""
     rows, cols = passes.shape
     ended, clear = int64(count_at(hits, row, col)), _clear(passes[row, col], count_at(shielded, row, col))
@@ -43,10 +36,8 @@ def _is_open(
     return True
 
 
-@kernel(int64[:, ::1](U16_3D, U16_2D, I16_3D))
-def dynamic_cells(
-    hits: NDArray[np.uint16], passes: NDArray[np.uint16], shielded: NDArray[np.int16]
-) -> NDArray[np.int64]:
+@kernel
+def dynamic_cells(hits: U16_3D, passes: U16_2D, shielded: I16_3D) -> I64_2D:
     """Return row and column (n, 2) of the dynamic cells with hits; the counts are those of a ``GridBuilder``."""
     hit, n = 0, 0
     for count in hits.ravel():

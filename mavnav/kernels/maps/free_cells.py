@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from mavnav.kernels.machine.jit import kernel
-from mavnav.kernels.machine.types import I64_1D, U16_2D, U16_3D, uint8
+from mavnav.kernels.machine.types import I64_1D, U8_2D, U16_2D, U16_3D, uint8
 from mavnav.kernels.maps.layout import SHIFT, WIDE
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
-
-@kernel(uint8[:, ::1](U16_3D, U16_2D, I64_1D, I64_1D))
-def free_positions(
-    hits: NDArray[np.uint16], passes: NDArray[np.uint16], rows: NDArray[np.int64], cols: NDArray[np.int64]
-) -> NDArray[np.uint8]:
+@kernel
+def free_positions(hits: U16_3D, passes: U16_2D, rows: I64_1D, cols: I64_1D) -> U8_2D:
     """Return which positions of a lattice have a free cell: one that more beams crossed than ended in.
 
     ``rows`` and ``cols``, ascending from 0, are the lattice row of each row of cells, and the same for columns.

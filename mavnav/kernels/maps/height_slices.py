@@ -2,27 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from mavnav.kernels.machine.jit import kernel
-from mavnav.kernels.machine.types import F64_1D, F64_2D, float64, int64, uint16, void
+from mavnav.kernels.machine.types import F64_1D, F64_2D, U16_3D, Out, float64, int64
 from mavnav.kernels.maps.hits import BLOCK, path_cells
 from mavnav.kernels.maps.layout import MOST
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
-
-@kernel(void(F64_2D, F64_1D, F64_1D, F64_1D, uint16[:, :, ::1], uint16[:, :, ::1]))
+@kernel
 def add_to_slices(
-    xyz_map_m: NDArray[np.float64],
-    laser_xyz_m: NDArray[np.float64],
-    lattice: NDArray[np.float64],
-    levels_m: NDArray[np.float64],
-    hits: NDArray[np.uint16],
-    passes: NDArray[np.uint16],
+    xyz_map_m: F64_2D, laser_xyz_m: F64_1D, lattice: F64_1D, levels_m: F64_1D, hits: Out[U16_3D], passes: Out[U16_3D]
 ) -> None:
     """Count every end point (n, 3) in ``hits`` of its slice, and the cells that its beam crossed at heights of a slice.
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from mavnav.kernels.machine.jit import helper, kernel
@@ -11,20 +9,18 @@ from mavnav.kernels.machine.types import (
     F64_1D,
     F64_2D,
     I8_2D,
-    boolean,
+    I16_3D,
+    I32_1D,
+    I64_2D,
+    U16_2D,
+    U16_3D,
+    Out,
     float64,
-    int8,
-    int16,
     int32,
     int64,
-    uint16,
     uint64,
-    void,
 )
 from mavnav.kernels.maps.layout import MOST, MOST_SHIELDED, SHIFT, WIDE
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 NEAR_CELLS = 3
 """Distance to an end point of the same scan within which a crossing is shielded, not clear."""
@@ -32,14 +28,9 @@ NEAR_CELLS = 3
 BLOCK = 8  # cells of a beam that are computed at a time
 
 
-@kernel(int64(F64_1D, F64_2D, F64_1D, F64_1D, I8_2D, int8[:, ::1]))
+@kernel
 def show_ends(
-    ranges_m: NDArray[np.float64],
-    directions: NDArray[np.float64],
-    pose: NDArray[np.float64],
-    lattice: NDArray[np.float64],
-    walls: NDArray[np.int8],
-    cells: NDArray[np.int8],
+    ranges_m: F64_1D, directions: F64_2D, pose: F64_1D, lattice: F64_1D, walls: I8_2D, cells: Out[I8_2D]
 ) -> int:
     """Copy the occupied cells, 100, of ``walls`` in which beams of one scan ended to ``cells``, both (rows, cols).
 
@@ -62,9 +53,7 @@ def show_ends(
 
 
 @helper
-def _mark_near(
-    ends: NDArray[np.float64], passes: NDArray[np.uint16], shielded: NDArray[np.int16], cells: NDArray[np.int64]
-) -> int:
+def _mark_near(ends: F64_2D, passes: U16_2D, shielded: I16_3D, cells: I64_2D) -> int:
     """List each cell near points (n, 2), in cells, once; return their number.
 
     ``cells`` are their indices in ``shielded`` and in ``passes``, and their crossings so far. Their counts are made
@@ -95,9 +84,7 @@ def _mark_near(
 
 
 @helper
-def path_cells(
-    u0: float, v0: float, u1: float, v1: float, wide: float, steps: NDArray[np.float64], cells: NDArray[np.int32]
-) -> int:
+def path_cells(u0: float, v0: float, u1: float, v1: float, wide: float, steps: F64_1D, cells: I32_1D) -> int:
     """List the cells that a beam from (u0, v0) to (u1, v1), in cells, enters, the last one included; return the number.
 
     It crosses the edges of columns and those of rows at even distances (Amanatides and Woo 1987). At an edge of one
@@ -121,14 +108,14 @@ def path_cells(
     return int(cols + rows)
 
 
-@kernel(void(F64_2D, F64_1D, F64_1D, uint16[:, :, ::1], uint16[:, ::1], int16[:, :, ::1], boolean))
+@kernel
 def add_scan(
-    xy_map_m: NDArray[np.float64],
-    laser_xy_m: NDArray[np.float64],
-    lattice: NDArray[np.float64],
-    hits: NDArray[np.uint16],
-    passes: NDArray[np.uint16],
-    shielded: NDArray[np.int16],
+    xy_map_m: F64_2D,
+    laser_xy_m: F64_1D,
+    lattice: F64_1D,
+    hits: Out[U16_3D],
+    passes: Out[U16_2D],
+    shielded: Out[I16_3D],
     room: bool,
 ) -> None:
     """Count every end point (n, 2) in ``hits`` and the cells between the laser and it in ``passes``, up to `MOST`.

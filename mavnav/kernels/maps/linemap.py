@@ -19,17 +19,14 @@ Arrays of a map, which the other kernels read:
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import F64_1D, F64_2D, float64, int32, int64, uint32, uint64, void
+from mavnav.kernels.machine.types import F64_1D, F64_2D, I32_2D, I64_1D, U32_2D, Out, int64, uint64
 from mavnav.kernels.maps.layout import FAR, NEAR, REACH_CELLS
 from mavnav.kernels.maps.lookup import closeness_of, slot_of
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 WINDOW_CELLS = 4  # half-width of the line fit's window: 9x9 cells
 BLOCK = 64  # lines that are fitted at a time
@@ -47,7 +44,7 @@ class Geometry(NamedTuple):
 
 
 @helper
-def _stamp(slot: int, row: int, col: int, nearest: NDArray[np.uint32]) -> None:
+def _stamp(slot: int, row: int, col: int, nearest: U32_2D) -> None:
     """Make ``slot`` the nearest occupied cell wherever it is nearer than the present one; ties do not change it."""
     for r in range(row - REACH_CELLS, row + REACH_CELLS + 1):
         for c in range(col - REACH_CELLS, col + REACH_CELLS + 1):
@@ -57,7 +54,7 @@ def _stamp(slot: int, row: int, col: int, nearest: NDArray[np.uint32]) -> None:
 
 
 @helper
-def _fit(slots: NDArray[np.int64], noise_m: float, moments: NDArray[np.float64], lines: NDArray[np.float64]) -> None:
+def _fit(slots: I64_1D, noise_m: float, moments: F64_2D, lines: F64_2D) -> None:
     """Refit some lines: A = ((tr C + s0^2) I - C) / (l1 + s0^2), 1 along the normal and small along the wall.
 
     They are processed in blocks, in SIMD lanes.
@@ -91,21 +88,15 @@ def _fit(slots: NDArray[np.int64], noise_m: float, moments: NDArray[np.float64],
 
 
 @helper
-def _weights(cell_m: float, sigma_m: float) -> NDArray[np.float64]:
+def _weights(cell_m: float, sigma_m: float) -> F64_2D:
     """Return the Gaussian window of the line fit."""
     along = np.exp(-0.5 * (np.arange(-WINDOW_CELLS, WINDOW_CELLS + 1) * cell_m / sigma_m) ** 2)
-    out: NDArray[np.float64] = along.reshape(-1, 1) * along
+    out: F64_2D = along.reshape(-1, 1) * along
     return out
 
 
 @helper
-def _gather(
-    slot: int,
-    weight: NDArray[np.float64],
-    nearest: NDArray[np.uint32],
-    cells: NDArray[np.int32],
-    moments: NDArray[np.float64],
-) -> None:
+def _gather(slot: int, weight: F64_2D, nearest: U32_2D, cells: I32_2D, moments: F64_2D) -> None:
     """Add the moments of a cell and its neighbours to the windowed moments of the cell."""
     wide, flat = int64(nearest.shape[1]), nearest.ravel()
     row, col = cells[slot, 0] - WINDOW_CELLS, cells[slot, 1] - WINDOW_CELLS
@@ -118,13 +109,9 @@ def _gather(
                     moments[slot, 6 + m] += weight[i, j] * moments[other, m]
 
 
-@kernel(void(F64_1D, uint32[:, ::1], int32[:, ::1], float64[:, ::1], float64[:, ::1]))
+@kernel
 def rebuild(
-    geometry: NDArray[np.float64],
-    nearest: NDArray[np.uint32],
-    cells: NDArray[np.int32],
-    moments: NDArray[np.float64],
-    lines: NDArray[np.float64],
+    geometry: F64_1D, nearest: Out[U32_2D], cells: Out[I32_2D], moments: Out[F64_2D], lines: Out[F64_2D]
 ) -> None:
     """Rebuild the map, with ``nearest`` all 0, from its cells and their own moments."""
     _, _, cell_m, sigma_m, noise_m, _ = geometry
@@ -139,14 +126,14 @@ def rebuild(
 
 @helper
 def _assign_cells(
-    xy_map_m: NDArray[np.float64],
-    geometry: NDArray[np.float64],
+    xy_map_m: F64_2D,
+    geometry: F64_1D,
     count: int,
-    nearest: NDArray[np.uint32],
-    cells: NDArray[np.int32],
-    moments: NDArray[np.float64],
-    lines: NDArray[np.float64],
-    slots: NDArray[np.int64],
+    nearest: U32_2D,
+    cells: I32_2D,
+    moments: F64_2D,
+    lines: F64_2D,
+    slots: I64_1D,
 ) -> int:
     """Write the index of every point's cell to ``slots``, also of new cells; return the new number of cells.
 
@@ -170,13 +157,7 @@ def _assign_cells(
 
 
 @helper
-def _add_waiting(
-    xy_map_m: NDArray[np.float64],
-    slots: NDArray[np.int64],
-    moments: NDArray[np.float64],
-    lines: NDArray[np.float64],
-    waiting: NDArray[np.float64],
-) -> None:
+def _add_waiting(xy_map_m: F64_2D, slots: I64_1D, moments: F64_2D, lines: F64_2D, waiting: F64_2D) -> None:
     """Add points to the waiting points of their cells."""
     n = int(waiting[0, 0])
     for k in range(len(slots)):
@@ -198,13 +179,7 @@ def _add_waiting(
 
 @helper
 def _distribute(
-    slots: NDArray[np.int64],
-    geometry: NDArray[np.float64],
-    nearest: NDArray[np.uint32],
-    cells: NDArray[np.int32],
-    moments: NDArray[np.float64],
-    lines: NDArray[np.float64],
-    waiting: NDArray[np.float64],
+    slots: I64_1D, geometry: F64_1D, nearest: U32_2D, cells: I32_2D, moments: F64_2D, lines: F64_2D, waiting: F64_2D
 ) -> None:
     """Add the waiting points of some cells to them and their neighbours; refit the lines. Cells may be listed twice."""
     _, _, cell_m, sigma_m, noise_m, _ = geometry
@@ -246,16 +221,16 @@ def _distribute(
     waiting[0, 0] = n_waiting
 
 
-@kernel(int64(F64_2D, F64_1D, int64, uint32[:, ::1], int32[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1]))
+@kernel
 def insert_points(
-    xy_map_m: NDArray[np.float64],
-    geometry: NDArray[np.float64],
+    xy_map_m: F64_2D,
+    geometry: F64_1D,
     count: int,
-    nearest: NDArray[np.uint32],
-    cells: NDArray[np.int32],
-    moments: NDArray[np.float64],
-    lines: NDArray[np.float64],
-    waiting: NDArray[np.float64],
+    nearest: Out[U32_2D],
+    cells: Out[I32_2D],
+    moments: Out[F64_2D],
+    lines: Out[F64_2D],
+    waiting: Out[F64_2D],
 ) -> int:
     """Insert points (n, 2) into the map and refit the lines that they change; return the new number of cells.
 

@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
 from mavnav.kernels.machine.jit import helper
-from mavnav.kernels.machine.types import int64, uint64
+from mavnav.kernels.machine.types import F64_2D, I16_3D, U16_3D, U32_2D, int64, uint64
 from mavnav.kernels.maps.layout import NEAR, SHIFT, WIDE
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
 
 
 @helper
-def count_at(counts: NDArray[Any], row: int, col: int) -> int:
+def count_at(counts: U16_3D | I16_3D, row: int, col: int) -> int:
     """Return the count of a cell from strips (cols / `WIDE`, rows, `WIDE`)."""
     count: int = counts[col >> SHIFT, row, col & (WIDE - 1)]
     return count
@@ -33,9 +27,7 @@ def closeness_of(entry: int) -> int:
 
 
 @helper
-def slot_at(
-    x_m: float, y_m: float, origin_x_m: float, origin_y_m: float, cells_per_m: float, nearest: NDArray[np.uint32]
-) -> int:
+def slot_at(x_m: float, y_m: float, origin_x_m: float, origin_y_m: float, cells_per_m: float, nearest: U32_2D) -> int:
     """Return the index of the line of a point in the map frame; 0 without one. Outside, the edge cell counts."""
     u, v = (x_m - origin_x_m) * cells_per_m, (y_m - origin_y_m) * cells_per_m
     col = int64(min(max(u, 0.0), nearest.shape[1] - 1.0))
@@ -44,7 +36,7 @@ def slot_at(
 
 
 @helper
-def line_distance2(x_m: float, y_m: float, truncate_m2: float, slot: int, lines: NDArray[np.float64]) -> float:
+def line_distance2(x_m: float, y_m: float, truncate_m2: float, slot: int, lines: F64_2D) -> float:
     """Return the squared, truncated distance of a point in the map frame to a line, m2; ``slot`` 0 has no line."""
     line = uint64(slot)
     dx, dy = x_m - lines[line, 0], y_m - lines[line, 1]

@@ -2,31 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from mavnav.kernels.machine.jit import kernel
-from mavnav.kernels.machine.types import F64_1D, F64_2D, U16_3D, boolean, float64, int64, uint64
+from mavnav.kernels.machine.types import F64_1D, F64_2D, U16_3D, int64, uint64
 from mavnav.kernels.maps.layout import SHIFT, WIDE
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 ROUNDING_M = 1e-9
 """Tolerance for equal distances from the middle of a cluster."""
 
 
-@kernel(float64[::1](U16_3D, F64_1D, F64_1D, F64_2D, float64, int64, boolean))
+@kernel
 def virtual_scan(
-    hits: NDArray[np.uint16],
-    lattice: NDArray[np.float64],
-    pose: NDArray[np.float64],
-    directions: NDArray[np.float64],
-    far_m: float,
-    gap_cells: int,
-    middle: bool,
-) -> NDArray[np.float64]:
+    hits: U16_3D, lattice: F64_1D, pose: F64_1D, directions: F64_2D, far_m: float, gap_cells: int, middle: bool
+) -> F64_1D:
     """Return the range (beams,) in m in each direction, NaN without an occupied cell within ``far_m``.
 
     A ray passes through the cells to the first occupied one, and on through the cluster of occupied cells behind it,

@@ -1,29 +1,24 @@
-"""Connected regions of cells."""
+"""Connected regions of cells, and groups of points that are linked along their direction (union-find)."""
 
 from __future__ import annotations
-
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import BOOL_2D, boolean, int64
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from mavnav.kernels.machine.types import BOOL_2D, F64_2D, I32_1D, I64_1D, I64_3D
 
 
 @helper
-def _root(parent: NDArray[np.int32], label: int) -> int:
-    """Return the first label of the region of a label, and shorten the path to it."""
-    while parent[label] != label:
-        parent[label] = parent[parent[label]]
-        label = parent[label]
-    return label
+def _root(parent: I32_1D, k: int) -> int:
+    """Return the first member of the group of a member, and shorten the path to it (union-find)."""
+    while parent[k] != k:
+        parent[k] = parent[parent[k]]
+        k = parent[k]
+    return k
 
 
 @helper
-def _union(parent: NDArray[np.int32], a: int, b: int) -> int:
+def _union(parent: I32_1D, a: int, b: int) -> int:
     """Merge the regions of two labels and return its first label; -1 is no label."""
     if a < 0 or b < 0:
         return max(a, b)
@@ -33,8 +28,8 @@ def _union(parent: NDArray[np.int32], a: int, b: int) -> int:
     return first
 
 
-@kernel(int64[::1](BOOL_2D, boolean))
-def region_sizes(mask: NDArray[np.bool_], diagonal: bool) -> NDArray[np.int64]:
+@kernel
+def region_sizes(mask: BOOL_2D, diagonal: bool) -> I64_1D:
     """Return the number of cells of each region of a mask (rows, cols), (regions,), in the order of their first cells.
 
     Cells of a region touch at an edge, or with ``diagonal`` at a corner. Only the labels of two rows are kept, and
@@ -71,3 +66,43 @@ def region_sizes(mask: NDArray[np.bool_], diagonal: bool) -> NDArray[np.int64]:
             sizes[regions] = sizes[label]
             regions += 1
     return sizes[:regions].copy()
+
+
+@kernel
+def link_groups(
+    xy_m: F64_2D, directions: F64_2D, order: I64_1D, spans: I64_3D, reach_m: float, across_m: float, sin_turn: float
+) -> I32_1D:
+    """Return the group number (n,) of each point (n, 2); groups are numbered in the order of their first points.
+
+    ``directions`` (n, 2) are cosines and sines. Links of a point are searched among ``order[first:last]``, its
+    stretches ``spans`` (n, stretches, 2); each pair must occur in those of one of both points at least. Two points are
+    linked within ``reach_m`` if the sine between their directions is at most ``sin_turn`` and neither lies more than
+    ``across_m`` off the line through the other.
+    """
+    n, reach_m2 = len(xy_m), reach_m * reach_m
+    parent = np.arange(n).astype(np.int32)
+    for a in range(n):
+        ca, sa = directions[a]
+        for k in range(spans.shape[1]):
+            for at in range(spans[a, k, 0], spans[a, k, 1]):
+                b = order[at]
+                dx, dy = xy_m[b, 0] - xy_m[a, 0], xy_m[b, 1] - xy_m[a, 1]
+                cb, sb = directions[b]
+                if (
+                    dx * dx + dy * dy > reach_m2
+                    or abs(ca * sb - sa * cb) > sin_turn
+                    or max(abs(ca * dy - sa * dx), abs(cb * dy - sb * dx)) > across_m
+                ):
+                    continue
+                first, second = _root(parent, a), _root(parent, b)
+                parent[max(first, second)] = min(first, second)
+    groups = np.empty(n, np.int32)
+    count = np.int32(0)
+    for k in range(n):
+        root = _root(parent, k)
+        if root == k:
+            groups[k] = count
+            count += np.int32(1)
+        else:
+            groups[k] = groups[root]
+    return groups

@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from mavnav.kernels.machine.jit import kernel
 from mavnav.kernels.machine.types import F64_1D, F64_2D, U16_2D, U16_3D, float64, int64
 from mavnav.kernels.maps.lookup import count_at
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
-
-@kernel(float64[:, ::1](U16_3D, U16_2D, F64_1D, int64, float64))
-def wall_centres(
-    hits: NDArray[np.uint16], passes: NDArray[np.uint16], lattice: NDArray[np.float64], min_hits: int, min_share: float
-) -> NDArray[np.float64]:
+@kernel
+def wall_centres(hits: U16_3D, passes: U16_2D, lattice: F64_1D, min_hits: int, min_share: float) -> F64_2D:
     """Return the centres (n, 2) in m of the cells that are walls, in row-major order.
 
     A wall cell was hit, by at least ``min_share`` of the beams that reached it. It and the cells around it (5 x 5) that
@@ -49,10 +42,8 @@ def wall_centres(
     return out[:kept].copy()
 
 
-@kernel(float64[::1](F64_2D, F64_1D, float64, float64))
-def repulsion(
-    walls_xy_map_m: NDArray[np.float64], xy_map_m: NDArray[np.float64], range_m: float, cell_m: float
-) -> NDArray[np.float64]:
+@kernel
+def repulsion(walls_xy_map_m: F64_2D, xy_map_m: F64_1D, range_m: float, cell_m: float) -> F64_1D:
     """Return the sum (2,) of the forces of all walls (n, 2) within ``range_m`` on a vehicle at ``xy_map_m`` (2,).
 
     A cell at distance r repels with ``cell / range (range / r - 1) (range / r)^2``: except for a factor, the gradient
@@ -72,8 +63,8 @@ def repulsion(
     return out
 
 
-@kernel(float64[::1](F64_2D, F64_2D))
-def clearance(walls_xy_map_m: NDArray[np.float64], xy_map_m: NDArray[np.float64]) -> NDArray[np.float64]:
+@kernel
+def clearance(walls_xy_map_m: F64_2D, xy_map_m: F64_2D) -> F64_1D:
     """Return the distance (m,) in m from each point (m, 2) to the nearest wall (n, 2); inf where there is none."""
     out = np.empty(len(xy_map_m))
     for k in range(len(xy_map_m)):

@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from mavnav.kernels.machine.jit import kernel
-from mavnav.kernels.machine.types import BOOL_2D, I32_2D, int32, int64
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+from mavnav.kernels.machine.types import BOOL_2D, I32_2D, I64_2D, int32, int64
 
 STRAIGHT, DIAGONAL = 10, 14
 """Costs of a straight and of a diagonal step, per weight of the cell."""
@@ -20,8 +14,8 @@ UNREACHED = np.int32(2**30)
 """Cost of a cell that was not reached."""
 
 
-@kernel(int32[:, ::1](BOOL_2D, int64))
-def squared_clearance(walls: NDArray[np.bool_], reach_cells: int) -> NDArray[np.int32]:
+@kernel
+def squared_clearance(walls: BOOL_2D, reach_cells: int) -> I32_2D:
     """Return the squared distance (rows, cols) in cells to the nearest wall, ``reach_cells**2`` at most."""
     rows, cols = walls.shape
     reach = int32(reach_cells)
@@ -38,9 +32,7 @@ def squared_clearance(walls: NDArray[np.bool_], reach_cells: int) -> NDArray[np.
     out = across * across
     squared = out.copy()
     for row in range(rows):
-        for aside in range(
-            1, min(reach_cells, cols)
-        ):  # whole rows side by side: the compiler takes several cells at once
+        for aside in range(1, min(reach_cells, cols)):  # whole rows side by side: several cells at once, in SIMD lanes
             add = int32(aside * aside)
             to, left, right = out[row, aside:], out[row, : cols - aside], squared[row, : cols - aside]
             for col in range(cols - aside):
@@ -51,8 +43,8 @@ def squared_clearance(walls: NDArray[np.bool_], reach_cells: int) -> NDArray[np.
     return out
 
 
-@kernel(int32[:, ::1](I32_2D, I32_2D, int64, int64))
-def wave(weights: NDArray[np.int32], goals: NDArray[np.int32], row: int, col: int) -> NDArray[np.int32]:
+@kernel
+def wave(weights: I32_2D, goals: I32_2D, row: int, col: int) -> I32_2D:
     """Return the cost (rows, cols) of the cheapest path from each cell to a goal, UNREACHED without one.
 
     A step costs STRAIGHT or DIAGONAL times the weight of the cell that it leaves. Weight 0 is blocked, and a diagonal
@@ -107,8 +99,8 @@ def wave(weights: NDArray[np.int32], goals: NDArray[np.int32], row: int, col: in
     return cost.reshape(rows + 2, cols + 2)[1:-1, 1:-1].copy()
 
 
-@kernel(int64[:, ::1](I32_2D, I32_2D, int64, int64, int64))
-def downhill(cost: NDArray[np.int32], weights: NDArray[np.int32], row: int, col: int, steps: int) -> NDArray[np.int64]:
+@kernel
+def downhill(cost: I32_2D, weights: I32_2D, row: int, col: int, steps: int) -> I64_2D:
     """Return the cells (n, 2), row and col, of the cheapest path from [row, col] towards the goal, ``steps`` at most.
 
     The first is [row, col] itself. Of equally cheap steps, that to the lowest row, then column, is taken.

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.kernels.machine.jit import helper
-from mavnav.kernels.polar_search.cost import Beams, span, to_polar
+from mavnav.kernels.polar_search.cost import Beams, Work, span, to_polar
 from mavnav.kernels.polar_search.fixed_beams import (
     FIXED_SHARE,
+    HalfWindow,
     Reach,
     Sight,
     classify,
@@ -22,10 +23,7 @@ from mavnav.kernels.polar_search.polynomial import polynomial, sum_loose
 from mavnav.kernels.polar_search.wide_bounds import bound_wide
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mavnav.kernels.polar_search.cost import Work
-    from mavnav.kernels.polar_search.fixed_beams import HalfWindow
+    from mavnav.kernels.machine.types import F64_1D, F64_2D
 
 FIXED_BEAMS, TRIMMED_BEAMS, WORTH_TRIMMING = 0.25, 6.0, 15
 """Bounds on the beams that points pass on the grid, on average.
@@ -38,14 +36,7 @@ SUM_M2 = 1e-11
 
 
 @helper
-def bound(
-    scan: Beams,
-    motions: NDArray[np.float64],
-    offsets: NDArray[np.float64],
-    window: HalfWindow,
-    work: Work,
-    bounds: NDArray[np.float64],
-) -> Beams:
+def bound(scan: Beams, motions: F64_2D, offsets: F64_2D, window: HalfWindow, work: Work, bounds: F64_1D) -> Beams:
     """Write a lower bound of each candidate's cost, -inf if unknown.
 
     ``motions`` are those of the candidates, and of the grid's middle at the end; ``offsets`` (m, 2) are relative to it.

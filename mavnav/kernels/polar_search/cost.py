@@ -1,19 +1,16 @@
-"""The paper's cost function (steps iii-xi) in polar coordinates.
+"""The paper's cost function (steps iii-xi) in polar coordinates, and the beams of a scan that it uses (step vii).
 
 ``motion`` (5,) is cosine and sine of the turn, shift in x and y (m) and turn (rad), from the virtual scan's pose.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import F64_1D, F64_2D, Several, float64, int32, int64, uint64
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from mavnav.kernels.machine.types import F64_1D, F64_2D, I32_1D, int32, int64, uint64
 
 
 class Limits(NamedTuple):
@@ -39,8 +36,8 @@ class Beams(NamedTuple):
     The rows of points are x, y, beam number, range, bearing, and 1 if a point and the one before are on one surface.
     """
 
-    virtual: NDArray[np.float64]
-    points: NDArray[np.float64]
+    virtual: F64_1D
+    points: F64_2D
     limits: Limits
 
 
@@ -50,25 +47,45 @@ class Work(NamedTuple):
     ``seen`` and ``squares`` are the ranges in which beams meet the moved points, and the squared differences.
     """
 
-    r: NDArray[np.float64]
-    beam: NDArray[np.float64]
-    value: NDArray[np.float64]
-    slope: NDArray[np.float64]
-    first: NDArray[np.int32]
-    more: NDArray[np.int32]
-    seen: NDArray[np.float64]
-    squares: NDArray[np.float64]
+    r: F64_1D
+    beam: F64_1D
+    value: F64_1D
+    slope: F64_1D
+    first: I32_1D
+    more: I32_1D
+    seen: F64_1D
+    squares: F64_1D
+
+
+@kernel
+def good_beams(ranges_m: F64_1D, directions: F64_2D, first_rad: float, step_rad: float, mixed_pixel_m: float) -> F64_2D:
+    """Return the valid beams as rows x, y, beam number, range, bearing (n, 5), in m and rad.
+
+    ``ranges_m`` (beams,) are NaN without a return, ``directions`` (beams, 2) the beams' cosines and sines. Beams that
+    differ from both their neighbours by more than ``mixed_pixel_m`` are left out.
+    """
+    last, count, out = len(ranges_m) - 1, 0, np.empty((len(ranges_m), 5))
+    for i in range(last + 1):
+        r = ranges_m[i]
+        # Cost function, step vii: mixed pixels are left out.
+        alone = 0 < i < last and abs(r - ranges_m[i - 1]) > mixed_pixel_m and abs(r - ranges_m[i + 1]) > mixed_pixel_m
+        if alone or not np.isfinite(r):
+            continue
+        out[count, 0], out[count, 1] = r * directions[i, 0], r * directions[i, 1]
+        out[count, 2], out[count, 3], out[count, 4] = i, r, first_rad + step_rad * i
+        count += 1
+    return out[:count].copy()
 
 
 @helper
-def limits_of(limits: NDArray[np.float64]) -> Limits:
+def limits_of(limits: F64_1D) -> Limits:
     """Return the limits (8,) of ``polar_cost`` as a record."""
     first_rad, step_rad, near_m, far_m, occlusion_m, edge_m, fewest_beams, counted = limits
     return Limits(first_rad, step_rad, near_m, far_m, occlusion_m, edge_m, fewest_beams, counted > 0.0)
 
 
 @helper
-def scan_of(virtual: NDArray[np.float64], points: NDArray[np.float64], limits: Limits) -> Beams:
+def scan_of(virtual: F64_1D, points: F64_2D, limits: Limits) -> Beams:
     """Return a scan of virtual ranges (beams,) and points (5, n)."""
     return Beams(virtual.copy(), _mark_surfaces(points, limits.edge_m), limits)
 
@@ -82,7 +99,7 @@ def work_for(points: int, beams: int) -> Work:
 
 
 @helper
-def _mark_surfaces(points: NDArray[np.float64], edge: float) -> NDArray[np.float64]:
+def _mark_surfaces(points: F64_2D, edge: float) -> F64_2D:
     """Return points (5, n) with one more row: 1 if a point and the one before are on one surface."""
     out = np.zeros((6, points.shape[1]))
     for row in range(5):
@@ -94,13 +111,7 @@ def _mark_surfaces(points: NDArray[np.float64], edge: float) -> NDArray[np.float
 
 
 @helper
-def to_polar(
-    points: NDArray[np.float64],
-    motion: NDArray[np.float64],
-    limits: Limits,
-    r: NDArray[np.float64],
-    beam: NDArray[np.float64],
-) -> None:
+def to_polar(points: F64_2D, motion: F64_1D, limits: Limits, r: F64_1D, beam: F64_1D) -> None:
     """Write range and beam number of the moved points.
 
     Between neighbouring poses a point's bearing changes little, so that a series of the tangent is accurate to 1e-11.
@@ -152,7 +163,7 @@ def span(scan: Beams, work: Work) -> None:
 
 
 @helper
-def lower_ranges(scan: Beams, work: Work, seen: NDArray[np.float64]) -> None:
+def lower_ranges(scan: Beams, work: Work, seen: F64_1D) -> None:
     """Lower the range in which each virtual beam meets the moved points: nearer surfaces hide farther ones."""
     r, beam, value, slope, first, more = work.r, work.beam, work.value, work.slope, work.first, work.more
     beams, turn = len(seen), 2.0 * np.pi / abs(scan.limits.step_rad)
@@ -171,9 +182,7 @@ def lower_ranges(scan: Beams, work: Work, seen: NDArray[np.float64]) -> None:
 
 
 @helper
-def _compare(
-    virtual: NDArray[np.float64], limits: Limits, seen: NDArray[np.float64], squares: NDArray[np.float64]
-) -> tuple[float, float]:
+def _compare(virtual: F64_1D, limits: Limits, seen: F64_1D, squares: F64_1D) -> tuple[float, float]:
     """Return the sum of the squared differences of the contributing beams, and their number.
 
     The bounds of the pruned search apply step viii as well: ``polynomial``, ``fixed_beams``, ``wide_bounds``.
@@ -194,10 +203,12 @@ def _compare(
 
 
 @helper
-def _mean(scan: Beams, work: Work) -> tuple[float, float]:
-    """Return the cost and the number of beams in it, from ranges and beam numbers of the moved points."""
-    virtual, limits = scan.virtual, scan.limits
-    # Cost function, step iv
+def evaluate(scan: Beams, motion: F64_1D, work: Work) -> tuple[float, float]:
+    """Return the cost and the number of beams in it, see ``polar_cost``."""
+    (virtual, points, limits), n = scan, scan.points.shape[1]
+    # Cost function, step iii
+    to_polar(points, motion, limits, work.r[:n], work.beam[:n])
+    # Step iv
     seen = work.seen[: len(virtual)]
     seen[:] = np.inf
     span(scan, work)
@@ -209,24 +220,8 @@ def _mean(scan: Beams, work: Work) -> tuple[float, float]:
     return total / used, used
 
 
-@helper
-def evaluate(scan: Beams, motion: NDArray[np.float64], work: Work) -> tuple[float, float]:
-    """Return the cost and the number of beams in it, see ``polar_cost``."""
-    n = scan.points.shape[1]
-    # Cost function, step iii
-    to_polar(scan.points, motion, scan.limits, work.r[:n], work.beam[:n])
-    return _mean(scan, work)
-
-
-@kernel(Several((float64, float64))(F64_1D, F64_2D, float64, float64, float64, F64_1D))
-def polar_cost(
-    virtual: NDArray[np.float64],
-    points: NDArray[np.float64],
-    x: float,
-    y: float,
-    yaw: float,
-    limits: NDArray[np.float64],
-) -> tuple[float, float]:
+@kernel
+def polar_cost(virtual: F64_1D, points: F64_2D, x: float, y: float, yaw: float, limits: F64_1D) -> tuple[float, float]:
     """Return the mean squared range difference (m2) of virtual and roto-translated scan, and the number of its beams.
 
     Parameters

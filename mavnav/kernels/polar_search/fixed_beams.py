@@ -7,11 +7,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from mavnav.kernels.machine.jit import helper
-from mavnav.kernels.machine.types import int64, uint64
+from mavnav.kernels.machine.types import F64_1D, F64_2D, I64_1D, int64, uint64
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from mavnav.kernels.polar_search.cost import Beams, Work
 
 FIXED_SHARE = 1.0 / 16.0
@@ -37,23 +35,21 @@ class HalfWindow(NamedTuple):
 class Reach(NamedTuple):
     """Largest motion of each point (n,) on the grid: in m, in beams, and in beams relative to the point before."""
 
-    by_m: NDArray[np.float64]
-    by_beams: NDArray[np.float64]
-    apart_beams: NDArray[np.float64]
+    by_m: F64_1D
+    by_beams: F64_1D
+    apart_beams: F64_1D
 
 
 class Sight(NamedTuple):
     """Range of each beam (beams,) in the middle of the grid, and its least and greatest range on the grid, m."""
 
-    seen: NDArray[np.float64]
-    least: NDArray[np.float64]
-    most: NDArray[np.float64]
+    seen: F64_1D
+    least: F64_1D
+    most: F64_1D
 
 
 @helper
-def reach_of(
-    scan: Beams, motion: NDArray[np.float64], window: HalfWindow, r: NDArray[np.float64], reach: Reach
-) -> tuple[float, float]:
+def reach_of(scan: Beams, motion: F64_1D, window: HalfWindow, r: F64_1D, reach: Reach) -> tuple[float, float]:
     """Write the largest motion of each point on the grid: in m, in beams, and in beams relative to the point before.
 
     Returns the mean in beams, and the largest one as a share of a point's range.
@@ -74,7 +70,7 @@ def reach_of(
 
 
 @helper
-def sweep(scan: Beams, beam: NDArray[np.float64], by_beams: NDArray[np.float64], swept: NDArray[np.float64]) -> None:
+def sweep(scan: Beams, beam: F64_1D, by_beams: F64_1D, swept: F64_2D) -> None:
     """Write the first and last beam that each segment may meet somewhere on the grid.
 
     The range is empty if it meets none, and extends below 0 or above a whole turn if it may cross the seam.
@@ -89,9 +85,7 @@ def sweep(scan: Beams, beam: NDArray[np.float64], by_beams: NDArray[np.float64],
 
 
 @helper
-def find_fixed(
-    scan: Beams, work: Work, reach: Reach, swept: NDArray[np.float64], sight: Sight, fixed: NDArray[np.int64]
-) -> None:
+def find_fixed(scan: Beams, work: Work, reach: Reach, swept: F64_2D, sight: Sight, fixed: I64_1D) -> None:
     """Write the range of each beam, and its segment everywhere on the grid: 0 for none, -1 if that may change."""
     r, beam, value, slope, first, more = work.r, work.beam, work.value, work.slope, work.first, work.more
     (seen, least, most), by_m, by_beams = sight, reach.by_m, reach.by_beams
@@ -121,7 +115,7 @@ def find_fixed(
 
 
 @helper
-def classify(scan: Beams, work: Work, reach: Reach, sight: Sight, fixed: NDArray[np.int64], small: bool) -> None:
+def classify(scan: Beams, work: Work, reach: Reach, sight: Sight, fixed: I64_1D, small: bool) -> None:
     """Set ``fixed`` to 0 for beams that contribute nowhere on the grid, and to -1 for those that may contribute.
 
     On a grid that is not small, no other beam stays fixed.
@@ -146,7 +140,7 @@ def classify(scan: Beams, work: Work, reach: Reach, sight: Sight, fixed: NDArray
 
 
 @helper
-def rest_of(scan: Beams, swept: NDArray[np.float64], fixed: NDArray[np.int64]) -> NDArray[np.float64]:
+def rest_of(scan: Beams, swept: F64_2D, fixed: I64_1D) -> F64_2D:
     """Return the points (6, m) of the segments that beams with -1 may meet."""
     points, last, turn, count = scan.points, len(fixed) - 1, 2.0 * np.pi / abs(scan.limits.step_rad), 0
     n, loose = points.shape[1], np.zeros(len(fixed) + 1, np.int64)

@@ -7,25 +7,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.kernels.machine.jit import helper
-from mavnav.kernels.machine.types import uint64
-from mavnav.kernels.polar_search.cost import lower_ranges, span, to_polar
+from mavnav.kernels.machine.types import F64_1D, F64_2D, I64_1D, uint64
+from mavnav.kernels.polar_search.cost import Beams, Work, lower_ranges, span, to_polar
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mavnav.kernels.polar_search.cost import Beams, Work
     from mavnav.kernels.polar_search.fixed_beams import HalfWindow
 
 
 @helper
-def _derive(
-    scan: Beams,
-    motion: NDArray[np.float64],
-    window: HalfWindow,
-    path: NDArray[np.float64],
-    r: NDArray[np.float64],
-    rates: NDArray[np.float64],
-) -> None:
+def _derive(scan: Beams, motion: F64_1D, window: HalfWindow, path: F64_1D, r: F64_1D, rates: F64_2D) -> None:
     """Write the first three derivatives of the points' ranges, and of their beam numbers, along a path.
 
     ``path`` (3,) is the speed of x, of y and of the turn about the pivot. With a point as a complex number, range and
@@ -48,13 +38,7 @@ def _derive(
 
 
 @helper
-def _expand(
-    work: Work,
-    beams: NDArray[np.float64],
-    segments: NDArray[np.int64],
-    rates: NDArray[np.float64],
-    terms: NDArray[np.float64],
-) -> None:
+def _expand(work: Work, beams: F64_2D, segments: I64_1D, rates: F64_2D, terms: F64_2D) -> None:
     """Write the squared differences of fixed beams, their first two derivatives, and the absolute value of the third.
 
     ``beams`` (2, m) are the numbers of the fixed beams and their differences, ``segments`` (m,) the segments that they
@@ -79,7 +63,7 @@ def _expand(
 
 
 @helper
-def _sum_up(terms: NDArray[np.float64], sums: NDArray[np.float64]) -> None:
+def _sum_up(terms: F64_2D, sums: F64_1D) -> None:
     """Sum rows (4, m) pairwise, in SIMD lanes."""
     for i in range(len(terms)):
         row, n = terms[i], terms.shape[1]
@@ -92,14 +76,7 @@ def _sum_up(terms: NDArray[np.float64], sums: NDArray[np.float64]) -> None:
 
 
 @helper
-def polynomial(
-    scan: Beams,
-    motion: NDArray[np.float64],
-    window: HalfWindow,
-    work: Work,
-    seen: NDArray[np.float64],
-    fixed: NDArray[np.int64],
-) -> NDArray[np.float64]:
+def polynomial(scan: Beams, motion: F64_1D, window: HalfWindow, work: Work, seen: F64_1D, fixed: I64_1D) -> F64_1D:
     """Return the coefficients of 1, u, v, uu, uv, vv in the sum of the fixed beams, less the error.
 
     u and v are the shifts, or u is the turn. The error is twice the third-order term of all beams' absolute values, the
@@ -129,7 +106,7 @@ def polynomial(
 
 
 @helper
-def sum_loose(scan: Beams, loose: NDArray[np.int64], motion: NDArray[np.float64], work: Work) -> tuple[float, float]:
+def sum_loose(scan: Beams, loose: I64_1D, motion: F64_1D, work: Work) -> tuple[float, float]:
     """Return the sum of the squared differences of loose beams for one candidate, and the number that contribute."""
     virtual, points, limits = scan
     n, total, used = points.shape[1], 0.0, 0.0

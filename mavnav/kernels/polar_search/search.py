@@ -13,35 +13,17 @@ whose bounds are not above the best cost. The bounds are
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import F64_1D, F64_2D, float64, int64
+from mavnav.kernels.machine.types import F64_1D, F64_2D, int64
 from mavnav.kernels.polar_search.bounds import bound
-from mavnav.kernels.polar_search.cost import Beams, Limits, evaluate, limits_of, scan_of, work_for
+from mavnav.kernels.polar_search.cost import Beams, Limits, Work, evaluate, limits_of, scan_of, work_for
 from mavnav.kernels.polar_search.fixed_beams import HalfWindow
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mavnav.kernels.polar_search.cost import Work
-
 MAX_ITERATIONS = 60
-
-
-class SearchGrid(NamedTuple):
-    """The argument ``grid`` of `search`.
-
-    Yaw samples; nodes of the plane in x and in y; maximum border extensions; 1 to prune.
-    """
-
-    azimuths: float
-    nx: float
-    ny: float
-    extensions: float
-    prune: float
 
 
 class Schedule(NamedTuple):
@@ -76,9 +58,7 @@ class GridCentre(NamedTuple):
 
 
 @helper
-def _least(
-    scan: Beams, motions: NDArray[np.float64], bounds: NDArray[np.float64], work: Work
-) -> tuple[int, float, float]:
+def _least(scan: Beams, motions: F64_2D, bounds: F64_1D, work: Work) -> tuple[int, float, float]:
     """Return the first candidate of least cost (-1 if all are inf), its cost and the number of its beams."""
     promising = int64(np.argmin(bounds))
     best, used = evaluate(scan, motions[promising], work)
@@ -93,7 +73,7 @@ def _least(
 
 
 @helper
-def _turns(grid: GridCentre, half_rad: float, motions: NDArray[np.float64], offsets: NDArray[np.float64]) -> None:
+def _turns(grid: GridCentre, half_rad: float, motions: F64_2D, offsets: F64_2D) -> None:
     """Write the motions of the yaw samples (minimisation, step i), and of their middle."""
     x, y, yaw, pivot_x, pivot_y = grid
     azimuths = len(offsets)
@@ -108,9 +88,7 @@ def _turns(grid: GridCentre, half_rad: float, motions: NDArray[np.float64], offs
 
 
 @helper
-def _shifts(
-    grid: GridCentre, half_m: float, nx: int, motions: NDArray[np.float64], offsets: NDArray[np.float64]
-) -> None:
+def _shifts(grid: GridCentre, half_m: float, nx: int, motions: F64_2D, offsets: F64_2D) -> None:
     """Write the motions of the plane's grid (step iii), and of its middle.
 
     They cover a disc: the square lattice is mapped onto it, its border onto the circle, so that NxM points cost N*M
@@ -137,14 +115,8 @@ def _at_occlusion(scan: Beams, occlusion_m: float) -> Beams:
     return Beams(scan.virtual, scan.points, limits)
 
 
-@kernel(float64[::1](F64_1D, F64_2D, F64_1D, F64_1D, F64_1D))
-def search(
-    virtual: NDArray[np.float64],
-    points: NDArray[np.float64],
-    grid: NDArray[np.float64],
-    schedule: NDArray[np.float64],
-    limits: NDArray[np.float64],
-) -> NDArray[np.float64]:
+@kernel
+def search(virtual: F64_1D, points: F64_2D, grid: F64_1D, schedule: F64_1D, limits: F64_1D) -> F64_1D:
     """Minimise the cost; return [x, y, yaw, cost_m2, beams used, evaluations, iterations, converged].
 
     Parameters

@@ -10,11 +10,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from mavnav.kernels.machine.jit import helper
-from mavnav.kernels.machine.types import float64, int32, int64, uint64
+from mavnav.kernels.machine.types import F32_1D, F32_2D, F64_1D, F64_2D, I32_2D, float64, int32, int64, uint64
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from mavnav.kernels.polar_search.cost import Beams, Limits, Work
 
 BEARING_RAD, RANGE_M, RANGE_SHARE = 6e-7, 5e-5, 1e-6
@@ -78,7 +76,7 @@ def _widths_of(limits: Limits, beams: int) -> Widths:
 
 
 @helper
-def _to_polar_f32(points: NDArray[np.float32], motion: BeamMotion, moved: NDArray[np.float32]) -> None:
+def _to_polar_f32(points: F32_2D, motion: BeamMotion, moved: F32_2D) -> None:
     """Write the range and the change of the beam number of the moved points; NaN if that is not accurate.
 
     The tangent of half the change is cross / (product of the ranges + dot). A short series is accurate to 1e-7 for
@@ -105,9 +103,7 @@ def _to_polar_f32(points: NDArray[np.float32], motion: BeamMotion, moved: NDArra
 
 
 @helper
-def _span_f32(
-    points: NDArray[np.float32], widths: Widths, moved: NDArray[np.float32], spans: NDArray[np.int32]
-) -> None:
+def _span_f32(points: F32_2D, widths: Widths, moved: F32_2D, spans: I32_2D) -> None:
     """Write the results of ``span`` in single precision; the range is `UNCERTAIN` where it is not accurate.
 
     That are beams near the ends of a segment, steep segments, and those across the seam.
@@ -134,13 +130,7 @@ def _span_f32(
 
 
 @helper
-def _lower_ranges_f32(
-    points: NDArray[np.float32],
-    widths: Widths,
-    moved: NDArray[np.float32],
-    spans: NDArray[np.int32],
-    seen: NDArray[np.float32],
-) -> bool:
+def _lower_ranges_f32(points: F32_2D, widths: Widths, moved: F32_2D, spans: I32_2D, seen: F32_1D) -> bool:
     """Write the range of each virtual beam as ``lower_ranges`` does; return False if a point is not accurate."""
     seen[:] = NOTHING
     turn, last, across = widths.turn, len(seen) - 1, 0
@@ -167,9 +157,7 @@ def _lower_ranges_f32(
 
 
 @helper
-def _least_mean(
-    virtual: NDArray[np.float32], widths: Widths, seen: NDArray[np.float32], squares: NDArray[np.float32]
-) -> float:
+def _least_mean(virtual: F32_1D, widths: Widths, seen: F32_1D, squares: F32_1D) -> float:
     """Return a lower bound of the cost: the sum over beams that surely contribute, by the number of those that may."""
     near, far, occlusion, off_by = widths.near, widths.far, widths.occlusion, widths.off_by
     n, most = len(virtual), int32(0)
@@ -188,7 +176,7 @@ def _least_mean(
 
 
 @helper
-def _at_middle(scan: Beams, middle: NDArray[np.float64], work: Work) -> NDArray[np.float32]:
+def _at_middle(scan: Beams, middle: F64_1D, work: Work) -> F32_2D:
     """Return the points in the middle of a grid, (7, n).
 
     The rows are x, y, beam number as measured, squared range, change of the beam number (not wrapped at the seam),
@@ -208,7 +196,7 @@ def _at_middle(scan: Beams, middle: NDArray[np.float64], work: Work) -> NDArray[
 
 
 @helper
-def bound_wide(scan: Beams, motions: NDArray[np.float64], work: Work, bounds: NDArray[np.float64]) -> None:
+def bound_wide(scan: Beams, motions: F64_2D, work: Work, bounds: F64_1D) -> None:
     """Write a lower bound of each candidate's cost, -inf if unknown.
 
     ``work`` has the points relative to the grid's middle, the last of the ``motions``; the candidates are expressed as

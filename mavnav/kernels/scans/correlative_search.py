@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import F64_1D, F64_2D, U32_2D, float64, int32, int64
+from mavnav.kernels.machine.types import F64_1D, F64_2D, U32_2D, Out, int32, int64
 from mavnav.kernels.maps.lookup import line_distance2, slot_of
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 BLOCK = 1024  # positions at a time: their data stay in the processor's cache
 
 
 @helper
 def pose_cost(
-    points: NDArray[np.float64],
-    xy_map_m: NDArray[np.float64],
+    points: F64_2D,
+    xy_map_m: F64_1D,
     yaw_rad: float,
     truncate_m: float,
-    nearest: NDArray[np.uint32],
-    lines: NDArray[np.float64],
-    geometry: NDArray[np.float64],
+    nearest: U32_2D,
+    lines: F64_2D,
+    geometry: F64_1D,
 ) -> float:
     """Return the cost of ``pose_costs`` at one pose, bit for bit."""
     (rows, cols), (x, y) = nearest.shape, xy_map_m
@@ -43,16 +38,16 @@ def pose_cost(
     return total / len(points)
 
 
-@kernel(float64[:, ::1](F64_2D, F64_2D, F64_1D, float64, U32_2D, F64_2D, F64_1D))
+@kernel
 def pose_costs(
-    points: NDArray[np.float64],
-    xy_map_m: NDArray[np.float64],
-    yaws_rad: NDArray[np.float64],
+    points: F64_2D,
+    xy_map_m: F64_2D,
+    yaws_rad: F64_1D,
     truncate_m: float,
-    nearest: NDArray[np.uint32],
-    lines: NDArray[np.float64],
-    geometry: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    nearest: U32_2D,
+    lines: F64_2D,
+    geometry: F64_1D,
+) -> F64_2D:
     """Return the mean truncated squared distance to the map's lines, m2, for all yaws (q) and positions (p): (q, p).
 
     ``points`` (n, 2) are in the laser frame, m; the map's arrays are described in ``linemap``. Most cells have no wall
@@ -87,20 +82,14 @@ def pose_costs(
 
 
 @helper
-def is_same(moved_m: tuple[float, float], turned_rad: float, separate: NDArray[np.float64]) -> bool:
+def is_same(moved_m: tuple[float, float], turned_rad: float, separate: F64_1D) -> bool:
     """Return whether two poses are the same minimum: both distance and rotation are below ``separate`` (m, rad)."""
     turn = abs((turned_rad + np.pi) % (2 * np.pi) - np.pi)
     return bool(turn < separate[1] and np.hypot(moved_m[0], moved_m[1]) < separate[0])
 
 
-@kernel(float64[:, ::1](float64[:, ::1], F64_2D, F64_1D, F64_1D, int64))
-def separate_minima(
-    costs_m2: NDArray[np.float64],
-    xy_map_m: NDArray[np.float64],
-    yaws_rad: NDArray[np.float64],
-    separate: NDArray[np.float64],
-    most: int,
-) -> NDArray[np.float64]:
+@kernel
+def separate_minima(costs_m2: Out[F64_2D], xy_map_m: F64_2D, yaws_rad: F64_1D, separate: F64_1D, most: int) -> F64_2D:
     """Return the ``most`` lowest separate minima of ``pose_costs``: cost (m2), index of yaw and of position, (m, 3).
 
     Each is the lowest of the finite costs that is not the same minimum as one before it, by ``separate`` (m, rad); of

@@ -7,17 +7,29 @@ bound is evaluated. So the poses are found in the order of their costs, and few 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import F64_1D, F64_2D, I64_1D, U8_3D, U32_2D, float64, int64, uint8, uint16, uint64
+from mavnav.kernels.machine.types import (
+    F64_1D,
+    F64_2D,
+    I32_2D,
+    I32_3D,
+    I64_1D,
+    U8_2D,
+    U8_3D,
+    U16_1D,
+    U16_2D,
+    U32_2D,
+    int64,
+    uint8,
+    uint16,
+    uint64,
+)
 from mavnav.kernels.maps.layout import LEVELS, WORST
 from mavnav.kernels.scans.correlative_search import is_same, pose_cost
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 TOP = LEVELS - 1
 SIDE = 1 << TOP  # positions along a square of the top level
@@ -44,8 +56,8 @@ AT_ONCE = 20
 class Heap(NamedTuple):
     """Entries in a heap, the least first: bound or cost, m2, and the code of a square or position (`lowest_poses`)."""
 
-    cost_m2: NDArray[np.float64]
-    code: NDArray[np.int64]
+    cost_m2: F64_1D
+    code: I64_1D
 
 
 @helper
@@ -61,12 +73,18 @@ def _grow(heap: Heap, count: int) -> Heap:
 
 
 @helper
+def _is_before(heap: Heap, at: int, cost_m2: float, code: int) -> bool:
+    """Return whether an entry of the heap comes before another one; of equal costs the lower code does."""
+    return bool(heap.cost_m2[at] < cost_m2 or (heap.cost_m2[at] == cost_m2 and heap.code[at] < code))
+
+
+@helper
 def _push(heap: Heap, count: int, cost_m2: float, code: int) -> None:
-    """Add an entry to ``count`` others; of equal costs the lower code comes first."""
+    """Add an entry to ``count`` others."""
     at = count
     while at > 0:
         up = (at - 1) // 2
-        if heap.cost_m2[up] < cost_m2 or (heap.cost_m2[up] == cost_m2 and heap.code[up] < code):
+        if _is_before(heap, up, cost_m2, code):
             break
         heap.cost_m2[at], heap.code[at] = heap.cost_m2[up], heap.code[up]
         at = up
@@ -79,12 +97,9 @@ def _pop(heap: Heap, count: int) -> None:
     cost_m2, code, at = heap.cost_m2[count - 1], heap.code[count - 1], 0
     while 2 * at + 1 < count - 1:
         down = 2 * at + 1
-        if down + 1 < count - 1 and (
-            heap.cost_m2[down + 1] < heap.cost_m2[down]
-            or (heap.cost_m2[down + 1] == heap.cost_m2[down] and heap.code[down + 1] < heap.code[down])
-        ):
+        if down + 1 < count - 1 and _is_before(heap, down + 1, heap.cost_m2[down], heap.code[down]):
             down += 1
-        if cost_m2 < heap.cost_m2[down] or (cost_m2 == heap.cost_m2[down] and code < heap.code[down]):
+        if not _is_before(heap, down, cost_m2, code):
             break
         heap.cost_m2[at], heap.code[at] = heap.cost_m2[down], heap.code[down]
         at = down
@@ -93,12 +108,8 @@ def _pop(heap: Heap, count: int) -> None:
 
 @helper
 def _cells(
-    points: NDArray[np.float64],
-    first_xy_m: tuple[float, float],
-    yaws_rad: NDArray[np.float64],
-    corner: NDArray[np.int64],
-    geometry: NDArray[np.float64],
-) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    points: F64_2D, first_xy_m: tuple[float, float], yaws_rad: F64_1D, corner: I64_1D, geometry: F64_1D
+) -> tuple[I32_3D, I64_1D]:
     """Return the cell of every point for every yaw at the first position, (yaws, 2, n), and their numbers (yaws,).
 
     Points within `UNSURE` of an edge are left out.
@@ -118,7 +129,7 @@ def _cells(
 
 
 @helper
-def _lattice(xy_m: NDArray[np.float64], step_m: float) -> tuple[NDArray[np.int32], float, float]:
+def _lattice(xy_m: F64_2D, step_m: float) -> tuple[I32_2D, float, float]:
     """Return the index of each position of a lattice by row and column, -1 without one, and the first x and y.
 
     Rows and columns are padded to whole squares.
@@ -136,7 +147,7 @@ def _lattice(xy_m: NDArray[np.float64], step_m: float) -> tuple[NDArray[np.int32
 
 
 @helper
-def _holds_any(index: NDArray[np.int32], row: int, col: int, side: int) -> bool:
+def _holds_any(index: I32_2D, row: int, col: int, side: int) -> bool:
     for r in range(row, row + side):
         for c in range(col, col + side):
             if index[r, c] >= 0:
@@ -145,7 +156,7 @@ def _holds_any(index: NDArray[np.int32], row: int, col: int, side: int) -> bool:
 
 
 @helper
-def _squares(index: NDArray[np.int32]) -> NDArray[np.uint16]:
+def _squares(index: I32_2D) -> U16_2D:
     """Return 0 for squares with positions and `EMPTY` for others, (rows, cols) of squares."""
     rows, cols = index.shape[0] // SIDE, index.shape[1] // SIDE
     blank = np.zeros((rows, cols), np.uint16)
@@ -157,7 +168,7 @@ def _squares(index: NDArray[np.int32]) -> NDArray[np.uint16]:
 
 
 @helper
-def _pad_columns(planes: NDArray[np.uint8], cols: int) -> NDArray[np.uint8]:
+def _pad_columns(planes: U8_3D, cols: int) -> U8_3D:
     """Return planes padded to ``cols`` columns at least, with `WORST`."""
     n, rows, had = planes.shape
     if had >= cols:
@@ -171,9 +182,7 @@ def _pad_columns(planes: NDArray[np.uint8], cols: int) -> NDArray[np.uint8]:
 
 
 @helper
-def _bound_squares(
-    cells: NDArray[np.int32], count: int, step: int, planes: NDArray[np.uint8], sums: NDArray[np.uint16]
-) -> None:
+def _bound_squares(cells: I32_2D, count: int, step: int, planes: U8_3D, sums: U16_1D) -> None:
     """Write bounds of the summed cost of the points, at one yaw, on squares row by row; rows are as long as in a plane.
 
     All rows are added at once. A point beyond the first or last column is therefore bounded by the cell at that place
@@ -198,7 +207,7 @@ def _bound_squares(
 
 @helper
 def _bound_quarters(
-    cells: NDArray[np.int32], count: int, row: int, col: int, side: int, floors: NDArray[np.uint8], most: int
+    cells: I32_2D, count: int, row: int, col: int, side: int, floors: U8_2D, most: int
 ) -> tuple[int, int, int, int]:
     """Return bounds of the summed cost of the points on the quarters of a square with this first cell.
 
@@ -229,7 +238,7 @@ def _bound_quarters(
 
 
 @helper
-def _upper_sum(histogram: NDArray[np.int64], after: int, least: int) -> tuple[int, int]:
+def _upper_sum(histogram: I64_1D, after: int, least: int) -> tuple[int, int]:
     """Return the least bound such that at least ``least`` squares have a bound above ``after`` and up to it.
 
     Also returns the number of these squares.
@@ -242,7 +251,7 @@ def _upper_sum(histogram: NDArray[np.int64], after: int, least: int) -> tuple[in
 
 
 @helper
-def _least_of_row(bounds: NDArray[np.uint16], blank: NDArray[np.uint16]) -> int:
+def _least_of_row(bounds: U16_1D, blank: U16_1D) -> int:
     """Write `EMPTY` to the bounds of squares without positions; return the least bound."""
     least = uint16(EMPTY)
     for col in range(len(blank)):
@@ -251,27 +260,23 @@ def _least_of_row(bounds: NDArray[np.uint16], blank: NDArray[np.uint16]) -> int:
     return int(least)
 
 
-@kernel(
-    float64[:, ::1](
-        F64_2D, F64_2D, F64_1D, float64, F64_1D, float64, int64, int64, I64_1D, U8_3D, U8_3D, U32_2D, F64_2D, F64_1D
-    )
-)
+@kernel
 def lowest_poses(
-    points: NDArray[np.float64],
-    xy_map_m: NDArray[np.float64],
-    yaws_rad: NDArray[np.float64],
+    points: F64_2D,
+    xy_map_m: F64_2D,
+    yaws_rad: F64_1D,
     truncate_m: float,
-    separate: NDArray[np.float64],
+    separate: F64_1D,
     limit_m2: float,
     most: int,
     step: int,
-    corner: NDArray[np.int64],
-    floors: NDArray[np.uint8],
-    planes: NDArray[np.uint8],
-    nearest: NDArray[np.uint32],
-    lines: NDArray[np.float64],
-    geometry: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    corner: I64_1D,
+    floors: U8_3D,
+    planes: U8_3D,
+    nearest: U32_2D,
+    lines: F64_2D,
+    geometry: F64_1D,
+) -> F64_2D:
     """Return the ``most`` lowest separate minima of ``pose_costs``: cost (m2), index of yaw and of position, (m, 3).
 
     No cost is above ``limit_m2``. Each is the lowest that is not within ``separate`` (m, rad) of one before it; of

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import F64_1D, F64_2D, U32_2D, float64, int64
+from mavnav.kernels.machine.types import F64_1D, F64_2D, U32_2D, Out, float64, int64
 from mavnav.kernels.maps.lookup import slot_of
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 
 @helper
@@ -28,14 +23,9 @@ def _least_eigenvalue(xx: float, yy: float, zz: float, xy: float, xz: float, yz:
     return least
 
 
-@kernel(float64(F64_2D, F64_1D, U32_2D, F64_2D, F64_1D, float64[::1]))
+@kernel
 def observability(
-    points: NDArray[np.float64],
-    pose: NDArray[np.float64],
-    nearest: NDArray[np.uint32],
-    lines: NDArray[np.float64],
-    geometry: NDArray[np.float64],
-    information: NDArray[np.float64],
+    points: F64_2D, pose: F64_1D, nearest: U32_2D, lines: F64_2D, geometry: F64_1D, information: Out[F64_1D]
 ) -> float:
     """Return the least eigenvalue of a scan's information about its pose: 0 if a direction is not observable.
 

@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import F64_1D, F64_2D, Several, float64, int32, int64, uint64
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+from mavnav.kernels.machine.types import F64_1D, F64_2D, Out, int32, uint64
 
 MIXED_M, MIXED_SHARE = 0.1, 0.05
 """Difference in range to both neighbors of a mixed pixel, in m and as a share of the range."""
@@ -22,13 +16,13 @@ STEEPEST = 2.75
 
 @helper
 def _end_points(
-    ranges_m: NDArray[np.float64],
-    directions: NDArray[np.float64],
-    twist: NDArray[np.float64],
+    ranges_m: F64_1D,
+    directions: F64_2D,
+    twist: F64_1D,
     time_increment_s: float,
     near_m: float,
     far_m: float,
-    out: NDArray[np.float64],
+    out: F64_2D,
 ) -> int:
     """Write the end points (n, 2), m, of the valid beams in the laser frame at mid-sweep; return their number."""
     (v_x, v_y, rate), n, used = twist, len(ranges_m), 0
@@ -56,7 +50,7 @@ def _end_points(
 
 
 @helper
-def voxel_means(points: NDArray[np.float64], voxel_m: float, out: NDArray[np.float64]) -> int:
+def voxel_means(points: F64_2D, voxel_m: float, out: F64_2D) -> int:
     """Write the means (m, 2) of points (n, 2) in square voxels in shuffled order, which depends only on the points.
 
     Returns the number of means. ``places`` is a sorted hash table of voxel numbers: a voxel is at the first bits of its
@@ -96,15 +90,15 @@ def voxel_means(points: NDArray[np.float64], voxel_m: float, out: NDArray[np.flo
     return m
 
 
-@kernel(Several((int64, int64))(F64_1D, F64_2D, F64_1D, float64, F64_1D, float64[:, ::1], float64[:, ::1]))
+@kernel
 def scan_points(
-    ranges_m: NDArray[np.float64],
-    directions: NDArray[np.float64],
-    twist: NDArray[np.float64],
+    ranges_m: F64_1D,
+    directions: F64_2D,
+    twist: F64_1D,
     time_increment_s: float,
-    limits_m: NDArray[np.float64],
-    ends: NDArray[np.float64],
-    means: NDArray[np.float64],
+    limits_m: F64_1D,
+    ends: Out[F64_2D],
+    means: Out[F64_2D],
 ) -> tuple[int, int]:
     """Write the end points of the valid beams in the laser frame at mid-sweep, and their means in square voxels.
 
@@ -124,7 +118,7 @@ def scan_points(
 
 
 @helper
-def _extent(points: NDArray[np.float64]) -> tuple[float, float, float, float]:
+def _extent(points: F64_2D) -> tuple[float, float, float, float]:
     low_x, low_y, high_x, high_y = np.inf, np.inf, -np.inf, -np.inf
     for k in range(len(points)):
         low_x, high_x = min(low_x, points[k, 0]), max(high_x, points[k, 0])
@@ -132,16 +126,14 @@ def _extent(points: NDArray[np.float64]) -> tuple[float, float, float, float]:
     return low_x, low_y, high_x, high_y
 
 
-@kernel(Several((float64, float64, float64, float64))(F64_2D))
-def extent(points: NDArray[np.float64]) -> tuple[float, float, float, float]:
+@kernel
+def extent(points: F64_2D) -> tuple[float, float, float, float]:
     """Return least x, least y, largest x and largest y of points (n, 2); without points inf, inf, -inf, -inf."""
     return _extent(points)
 
 
-@kernel(Several((float64, float64, float64, float64))(F64_2D, F64_1D, float64[:, ::1]))
-def place_points(
-    points: NDArray[np.float64], pose: NDArray[np.float64], out: NDArray[np.float64]
-) -> tuple[float, float, float, float]:
+@kernel
+def place_points(points: F64_2D, pose: F64_1D, out: Out[F64_2D]) -> tuple[float, float, float, float]:
     """Transform points (n, 2), m, by a ``pose`` (3,): x, y (m), yaw (rad).
 
     They are written to ``out`` (n, 2), in the frame in which the pose is given; returns their ``extent``.

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from mavnav.kernels.machine.jit import kernel
-from mavnav.kernels.machine.types import F64_1D, F64_2D, float64
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from mavnav.kernels.machine.types import F64_1D, F64_2D, Out
 
 
-@kernel(float64(F64_2D, F64_1D, float64, float64[:, ::1]))
-def smooth(xy: NDArray[np.float64], elapsed: NDArray[np.float64], stiffness: float, out: NDArray[np.float64]) -> float:
+@kernel
+def smooth(xy: F64_2D, elapsed: F64_1D, stiffness: float, out: Out[F64_2D]) -> float:
     """Write the positions p that minimise sum |p - xy|^2 + stiffness * sum |acceleration|^2; return the log-likelihood.
 
     Parameters

@@ -2,30 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import F64_1D, F64_2D, I64_2D, float64, int64
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+from mavnav.kernels.machine.types import F64_1D, F64_2D, I64_2D
 
 AT_ONCE = 4
 """Number of beams on either side that are compared before the next test whether farther ones can be nearer."""
 
 
 @helper
-def _sample_ends(
-    ranges_m: NDArray[np.float64],
-    directions: NDArray[np.float64],
-    near_m: float,
-    far_m: float,
-    every: int,
-    points: NDArray[np.float64],
-) -> int:
+def _sample_ends(ranges_m: F64_1D, directions: F64_2D, near_m: float, far_m: float, every: int, points: F64_2D) -> int:
     """Write x and y of each ``every``-th end point of a scan; return the number."""
     skip, n = 0, 0
     for i in range(len(ranges_m)):
@@ -38,14 +25,7 @@ def _sample_ends(
 
 
 @helper
-def _to_polar(
-    sampled: NDArray[np.float64],
-    n: int,
-    motion: NDArray[np.float64],
-    step: float,
-    centre: float,
-    points: NDArray[np.float64],
-) -> None:
+def _to_polar(sampled: F64_2D, n: int, motion: F64_1D, step: float, centre: float, points: F64_2D) -> None:
     """Transform points (2, n) by cosine, sine and shift to (4, n): x, y, range, and bearing from ``centre`` in beams.
 
     The loop has no branches, so that it uses SIMD lanes. Halving the angle twice makes a short series of the arc
@@ -69,16 +49,7 @@ def _to_polar(
 
 
 @helper
-def _nearest2(
-    x: float,
-    y: float,
-    r: float,
-    middle: int,
-    ends: NDArray[np.float64],
-    turn: int,
-    aside2: NDArray[np.float64],
-    cap2: float,
-) -> float:
+def _nearest2(x: float, y: float, r: float, middle: int, ends: F64_2D, turn: int, aside2: F64_1D, cap2: float) -> float:
     """Return the least squared distance from a point to the end points of beams (2, n), at most ``cap2``.
 
     Beams are tested from the one that points at it outwards, as long as their end points could be nearer.
@@ -104,16 +75,10 @@ def _nearest2(
     return nearest2
 
 
-@kernel(float64[:, ::1](F64_2D, F64_2D, I64_2D, F64_2D, F64_1D, float64, int64))
+@kernel
 def scan_distances(
-    ranges_m: NDArray[np.float64],
-    poses: NDArray[np.float64],
-    pairs: NDArray[np.int64],
-    directions: NDArray[np.float64],
-    beams: NDArray[np.float64],
-    cap_m: float,
-    every: int,
-) -> NDArray[np.float64]:
+    ranges_m: F64_2D, poses: F64_2D, pairs: I64_2D, directions: F64_2D, beams: F64_1D, cap_m: float, every: int
+) -> F64_2D:
     """Return the distances from the points of one scan of a pair to the nearest points of the other, summed.
 
     Parameters
@@ -138,12 +103,8 @@ def scan_distances(
     aside2 = np.empty(count + 2)  # squared sine of the least angle to the k-th beam aside
     for k in range(count + 2):
         aside2[k] = np.sin(min(max(k - 1, 0) * abs(step), 0.5 * np.pi)) ** 2
-    out, sampled, points, ends = (
-        np.zeros((len(pairs), 5)),
-        np.empty((2, count)),
-        np.empty((4, count)),
-        np.empty((2, count)),
-    )
+    out, ends = np.zeros((len(pairs), 5)), np.empty((2, count))
+    sampled, points = np.empty((2, count)), np.empty((4, count))
     cos, sin = directions[:, 0].copy(), directions[:, 1].copy()
     last, n = -1, 0
     for pair in range(len(pairs)):

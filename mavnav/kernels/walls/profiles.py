@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from mavnav.kernels.machine.jit import kernel
-from mavnav.kernels.machine.types import F64_2D, U16_2D_STRIDED, float64, int32, int64, uint64
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from mavnav.kernels.machine.types import F64_2D, F64_3D, U16_2D_STRIDED, int32, uint64
 
 
-@kernel(float64[:, :, ::1](U16_2D_STRIDED, F64_2D, int64, int64))
-def wall_profiles(
-    counts: NDArray[np.uint16], stations: NDArray[np.float64], half_length: int, reach: int
-) -> NDArray[np.float64]:
+@kernel
+def wall_profiles(counts: U16_2D_STRIDED, stations: F64_2D, half_length: int, reach: int) -> F64_3D:
     """Return the mean count at each distance from a wall, for both halves of a stretch of it.
 
     Parameters

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import F64_1D, F64_2D, F64_3D, I64_2D, float64, int64
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from mavnav.kernels.machine.types import BOOL_1D, F64_1D, F64_2D, F64_3D, I64_1D, I64_2D, U8_2D
 
 HALF_LENGTH_M = 0.15
 GAP_M = 0.25
@@ -45,14 +40,7 @@ SHIFT_COST, TURN_COST = 0.03, 0.1
 
 
 @helper
-def _used_ends(
-    ranges_m: NDArray[np.float64],
-    directions: NDArray[np.float64],
-    limits_m: NDArray[np.float64],
-    beam: NDArray[np.int64],
-    xy: NDArray[np.float64],
-    apart: NDArray[np.bool_],
-) -> int:
+def _used_ends(ranges_m: F64_1D, directions: F64_2D, limits_m: F64_1D, beam: I64_1D, xy: F64_2D, apart: BOOL_1D) -> int:
     """Write the end points (2, n) of a scan, their beams, and which are too far from the one before; return n."""
     n = 0
     for i in range(len(ranges_m)):
@@ -67,9 +55,7 @@ def _used_ends(
 
 
 @helper
-def _moments_beside(
-    xy: NDArray[np.float64], apart: NDArray[np.bool_], n: int, i: int
-) -> tuple[int, float, float, float, float, float, float]:
+def _moments_beside(xy: F64_2D, apart: BOOL_1D, n: int, i: int) -> tuple[int, float, float, float, float, float, float]:
     """Return the lesser of the numbers of points near point ``i`` on its two sides, and the moments of all of them."""
     fewest, count, x, y, xx, xy_, yy = n, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for step in (-1, 1):
@@ -84,10 +70,8 @@ def _moments_beside(
     return fewest, count, x, y, xx, xy_, yy
 
 
-@kernel(float64[:, :, ::1](F64_2D, F64_2D, F64_1D))
-def wall_normals(
-    ranges_m: NDArray[np.float64], directions: NDArray[np.float64], limits_m: NDArray[np.float64]
-) -> NDArray[np.float64]:
+@kernel
+def wall_normals(ranges_m: F64_2D, directions: F64_2D, limits_m: F64_1D) -> F64_3D:
     """Return the wall's unit normal towards the laser at each end point, laser frame, (scans, beams, 2).
 
     NaN if a point does not lie on a straight wall, or the beam grazes it. ``ranges_m`` (scans, beams) are NaN without a
@@ -120,16 +104,10 @@ def wall_normals(
     return out
 
 
-@kernel(float64[:, ::1](F64_2D, F64_3D, I64_2D, F64_2D, F64_2D, F64_1D, int64))
+@kernel
 def wall_gaps(
-    ranges_m: NDArray[np.float64],
-    normals: NDArray[np.float64],
-    pairs: NDArray[np.int64],
-    b_T_a: NDArray[np.float64],
-    directions: NDArray[np.float64],
-    beams: NDArray[np.float64],
-    every: int,
-) -> NDArray[np.float64]:
+    ranges_m: F64_2D, normals: F64_3D, pairs: I64_2D, b_T_a: F64_2D, directions: F64_2D, beams: F64_1D, every: int
+) -> F64_2D:
     """Return how far behind the wall points of scan a scan b sees a wall, along its beams through them.
 
     Parameters
@@ -182,7 +160,7 @@ def wall_gaps(
 
 
 @helper
-def _draw(ends: NDArray[np.float64], image: NDArray[np.uint8]) -> None:
+def _draw(ends: F64_2D, image: U8_2D) -> None:
     """Draw the closeness of each cell (rows, cols) to points (n, 2), up to 255; (0, 0) is in the middle."""
     image[:] = 0
     size, middle = len(image), len(image) // 2
@@ -196,9 +174,7 @@ def _draw(ends: NDArray[np.float64], image: NDArray[np.uint8]) -> None:
 
 
 @helper
-def _closeness(
-    points: NDArray[np.float64], every: int, x: float, y: float, yaw: float, image: NDArray[np.uint8]
-) -> float:
+def _closeness(points: F64_2D, every: int, x: float, y: float, yaw: float, image: U8_2D) -> float:
     """Return the mean closeness, 0 to 1, of each ``every``-th point (n, 2) at a pose to the points of the image."""
     c, s, size, total, n = np.cos(yaw), np.sin(yaw), len(image), 0, 0
     u0, v0 = x / CELL_M + size // 2, y / CELL_M + size // 2
@@ -212,9 +188,7 @@ def _closeness(
 
 
 @helper
-def _ends(
-    ranges_m: NDArray[np.float64], directions: NDArray[np.float64], limits_m: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _ends(ranges_m: F64_1D, directions: F64_2D, limits_m: F64_1D) -> F64_2D:
     """Return the end points (n, 2) of a scan, m."""
     ends, n = np.empty((len(ranges_m), 2)), 0
     for i in range(len(ranges_m)):
@@ -224,15 +198,10 @@ def _ends(
     return ends[:n]
 
 
-@kernel(float64[:, ::1](F64_2D, I64_2D, F64_2D, F64_2D, F64_1D, int64))
+@kernel
 def best_alignments(
-    ranges_m: NDArray[np.float64],
-    pairs: NDArray[np.int64],
-    b_T_a: NDArray[np.float64],
-    directions: NDArray[np.float64],
-    limits_m: NDArray[np.float64],
-    reach: int,
-) -> NDArray[np.float64]:
+    ranges_m: F64_2D, pairs: I64_2D, b_T_a: F64_2D, directions: F64_2D, limits_m: F64_1D, reach: int
+) -> F64_2D:
     """Search for the poses of scans a in the frames of scans b at which their end points are closest to each other.
 
     All poses up to ``reach`` steps of 0.1 m and three turns of 2 degrees from ``b_T_a`` (n, 3) are tried, then those

@@ -2,34 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import F32_2D, F64_1D, float32, float64
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from mavnav.kernels.machine.types import F32_2D, F64_1D
 
 
 @helper
-def _add(
-    total: NDArray[np.float64], after: NDArray[np.float64], weight: float, sign: float, before: NDArray[np.float64]
-) -> None:
+def _add(total: F64_1D, after: F64_1D, weight: float, sign: float, before: F64_1D) -> None:
     """Add two neighbours of each cell (n,), weighted."""
     for c in range(len(total)):
         total[c] += (after[c] + sign * before[c]) * weight
 
 
-@kernel(float32[:, ::1](F32_2D, F64_1D, F64_1D, float64, float64))
-def smooth_image(
-    image: NDArray[np.float32],
-    down: NDArray[np.float64],
-    across: NDArray[np.float64],
-    down_sign: float,
-    across_sign: float,
-) -> NDArray[np.float32]:
+@kernel
+def smooth_image(image: F32_2D, down: F64_1D, across: F64_1D, down_sign: float, across_sign: float) -> F32_2D:
     """Return the weighted sums of each cell of an image (rows, cols) and its neighbours, along columns, then rows.
 
     ``down`` and ``across`` are the weights of the middle and of the neighbours after it; those before it have the same

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import F64_1D, F64_2D, float64, int64
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from mavnav.kernels.machine.types import F64_1D, F64_2D, I64_1D
 
 
 @helper
-def _thin(xy_m: NDArray[np.float64], spacing_m: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def _thin(xy_m: F64_2D, spacing_m: float) -> tuple[I64_1D, F64_2D]:
     """Return the numbers of the points at least ``spacing_m`` from the one before, and these points."""
     beam, n = np.empty(len(xy_m), np.int64), 0
     for i in range(len(xy_m)):
@@ -28,15 +23,10 @@ def _thin(xy_m: NDArray[np.float64], spacing_m: float) -> tuple[NDArray[np.int64
     return beam[:n], xy_m[beam[:n]]
 
 
-@kernel(float64[::1](F64_2D, float64, F64_1D, float64, float64, int64))
+@kernel
 def straight_beams(
-    xy_m: NDArray[np.float64],
-    spacing_m: float,
-    radii_m: NDArray[np.float64],
-    least_reach: float,
-    max_ratio: float,
-    min_points: int,
-) -> NDArray[np.float64]:
+    xy_m: F64_2D, spacing_m: float, radii_m: F64_1D, least_reach: float, max_ratio: float, min_points: int
+) -> F64_1D:
     """Find the end points of a scan that lie on a straight wall, and the wall's direction there.
 
     Parameters

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import I64_2D, U16_2D_STRIDED, float64, int64
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from mavnav.kernels.machine.types import F64_2D, I64_1D, I64_2D, U8_1D, U8_2D, U8_3D, U16_2D, U16_2D_STRIDED
 
 
-@kernel(int64[:, ::1](U16_2D_STRIDED, int64, int64))
-def column_runs(hits: NDArray[np.uint16], min_hits: int, max_gap: int) -> NDArray[np.int64]:
+@kernel
+def column_runs(hits: U16_2D_STRIDED, min_hits: int, max_gap: int) -> I64_2D:
     """Return the runs of occupied cells along the columns.
 
     A cell of ``hits`` (rows, cols) is occupied from ``min_hits`` on; a run includes gaps of up to ``max_gap`` empty
@@ -47,14 +42,14 @@ def column_runs(hits: NDArray[np.uint16], min_hits: int, max_gap: int) -> NDArra
 
 
 @helper
-def _keep_both(out: NDArray[np.uint8], a: NDArray[np.uint8], b: NDArray[np.uint8]) -> None:
+def _keep_both(out: U8_1D, a: U8_1D, b: U8_1D) -> None:
     """Write where both are set (n,)."""
     for c in range(len(out)):
         out[c] = a[c] & b[c]
 
 
 @helper
-def _push_stretch(free: NDArray[np.uint8], row: int, col: int, stack: NDArray[np.int64], depth: int) -> int:
+def _push_stretch(free: U8_2D, row: int, col: int, stack: I64_2D, depth: int) -> int:
     """Push the stretch of free cells of a row around a cell onto the stack, and mark it; return the new depth."""
     low, high = col, col
     while free[row, low - 1]:
@@ -68,7 +63,7 @@ def _push_stretch(free: NDArray[np.uint8], row: int, col: int, stack: NDArray[np
 
 
 @helper
-def _discs(reach: int, border: int, limit: float) -> NDArray[np.uint8]:
+def _discs(reach: int, border: int, limit: float) -> U8_3D:
     """Return the discs around the centre of a cell and around the edge to the next row; ``limit`` in half cells."""
     discs = np.zeros((2, 2 * border + 1, 2 * border + 1), np.uint8)
     for half in range(2):
@@ -80,15 +75,15 @@ def _discs(reach: int, border: int, limit: float) -> NDArray[np.uint8]:
 
 @helper
 def _sum_up(
-    hits: NDArray[np.uint16],
+    hits: U16_2D,
     first_row: int,
     first_col: int,
     half: int,
-    free: NDArray[np.uint8],
-    stack: NDArray[np.int64],
+    free: U8_2D,
+    stack: I64_2D,
     depth: int,
     step: int,
-    sums: NDArray[np.int64],
+    sums: I64_1D,
 ) -> None:
     """Sum over the cells of the stretches on the stack and all connected ones.
 
@@ -117,10 +112,8 @@ def _sum_up(
                     depth = _push_stretch(free, near, c, stack, depth)
 
 
-@kernel(float64[:, ::1](U16_2D_STRIDED, I64_2D, int64, int64, float64))
-def run_moments(
-    hits: NDArray[np.uint16], runs: NDArray[np.int64], min_hits: int, max_gap: int, radius: float
-) -> NDArray[np.float64]:
+@kernel
+def run_moments(hits: U16_2D_STRIDED, runs: I64_2D, min_hits: int, max_gap: int, radius: float) -> F64_2D:
     """Return the moments of the wall around each run: count and covariance of its cells near the run's middle.
 
     The cells are those occupied ones within ``radius`` (in cells) that are connected to the run, with up to

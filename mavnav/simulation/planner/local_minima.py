@@ -16,12 +16,8 @@ from mavnav.simulation.planner.shortest_path import aim_on_shortest_path
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
     from mavnav.config.planner import PlannerConfig
-
-    XY = NDArray[np.float64]
-    """A point or a vector in the map frame, (2,) in m (a force: without unit)."""
+    from mavnav.simulation.planner.shortest_path import XY
 
 _SAME_PLACE_M, _MOST_AT_A_PLACE = 0.1, 3  # virtual obstacles, then they help no more
 _VIRTUAL_AHEAD_M = 0.15
@@ -37,8 +33,8 @@ class Scene(Struct, frozen=True):
 
     config: PlannerConfig
     cell_m: float
-    walls_xy_map_m: NDArray[np.float64]
-    near_xy_map_m: NDArray[np.float64]
+    walls_xy_map_m: XY
+    near_xy_map_m: XY
     xy_map_m: XY
     goal_xy_map_m: XY
 

@@ -14,7 +14,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from mavnav.kernels.planning import potential
-from mavnav.pose import wrap_angle
+from mavnav.pose import Pose, wrap_angle
 from mavnav.simulation.planner.local_minima import TECHNIQUES, Memory, Scene
 from mavnav.units import DEG, MM
 
@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 
     from mavnav.config.planner import PlannerConfig
     from mavnav.mapping.occupancy_grid import GridBuilder
-    from mavnav.pose import Pose
-    from mavnav.simulation.planner.local_minima import XY
+    from mavnav.simulation.planner.shortest_path import XY
 
 _LOOK_M = 1.0  # walls farther away decide no single step
 _LAST_SAFETY_M = 0.1  # no step goes nearer to a wall than this, unless it leads away from it
@@ -80,9 +79,8 @@ class Planner:
             velocity = _accelerate(self.config, drive.memory.velocity_m, drive.force)
             bearing_rad = wrap_angle(atan2(velocity[1], velocity[0]) - map_T_laser.yaw_rad)
             turn_rad = _turn_rad(self.config, velocity, bearing_rad)
-            step = _clear_step(
-                scene, _seen_share(scene, bearing_rad) * _limit_step(scene, velocity), squeezes=drive.squeezes
-            )
+            wanted = _seen_share(scene, bearing_rad) * _limit_step(scene, velocity)
+            step = _clear_step(scene, wanted, squeezes=drive.squeezes)
         self.memory = replace(drive.memory, velocity_m=step)
         return Plan(_in_body(step, turn_rad, map_T_laser), _clearance_m(scene, step), drive.reason)
 
@@ -160,7 +158,7 @@ def _levels_m(config: PlannerConfig) -> list[float]:
     return [safety_m, (safety_m + least_m) / 2, least_m, min(least_m, _LAST_SAFETY_M)]
 
 
-def _candidates(step_m: XY, aside_rad: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _candidates(step_m: XY, aside_rad: NDArray[np.float64]) -> tuple[XY, NDArray[np.float64]]:
     """Return steps (n, 2) turned aside and shortened, and each one's progress (n,) as a share of the wanted step."""
     c, s = np.cos(aside_rad), np.sin(aside_rad)
     turned = np.column_stack((c * step_m[0] - s * step_m[1], s * step_m[0] + c * step_m[1]))
@@ -168,7 +166,7 @@ def _candidates(step_m: XY, aside_rad: NDArray[np.float64]) -> tuple[NDArray[np.
     return steps, (_SHARES[:, None] * c).ravel()
 
 
-def _least_clearances_m(scene: Scene, steps_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def _least_clearances_m(scene: Scene, steps_m: XY) -> NDArray[np.float64]:
     """Return the least clearance (n,) along each step (n, 2)."""
     samples = ceil(float(np.hypot(*steps_m[0])) / _SAMPLE_M)
     shares = np.arange(1, samples + 1)[:, None, None] / samples

@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 
     from mavnav.config.planner import PlannerConfig
 
+    XY = NDArray[np.float64]
+    """A point or a vector in the map frame, (2,) in m (a force: without unit), or several, (n, 2)."""
+
 _MARGIN_M = 1.0  # round all walls, vehicle and goal: there is a path round the end of every wall
 _BLOCKED_CELLS2 = 2  # a cell with a wall and the eight around it are blocked
 _AHEAD_M = 2.0  # a straight line to the path is sought this far
@@ -22,12 +25,7 @@ _NEAR_SAFETY, _UNDER_SAFETY, _UNDER_LEAST = 3, 10, 100  # times as much: a metre
 _SEEDS_CELLS = 4  # a goal in a blocked cell is reached from within this distance
 
 
-def aim_on_shortest_path(
-    walls_xy_map_m: NDArray[np.float64],
-    xy_map_m: NDArray[np.float64],
-    goal_xy_map_m: NDArray[np.float64],
-    config: PlannerConfig,
-) -> NDArray[np.float64] | None:
+def aim_on_shortest_path(walls_xy_map_m: XY, xy_map_m: XY, goal_xy_map_m: XY, config: PlannerConfig) -> XY | None:
     """Return the point (2,) in m, map frame, to head for in a straight line; None where walls close the goal off.
 
     Cells nearer to a wall than the safety clearance cost more, far more below the least one: the inflation of the walls
@@ -51,7 +49,7 @@ def aim_on_shortest_path(
     return np.asarray((path[seen, ::-1] + 0.5 + origin) * cell_m, np.float64)
 
 
-def _covering(xy_map_m: NDArray[np.float64], cell_m: float) -> tuple[NDArray[np.int64], tuple[int, int]]:
+def _covering(xy_map_m: XY, cell_m: float) -> tuple[NDArray[np.int64], tuple[int, int]]:
     """Return the origin (x, y) in cells and the shape (rows, cols) of a lattice about all points (n, 2)."""
     by_axis = np.ascontiguousarray(xy_map_m.T)  # along the last axis numpy finds extremes 20 times as fast
     low = np.floor((by_axis.min(axis=1) - _MARGIN_M) / cell_m).astype(np.int64)
@@ -59,7 +57,7 @@ def _covering(xy_map_m: NDArray[np.float64], cell_m: float) -> tuple[NDArray[np.
     return low, (int(high[1] - low[1]) + 1, int(high[0] - low[0]) + 1)
 
 
-def _cells(xy_map_m: NDArray[np.float64], origin: NDArray[np.int64], cell_m: float) -> NDArray[np.int64]:
+def _cells(xy_map_m: XY, origin: NDArray[np.int64], cell_m: float) -> NDArray[np.int64]:
     """Return row and column (n, 2) of points (n, 2)."""
     return (np.floor(xy_map_m / cell_m).astype(np.int64) - origin)[:, ::-1]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import Annotated, Final
 
 import numpy as np
 from msgspec import Meta
@@ -10,9 +10,6 @@ from msgspec import Meta
 from mavnav.config.strict import Strict, in_si, setting
 from mavnav.scan import Attitude
 from mavnav.units import DEG, MM, MS
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 Tilt = Annotated[float, Meta(ge=0.0, le=20.0)]
 
@@ -81,9 +78,5 @@ class Body:
         c = self._config
         true = np.array([*self._tilt, c.height_m]) + self._off
         noise = np.array([*[c.sensor_tilt_rad] * 2, c.sensor_height_m])
-        self.true.append(_attitude(true))
-        self.measured.append(_attitude(true + noise * self._sensor.standard_normal(3)))
-
-
-def _attitude(values: NDArray[np.float64]) -> Attitude:
-    return Attitude(*values.tolist())
+        self.true.append(Attitude(*true.tolist()))
+        self.measured.append(Attitude(*(true + noise * self._sensor.standard_normal(3)).tolist()))

@@ -8,12 +8,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from msgspec import Struct, field
 
-from mavnav.pose import transform_points
+from mavnav.pose import Pose, transform_points
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-    from mavnav.pose import Pose
 
     Array = NDArray[np.float64]
 

@@ -15,11 +15,7 @@ from mavnav.units import DEG
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
-    from mavnav.simulation.world.geometry import World
-
-    Array = NDArray[np.float64]
+    from mavnav.simulation.world.geometry import Array, World
 
 LASERS: Final[dict[str, LaserSpec]] = {
     "urg-04lx": LaserSpec(-340 * 360 / 1024 * DEG, 360 / 1024 * DEG, 681, 0.02, 5.0, 0.1 / 1024, 0.1),

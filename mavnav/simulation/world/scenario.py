@@ -75,14 +75,9 @@ class LaserConfig(Strict, frozen=True):
             step = spec.angle_step_rad if self.step_deg is None else self.step_deg * DEG
             span = spec.field_of_view_rad if self.field_of_view_deg is None else self.field_of_view_deg * DEG
             beams = floor(min(span, 2.0 * pi - step) / step + 1e-6) + 1
-            pace = spec.time_increment_s / spec.angle_step_rad
-            spec = replace(
-                spec,
-                angle_min_rad=-(beams - 1) / 2 * step,
-                angle_step_rad=step,
-                beams=beams,
-                time_increment_s=pace * step,
-            )
+            pace_s = spec.time_increment_s / spec.angle_step_rad * step
+            first = -(beams - 1) / 2 * step
+            spec = replace(spec, angle_min_rad=first, angle_step_rad=step, beams=beams, time_increment_s=pace_s)
         if self.period_ms is not None:
             ratio = self.period_ms * MS / spec.scan_time_s
             spec = replace(spec, scan_time_s=self.period_ms * MS, time_increment_s=spec.time_increment_s * ratio)

@@ -19,7 +19,7 @@ from mavnav.config.loading import (
     scenarios,
     schema_of,
 )
-from mavnav.config.models import OdometryConfig
+from mavnav.config.models import Config, OdometryConfig
 from mavnav.config.yaml_layers import read_yaml
 from mavnav.errors import ConfigError
 from mavnav.simulation.world.laser import LASERS
@@ -29,7 +29,6 @@ from mavnav.units import MM
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
-    from mavnav.config.models import Config
     from mavnav.simulation.world.shapes import XY, Shape
     from mavnav.simulation.world.walls import WallEntry
 

@@ -13,9 +13,7 @@ from mavnav.config.strict import Strict, setting
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
+    from mavnav.simulation.world.geometry import Array
 
 Metre = Annotated[float, Meta(ge=-1000.0, le=1000.0)]
 Length = Annotated[float, Meta(gt=0.0, le=1000.0)]
@@ -180,11 +178,8 @@ class TableShape(Strict, frozen=True):
 
     def parts(self) -> tuple[Shape, ...]:
         """Return the top and the legs; a top that lies on the floor has none."""
-        top, leg_size_m, leg_band = (
-            self._box(self.center_m, self.size_m, self.top_m),
-            (self.leg_m,) * 2,
-            (0.0, self.top_m[0]),
-        )
+        top = self._box(self.center_m, self.size_m, self.top_m)
+        leg_size_m, leg_band = (self.leg_m, self.leg_m), (0.0, self.top_m[0])
         between_m = (self.size_m[0] - self.leg_m, self.size_m[1] - self.leg_m)
         corners = rectangle(self.center_m, between_m, self.yaw_deg).tolist() if self.top_m[0] else []
         return (top, *(self._box((x, y), leg_size_m, leg_band) for x, y in corners))

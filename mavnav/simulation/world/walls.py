@@ -15,7 +15,7 @@ from mavnav.simulation.world.shapes import Arc, Box, Circle, Opening, Polyline, 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from mavnav.simulation.world.geometry import Array
 
 EVERYWHERE = (0.0, 0.0, inf, inf, 0.0, 0.0)
 """The plate of floor and ceiling, less its height."""
@@ -67,7 +67,7 @@ def world_of(walls: Sequence[WallEntry], *, spatial: bool = False, ceiling_m: fl
     return World(segments, arcs, heights_m, _plates(parts, ceiling_m))
 
 
-def _plates(parts: Sequence[Shape], ceiling_m: float | None) -> NDArray[np.float64]:
+def _plates(parts: Sequence[Shape], ceiling_m: float | None) -> Array:
     """Return floor, ceiling, and tops and bottoms of solid shapes in between, (p, 7)."""
     plates: list[tuple[float, ...]] = [(*EVERYWHERE, z_m) for z_m in (0.0, ceiling_m) if z_m is not None]
     for part in parts:

@@ -9,6 +9,7 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.kernels.line_search import search as line_search
+from mavnav.kernels.maps.layout import SearchGrid
 from mavnav.mapping.line_map import LineMap
 from mavnav.pose import Pose, wrap_angle
 from mavnav.profiling import timed
@@ -112,7 +113,7 @@ class Schedule(Struct, frozen=True):
             dense_points=robust.expert.sparse_points,
         )
         most, pruned = robust.expert.max_extensions, config.search == "pruned"
-        samples = line_search.SearchGrid(config.azimuth, grid.nx, grid.ny, most, prune=pruned)
+        samples = SearchGrid(config.azimuth, grid.nx, grid.ny, most, prune=pruned)
         return cls(np.array(samples, float), np.array(limits, float))
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mavnav.kernels.maps.layout import SearchGrid
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose, transform_points, wrap_angle
 from mavnav.profiling import timed
@@ -31,7 +32,7 @@ class Paper:
 
     uses_odometry = False
     refiner = None
-    own_kernels = ("scans.beams", "polar_search.search", "maps.raycast")
+    own_kernels = ("polar_search.cost", "polar_search.search", "maps.raycast")
     """The modules of kernels that no other method needs."""
 
     def __init__(self, config: Config) -> None:
@@ -142,7 +143,7 @@ def _search_polar(
 
     paper, grid, azimuth = config.paper, config.grid.refine(factor), config.azimuth * factor
     extensions = paper.expert.max_extensions if paper.expert.extend_border else 0
-    samples = polar_search.SearchGrid(azimuth, grid.nx, grid.ny, extensions, prune=config.search == "pruned")
+    samples = SearchGrid(azimuth, grid.nx, grid.ny, extensions, prune=config.search == "pruned")
     schedule = polar_search.Schedule(
         half_m=paper.window_m,
         half_rad=paper.window_rad,
@@ -182,6 +183,6 @@ def polar_points(ranges_m: Floats, spec: LaserSpec, mixed_pixel_m: float) -> Flo
 
     A mixed pixel differs from both neighbouring beams by more than ``mixed_pixel_m``.
     """
-    from mavnav.kernels.scans import beams  # noqa: PLC0415  the paper's alone
+    from mavnav.kernels.polar_search.cost import good_beams  # noqa: PLC0415  the paper's alone
 
-    return beams.good_beams(ranges_m, spec.directions, spec.angle_min_rad, spec.angle_step_rad, mixed_pixel_m)
+    return good_beams(ranges_m, spec.directions, spec.angle_min_rad, spec.angle_step_rad, mixed_pixel_m)

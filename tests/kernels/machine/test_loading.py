@@ -64,12 +64,12 @@ def test_kernels_are_plain_functions_where_nothing_is_compiled() -> None:
     subprocess.run([sys.executable, "-c", code], check=True, env=environment)
 
 
-JIT = "from mavnav.kernels.machine.jit import helper, kernel\nfrom mavnav.kernels.machine.types import float64\n"
+JIT = "from mavnav.kernels.machine.jit import helper, kernel\n"
 SOURCES = {
     "constants": "FACTOR = 2.0\n",
     "helping": JIT + "from trial.constants import FACTOR\n\n@helper\ndef scaled(x):\n    return FACTOR * x\n",
-    "calling": JIT + "from trial.helping import scaled\n\n@kernel(float64(float64))\ndef f(x):\n    return scaled(x)\n",
-    "apart": JIT + "\n@kernel(float64(float64))\ndef g(x):\n    return x + 1.0\n",
+    "calling": JIT + "from trial.helping import scaled\n\n@kernel\ndef f(x: float) -> float:\n    return scaled(x)\n",
+    "apart": JIT + "\n@kernel\ndef g(x: float) -> float:\n    return x + 1.0\n",
 }
 CALL = (
     "from trial.apart import g\nfrom trial.calling import f\nprint(f(21.0), g(1.0), int(f.compiled), int(g.compiled))"
@@ -251,14 +251,14 @@ def test_two_processes_may_fill_an_empty_cache(trial: Path) -> None:
 
 def test_kernels_that_are_not_used_are_left_out(tmp_path: Path) -> None:
     code = (
-        "from mavnav.kernels.maps import regions\nfrom mavnav.kernels.scans import points\n"
+        "from mavnav.kernels.maps import free_cells\nfrom mavnav.kernels.scans import points\n"
         "from mavnav.kernels.machine.building import prepare\n"
         "prepare(lambda *_: None, {'scans.points'})"
     )
     environment = os.environ | {"MAVNAV_CACHE_DIR": str(tmp_path)}
     subprocess.run([sys.executable, "-c", code], env=environment, check=True)
     (entry,) = tmp_path.glob("*/*")
-    assert entry.name.startswith("mavnav.kernels.maps.regions.region_sizes-")
+    assert entry.name.startswith("mavnav.kernels.maps.free_cells.free_positions-")
 
 
 @pytest.mark.parametrize("variable", ["NUMBA_CPU_NAME", "NUMBA_BOUNDSCHECK"])

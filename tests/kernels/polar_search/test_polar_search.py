@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from mavnav.config.models import Config, GridSize, PaperConfig, PaperExpert
 from mavnav.kernels.polar_search import search as polar_search
-from mavnav.kernels.polar_search.cost import polar_cost
-from mavnav.kernels.scans import beams
+from mavnav.kernels.polar_search.cost import good_beams, polar_cost
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import LaserSpec
 from mavnav.slam.matching.scan_matching import Match
@@ -76,7 +75,7 @@ def test_good_beams_are_their_twins(spec: LaserSpec, seed: int) -> None:
     rng = np.random.default_rng(seed)
     ranges = rng.choice((0.5, 1.0, 1.05, 2.0, np.nan), spec.beams)
     told = ranges, spec.directions, spec.angle_min_rad, spec.angle_step_rad, 0.1
-    np.testing.assert_array_equal(beams.good_beams(*told), naive.good_beams(*told))
+    np.testing.assert_array_equal(good_beams(*told), naive.good_beams(*told))
 
 
 def test_beams_differing_from_both_neighbours_are_left_out() -> None:
