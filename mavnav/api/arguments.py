@@ -9,8 +9,7 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mavnav.config.given_pose import pose_problem
-from mavnav.config.option_kinds import FILE, POSE, TOPICS, TRUTH, ValueKind, recorded_topic
+from mavnav.config.option_kinds import FILE, POSE, TOPICS, TRUTH, ValueKind, pose_problem, recorded_topic
 from mavnav.config.options import OPTIONS, given_options
 from mavnav.errors import UsageError
 from mavnav.pose import Pose

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from mavnav.batch.find_logs import check_found, find_logs
 from mavnav.batch.remote import download
-from mavnav.batch.settings import format_value
+from mavnav.batch.request import format_value
 from mavnav.config.options import OPTIONS, REFERENCES, reference_files, run_options
 from mavnav.errors import ExitCode, MavnavError, UsageError
 from mavnav.ground_truth.map_file import map_files
@@ -25,8 +25,7 @@ from mavnav.pipelines.replay import ReplayRequest
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from mavnav.batch.request import BatchLogs, BatchRequest
-    from mavnav.batch.settings import Setting
+    from mavnav.batch.request import BatchLogs, BatchRequest, Setting
     from mavnav.jobs import Outcome
     from mavnav.profiling import Progress
 

@@ -12,8 +12,16 @@ from mavnav.batch.baseline import parse_tolerance, read_baseline, tolerances
 from mavnav.batch.cases import BASELINE_GATE
 from mavnav.batch.document import BATCH_FILE
 from mavnav.batch.manifest import GATE_EXAMPLE, Manifest, errors_at, origins_of, read_manifest
-from mavnav.batch.request import BatchLogs, BatchPart, BatchRequest, Rules, RunLimits
-from mavnav.batch.settings import Setting, crossed_settings, listed_settings
+from mavnav.batch.request import (
+    BatchLogs,
+    BatchPart,
+    BatchRequest,
+    Rules,
+    RunLimits,
+    Setting,
+    crossed_settings,
+    listed_settings,
+)
 from mavnav.config.layers import Layer
 from mavnav.config.options import ReplayOptions, given_options, restore_options, settings_of
 from mavnav.errors import ExitCode, UsageError

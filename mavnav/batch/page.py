@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import io
+from base64 import b64encode
 from collections import Counter
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
 from msgspec import Struct
+from PIL import Image
 
 from mavnav.batch.document import ENDS, why, worst_first
 from mavnav.batch.summary import batch_headline, change_text
-from mavnav.batch.thumbnail import thumbnail
 from mavnav.config.named_files import read_json
 from mavnav.errors import ExitCode
 from mavnav.outputs.directory import RUN_FILE
@@ -21,6 +24,8 @@ from mavnav.outputs.writers import REPORT_FILE
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
+
+    from numpy.typing import NDArray
 
     from mavnav.outputs.documents.quantities import Quantity
 
@@ -114,3 +119,45 @@ def _facts(path: Path) -> str:
 def _field(column: Quantity, run: Mapping[str, Any] | None) -> MetricField:
     value = column.of(run)
     return MetricField("", "") if value is None else MetricField(column.text_of(run), f"{value:.9g}")
+
+
+MAX_PIXELS: Final = 160
+"""Maximum width and height of a thumbnail, in pixels; it is shown at half that size, for high-density screens."""
+
+_UNKNOWN: Final = 205
+"""Gray level of map_server for a cell that no beam has crossed."""
+
+_SHADES: Final = {"wall": 24, "unknown": 232, "free": 255}
+
+
+def thumbnail(directory: Path) -> str | None:
+    """Return a small image of the map of a run as a data URI, cropped to the known cells; None without a map."""
+    try:
+        with Image.open(directory / "map.pgm") as image:
+            cells = np.asarray(image)
+    except (OSError, ValueError):  # the latter before pillow 13, for a file that is cut
+        return None
+    seen = _downsample(_crop(cells))
+    shades = np.where(seen < _UNKNOWN, _SHADES["wall"], np.where(seen == _UNKNOWN, _SHADES["unknown"], _SHADES["free"]))
+    buffer = io.BytesIO()
+    Image.fromarray(shades.astype(np.uint8)).quantize(4).save(buffer, format="PNG", optimize=True)
+    return "data:image/png;base64," + b64encode(buffer.getvalue()).decode("ascii")
+
+
+def _crop(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Crop the unknown borders."""
+    known = cells != _UNKNOWN
+    rows, columns = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
+    if not rows.size:
+        return cells[:1, :1]
+    return cells[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+
+
+def _downsample(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Reduce squares of cells to one pixel with their minimum, so that a wall of one cell remains visible."""
+    side = -(-max(cells.shape) // MAX_PIXELS)
+    rows, columns = (-(-size // side) * side for size in cells.shape)
+    padded = np.full((rows, columns), 255, dtype=np.uint8)
+    padded[: cells.shape[0], : cells.shape[1]] = cells
+    blocks: NDArray[np.uint8] = padded.reshape(rows // side, side, columns // side, side).min(axis=(1, 3))
+    return blocks

@@ -1,21 +1,32 @@
 """The runner of a batch or a comparison: runs every missing run in a separate process, and reports results immediately.
 
-Finished runs are read from the cache. If the process of a run dies, its files are removed and the run is retried.
+Finished runs are read from the cache. If the process of a run dies, its files are removed and the run is retried. The
+directory of a batch contains a run directory for every run in ``cells/``, so that finished runs are not repeated.
+``batch.json``, ``batch.csv`` and ``batch.html`` cover all runs.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeVar
+from contextlib import chdir
+from pathlib import Path
+from time import monotonic
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from msgspec.structs import replace
+from msgspec.structs import asdict, replace
 
 from mavnav.atomic_files import discard
+from mavnav.batch.baseline import missing, write_baseline
 from mavnav.batch.cases import CaseResult
-from mavnav.batch.jobs import replay_local, replay_remote
-from mavnav.errors import ExitCode
+from mavnav.batch.document import batch_document, judged_row
+from mavnav.batch.files import write_batch
+from mavnav.batch.remote import download
+from mavnav.config.options import absolute_options
+from mavnav.errors import ExitCode, MavnavError
 from mavnav.jobs import Ended, Event, Job, Outcome, Status, run_jobs, run_with_retries
 from mavnav.jobs.run_cache import finished_document
 from mavnav.outputs.directory import RUN_FILE
+from mavnav.outputs.documents.addresses import public_address
+from mavnav.pipelines.replay import replay_log
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -26,8 +37,32 @@ if TYPE_CHECKING:
     from mavnav.jobs.dask import Cluster
     from mavnav.jobs.run_cache import PlannedRun
     from mavnav.pipelines.replay import ReplayRequest
+    from mavnav.profiling import Progress
 
     OnEvent = Callable[[Event], None]
+    Row = dict[str, Any]
+
+
+def replay_local(request: ReplayRequest, report: Progress) -> None:
+    """Replay one log into its run directory; the kernels are compiled already, and nothing is returned."""
+    replay_log(request, report, compile_s=0.0)
+
+
+def replay_remote(request: ReplayRequest, report: Progress) -> None:
+    """Download a log and replay it; errors contain its address instead of its path."""
+    report("fetching", 0, None)
+    address = str(request.address)
+    name = public_address(address)
+    paths = {name: value for name, value in asdict(request).items() if isinstance(value, Path) and name != "log"}
+    absolute: dict[str, Any] = {"options": absolute_options(request.options)}
+    absolute |= {name: path.absolute() for name, path in paths.items()}
+    with download(address) as folder, chdir(folder):
+        try:
+            replay_local(replace(request, **absolute), report)
+        except MavnavError as error:
+            error.args = (str(error).replace(str(request.log), name),)
+            raise
+
 
 T = TypeVar("T")
 
@@ -119,3 +154,31 @@ def _run_here(jobs: Sequence[Job], on_event: OnEvent, limits: RunLimits) -> list
         on_event(event)
 
     return run_jobs(jobs, limits.workers, tidy, limits.timeout_s, limits.memory_mb)
+
+
+def run_batch(
+    plan: BatchPlan, on_event: Callable[[Event], None], on_row: Callable[[Row], None], cluster: Cluster | None = None
+) -> Row:
+    """Run the missing runs, evaluate all gates, and return batch.json.
+
+    ``on_row`` is called with the row of every run as soon as it is known; ``on_event`` and ``cluster`` are those of
+    `run_cases`. Raises OutputError if the documents cannot be written. A part of a batch writes no documents, and does
+    not report runs missing since the baseline: run the whole batch for these when all parts are finished.
+    """
+    began_s, request = monotonic(), plan.request
+
+    def judge(result: CaseResult) -> Row:
+        row = judged_row(result, request)
+        on_row(row)
+        return row
+
+    rows, rules = run_cases(plan, on_event, judge, cluster), request.rules
+    missing_runs = [] if rules.baseline is None or request.part else missing(rows, rules.baseline)
+    document = batch_document(
+        rows, monotonic() - began_s, rules.baseline, missing_runs, baseline_gate=rules.baseline_gate
+    )
+    if request.part is None:
+        write_batch(document, request.directory)
+    if request.new_baseline:
+        write_baseline(rows, request.new_baseline, rules.watched)
+    return document

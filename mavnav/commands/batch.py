@@ -189,7 +189,7 @@ def _plan(options: BatchOptions, report: Progress) -> BatchPlan:
 
 
 def _run(plan: BatchPlan, *, json: bool, quiet: bool) -> dict[str, Any]:
-    from mavnav.batch.run import run_batch
+    from mavnav.batch.runner import run_batch
 
     with (
         _cluster(plan.request, quiet=quiet) as cluster,

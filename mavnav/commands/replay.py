@@ -181,7 +181,7 @@ def _print_result(document: dict[str, Any], directory: Path, *, json: bool) -> N
 
 def _note_continued(continued: dict[str, Any], log: str) -> None:
     """Print what the user must not miss of a run to which a log was added."""
-    from mavnav.pipelines.continuing import run_to_continue, version_warning
+    from mavnav.pipelines.sessions import run_to_continue, version_warning
 
     if warning := version_warning(run_to_continue(Path(continued["run"]))):
         note(f"mavnav: warning: {warning}")

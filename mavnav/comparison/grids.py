@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from mavnav.batch.settings import crossed_settings, named_settings
+from mavnav.batch.request import crossed_settings, named_settings
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mavnav.batch.settings import Setting
+    from mavnav.batch.request import Setting
     from mavnav.config.models import Config
 
 PAPER_GRIDS: Final = ("5x5", "10x10", "20x20")

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Sequence
 
     from mavnav.batch.cases import Case
-    from mavnav.batch.settings import Setting
+    from mavnav.batch.request import Setting
     from mavnav.config.options import ReplayOptions
     from mavnav.jobs import Event
     from mavnav.metrics.gates import Gate

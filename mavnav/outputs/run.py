@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from mavnav.outputs.documents.continued_section import Continued
     from mavnav.outputs.documents.run_json import Localisation, MissionResult, Provenance, TruthErrors
     from mavnav.pose import Trajectory
-    from mavnav.sessions.session import Session
+    from mavnav.sessions.group import Session
     from mavnav.slam.result import SlamResult
 
 

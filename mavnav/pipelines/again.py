@@ -149,7 +149,7 @@ def _config(run: EarlierRun) -> Config:
 
 def run_layer(directory: str | Path) -> Layer:
     """Return the configuration of a run or merge, for a run that continues it; raises UsageError for what is none."""
-    from mavnav.pipelines.continuing import run_to_continue  # noqa: PLC0415  few runs need it
+    from mavnav.pipelines.sessions import run_to_continue  # noqa: PLC0415  few runs need it
 
     run = run_to_continue(Path(directory))
     return _layer(run.document, run.directory)

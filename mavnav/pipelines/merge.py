@@ -49,8 +49,7 @@ if TYPE_CHECKING:
     from mavnav.config.models import Config
     from mavnav.pose import Pose, Trajectory
     from mavnav.profiling import Progress
-    from mavnav.sessions.group import SessionGroup
-    from mavnav.sessions.session import Session
+    from mavnav.sessions.group import Session, SessionGroup
 
 SCHEMA_VERSION: Final = 1
 TRACKING: Final = ("lost", "tracked_share", "intervals", "doubt")

@@ -27,8 +27,7 @@ from mavnav.outputs.documents.provenance import Typed, provenance, utc_now
 from mavnav.outputs.run import RunResult, Timing
 from mavnav.outputs.writers import check_groups, write_run
 from mavnav.pipelines.again import replay_words
-from mavnav.pipelines.localising import known_map, localisation
-from mavnav.pipelines.map_references import check_references, references_in_map
+from mavnav.pipelines.map_frame import check_references, known_map, localisation, references_in_map
 from mavnav.pipelines.measuring import map_slices_of, measured_map
 from mavnav.pose import Pose
 from mavnav.profiling import Progress, Stage, new_profile, timed
@@ -43,10 +42,9 @@ if TYPE_CHECKING:
     from mavnav.ground_truth.references import References
     from mavnav.logs import Log
     from mavnav.outputs.documents.run_json import Provenance
-    from mavnav.pipelines.continuing import Continuation
-    from mavnav.pipelines.sessions import FinishedRun
+    from mavnav.pipelines.sessions import Continuation, FinishedRun
     from mavnav.scan import Scan
-    from mavnav.sessions.session import Session
+    from mavnav.sessions.group import Session
     from mavnav.slam.matching.prior_map import PriorMap
     from mavnav.slam.result import SlamResult
 
@@ -117,7 +115,7 @@ def _to_continue(request: ReplayRequest) -> tuple[FinishedRun | None, tuple[Sess
     target = request.directory.resolve()
     if directory.resolve() in {target, *target.parents}:
         raise UsageError(f"{request.directory} is the run to continue, or inside of it; choose another one with -o")
-    from mavnav.pipelines.continuing import earlier_sessions, run_to_continue  # noqa: PLC0415  few runs need it
+    from mavnav.pipelines.sessions import earlier_sessions, run_to_continue  # noqa: PLC0415  few runs need it
 
     run = run_to_continue(directory)
     return run, tuple(earlier_sessions(run, request.config))
@@ -236,7 +234,7 @@ def _continue(
     """Place the log in the map of the run that it continues; None without one."""
     if given.run is None:
         return None
-    from mavnav.pipelines.continuing import continue_run  # noqa: PLC0415  few runs need it
+    from mavnav.pipelines.sessions import continue_run  # noqa: PLC0415  few runs need it
 
     with Stage("joining"):
         return continue_run(given.run, given.earlier, outcome, log, config, progress, stopped=stopped)

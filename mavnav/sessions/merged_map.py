@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.pose import Pose, Trajectory
     from mavnav.scan import Scan
-    from mavnav.sessions.group import SessionGroup
-    from mavnav.sessions.session import Session
+    from mavnav.sessions.group import Session, SessionGroup
     from mavnav.slam.matching.motion_model import Motion
     from mavnav.slam.track import OnStep
 

@@ -15,7 +15,7 @@ import pytest
 
 from mavnav.batch.options import BatchOptions, request_of
 from mavnav.batch.plan import plan_batch
-from mavnav.batch.run import run_batch
+from mavnav.batch.runner import run_batch
 from mavnav.errors import ExitCode, UsageError
 from mavnav.jobs import Ended, Event, Job, Outcome, Progressed, Started, Status
 from mavnav.jobs.dask import LOCAL, Cluster, connect

@@ -6,7 +6,7 @@ from typing import Any
 
 from mavnav.batch.options import BatchOptions, request_of
 from mavnav.batch.plan import plan_batch
-from mavnav.batch.run import run_batch
+from mavnav.batch.runner import run_batch
 
 OPTIONS: dict[str, Any] = {
     "sources": ("logs", "gone.bag"),

@@ -12,7 +12,7 @@ from mavnav.kernels.planning import wavefront
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.config.planner import PlannerConfig
+    from mavnav.config.models import PlannerConfig
 
 _MARGIN_M = 1.0  # round all walls, vehicle and goal: there is a path round the end of every wall
 _BLOCKED_CELLS2 = 2  # a cell with a wall and the eight around it are blocked
