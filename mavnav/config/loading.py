@@ -297,11 +297,11 @@ def _yaml_lines(document: Mapping[str, Any], above: Key, descriptions: Mapping[K
         if isinstance(value, dict):
             lines += [f"{indent}{name}:{comment}\n", *_yaml_lines(value, key, descriptions)]
         else:
-            lines.append(f"{indent}{name}: {_scalar(value)}{comment}\n")
+            lines.append(f"{indent}{name}: {to_scalar(value)}{comment}\n")
     return lines
 
 
-def _scalar(value: object) -> str:
-    if isinstance(value, str) and value and re.fullmatch(r"[A-Za-z/][\w/.-]*|\d+x\d+", value):
-        return value
-    return dumps(value)
+def to_scalar(value: object) -> str:
+    """Write a value as YAML; a plain word without quotes, which a shell would need quotes for."""
+    is_word = isinstance(value, str) and re.fullmatch(r"[A-Za-z/][\w/.-]*|\d+x\d+", value)
+    return str(value) if is_word else dumps(value)

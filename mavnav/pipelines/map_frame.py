@@ -60,6 +60,12 @@ NO_WALLS: Final = (
 )
 
 
+def rounded_pose(pose: Pose) -> dict[str, float]:
+    """Describe a pose for a document, in m, m, deg; adding 0 turns -0.0 into 0.0."""
+    values = round(pose.x_m, 4), round(pose.y_m, 4), round(pose.yaw_rad / DEG, 3)
+    return {name: value + 0.0 for name, value in zip(("x_m", "y_m", "yaw_deg"), values, strict=True)}
+
+
 def check_references(
     references: References, log: Log, truth_map: Path | None, start_s: float | None, *, own_frame: bool
 ) -> None:

@@ -126,19 +126,11 @@ def replay_directory(log: Path, config: Config) -> Path:
     return Path("runs") / f"{log_name(log)}-{config.method}-{config.azimuth}-{config.grid}"
 
 
-def _never() -> None:
-    """Stop for nothing."""
-
-
-def _unstoppable() -> AbstractContextManager[Stop]:
-    return nullcontext(_never)
-
-
 def replay_log(
     request: ReplayRequest,
     progress: Progress,
     compile_s: float,
-    stoppable: Callable[[], AbstractContextManager[Stop]] = _unstoppable,
+    stoppable: Callable[[], AbstractContextManager[Stop]] = lambda: nullcontext(lambda: None),
     startup_s: float = 0.0,
 ) -> tuple[RunResult, dict[str, Any]]:
     """Run the whole job and return the run with its document (run.json).
@@ -242,13 +234,9 @@ def _continue(
 
 def _open(request: ReplayRequest, progress: Progress) -> Log:
     """Survey the log and correct its odometry; the paper's method never looks at odometry."""
-    return with_corrected_odometry(_survey(request, progress), request.config)
-
-
-def _survey(request: ReplayRequest, progress: Progress) -> Log:
     options, config = request.options, request.config
     extrinsic, truth = options.get("extrinsic"), options.get("truth")
-    return open_log(
+    log = open_log(
         request.log,
         topic=options.get("topic"),
         odom=config.odom if uses_odometry(config) else "off",
@@ -261,6 +249,7 @@ def _survey(request: ReplayRequest, progress: Progress) -> Log:
         upside_down=config.upside_down,
         progress=lambda done, total: progress("reading", done, total),
     )
+    return with_corrected_odometry(log, config)
 
 
 def with_corrected_odometry(log: Log, config: Config) -> Log:

@@ -19,7 +19,7 @@ from mavnav.outputs.documents.continued_section import Continued, EarlierSession
 from mavnav.outputs.files.sessions import evidence, recording_file, trajectory_file
 from mavnav.sessions.group import Join, group_in_frame, make_session
 from mavnav.sessions.growth import alike, extend_group
-from mavnav.sessions.merged_map import merged_map, trajectories
+from mavnav.sessions.merged_map import merged_map
 from mavnav.slam.findings import HIGH
 from mavnav.slam.refinement.covariance import rotate_covariances
 from mavnav.version import __version__
@@ -37,6 +37,9 @@ if TYPE_CHECKING:
 
 
 OWN_FILES: Final = ("trajectory.tum", "result.mcap")
+
+UNREADABLE: Final = (OSError, ValueError, LookupError, TypeError, MavnavError)
+"""What reading a session raises where a file is missing, cut or altered."""
 
 
 class Stored(Struct, frozen=True):
@@ -64,28 +67,17 @@ class FinishedRun(Struct, frozen=True):
             raise ValueError
 
     @property
-    def version(self) -> str:
-        """The version of mavnav that wrote it."""
-        return str(self.document["mavnav_version"])
-
-    @property
     def stored_sessions(self) -> list[Stored]:
         """The sessions in the map, in the order in which they were added."""
         if "sessions" in self.document:
-            return [_stored_session(row) for row in self.document["sessions"] if row["joined"]]
-        earlier = self.document.get("continued", {"sessions": []})["sessions"]
-        own = Stored(self.own_name, *OWN_FILES, is_doubtful(self.document["tracking"]))
+            joined = [(s["name"], is_doubtful(s["tracking"])) for s in self.document["sessions"] if s["joined"]]
+            return [Stored(name, trajectory_file(name), recording_file(name), doubtful) for name, doubtful in joined]
+        if "continued" in self.document:
+            earlier, name = (self.document["continued"][key] for key in ("sessions", "name"))
+        else:
+            earlier, name = [], log_name(Path(self.document["input"]["path"]))
+        own = Stored(str(name), *OWN_FILES, is_doubtful(self.document["tracking"]))
         return [*(Stored(s["name"], s["trajectory"], s["recording"], s["doubtful"]) for s in earlier), own]
-
-    @property
-    def own_name(self) -> str:
-        """The name of the session of a run."""
-        continued = self.document.get("continued")
-        return str(continued["name"] if continued else log_name(Path(self.document["input"]["path"])))
-
-    def sessions(self, config: Config) -> list[Session]:
-        """Read all sessions; raises UsageError where a file is missing, or another one than was written."""
-        return [self.session(stored, config) for stored in self.stored_sessions]
 
     def session(self, stored: Stored, config: Config, name: str = "") -> Session:
         """Read a session.
@@ -107,11 +99,6 @@ class FinishedRun(Struct, frozen=True):
             raise UsageError(f"it has no {name}")
         if file_sha256(path) != digest:
             raise UsageError(f"{name} has been altered since it was written")
-
-
-def _stored_session(row: dict[str, Any]) -> Stored:
-    doubtful = is_doubtful(row["tracking"])
-    return Stored(row["name"], trajectory_file(row["name"]), recording_file(row["name"]), doubtful)
 
 
 def is_doubtful(tracking: dict[str, Any]) -> bool:
@@ -166,18 +153,19 @@ def run_to_continue(directory: Path) -> FinishedRun:
 def earlier_sessions(run: FinishedRun, config: Config) -> list[Session]:
     """Read the sessions of a run; raises UsageError where its files are not those that it wrote."""
     try:
-        return run.sessions(config)
+        return [run.session(stored, config) for stored in run.stored_sessions]
     except NoScansError as error:
         raise UsageError(f"{run.directory} cannot be continued: {error}; replay the log by itself") from error
-    except (OSError, ValueError, LookupError, TypeError, MavnavError) as error:
+    except UNREADABLE as error:
         again = "repeat it with all its outputs and continue that"
         raise UsageError(f"{run.directory} cannot be continued: {error}; {again}") from error
 
 
 def version_warning(run: FinishedRun) -> str:
     """Return a line where another version wrote the run; an empty one otherwise."""
-    same = run.version == __version__
-    return "" if same else f"{run.directory} is of mavnav {run.version}, this is {__version__}; maps may differ"
+    version = run.document["mavnav_version"]
+    text = f"{run.directory} is of mavnav {version}, this is {__version__}; maps may differ"
+    return "" if version == __version__ else text
 
 
 def continue_run(
@@ -196,7 +184,7 @@ def continue_run(
     """
     name = new_name(log_name(log.path), [session.name for session in earlier])
     if stopped:
-        return Continuation(outcome, section(run, Join(name, why="the run was stopped before"), ()))
+        return Continuation(outcome, _section(run, Join(name, why="the run was stopped before"), ()))
     trajectory = outcome.trajectory
 
     def scans() -> Iterator[Scan]:
@@ -207,14 +195,10 @@ def continue_run(
     session = make_session(name, scans, trajectory, config, doubtful=doubtful)
     group, join = _join(session, earlier, config, progress)
     if group is None:
-        return Continuation(outcome, section(run, join, ()))
-    placed = trajectories(group)
-    total = sum(map(len, placed))
-    grid, poses = merged_map(
-        group.sessions, placed, config, range(len(earlier)), lambda phase, done: progress(f"both: {phase}", done, total)
-    )
-    moved = [replace(member, map_T_laser=path) for member, path in zip(group.sessions, poses, strict=True)]
-    return Continuation(in_map(outcome, moved[-1], grid), section(run, join, moved[:-1]), tuple(moved[:-1]))
+        return Continuation(outcome, _section(run, join, ()))
+    framing = range(len(earlier))
+    grid, (*moved, new) = merged_map(group, config, framing, lambda phase, *done: progress(f"both: {phase}", *done))
+    return Continuation(_in_map(outcome, new, grid), _section(run, join, moved), tuple(moved))
 
 
 def _join(
@@ -237,14 +221,14 @@ def new_name(name: str, taken: list[str]) -> str:
     return name if name not in taken else next(other for other in numbered if other not in taken)
 
 
-def in_map(outcome: SlamResult, session: Session, grid: Grid) -> SlamResult:
+def _in_map(outcome: SlamResult, session: Session, grid: Grid) -> SlamResult:
     """Return an outcome with the poses of its session in the map of a group, and that map."""
     turn = session.map_T_laser[0] @ outcome.trajectory[0].inverse()
     covariances = None if outcome.covariances is None else rotate_covariances(outcome.covariances, turn.yaw_rad)
     return replace(outcome, trajectory=session.map_T_laser, grid=grid, covariances=covariances)
 
 
-def section(run: FinishedRun, join: Join, earlier: Sequence[Session]) -> Continued:
+def _section(run: FinishedRun, join: Join, earlier: Sequence[Session]) -> Continued:
     """Describe a continued run, for run.json."""
     sessions = [
         EarlierSession(

@@ -6,6 +6,7 @@ from array import array
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec.structs import replace
 
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import rigid_fit
@@ -24,10 +25,10 @@ if TYPE_CHECKING:
     from mavnav.config.models import Config
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.pose import Pose, Trajectory
+    from mavnav.profiling import Progress
     from mavnav.scan import Scan
     from mavnav.sessions.group import Session, SessionGroup
     from mavnav.slam.matching.motion_model import Motion
-    from mavnav.slam.track import OnStep
 
 AHEAD_M = 1.0
 """Frames are compared by the positions of poses, and by points so far ahead of them."""
@@ -35,28 +36,26 @@ AHEAD_M = 1.0
 
 def trajectories(group: SessionGroup) -> list[Trajectory]:
     """Return the poses of all scans of each session in the frame of the group: they move with their key frames."""
-    return [
-        follow(session.map_T_laser, session.keys, group.keys_of(number))
-        for number, session in enumerate(group.sessions)
-    ]
+    return [follow(member.map_T_laser, member.keys, group.keys_of(k)) for k, member in enumerate(group.sessions)]
 
 
 def merged_map(
-    sessions: Sequence[Session], placed: Sequence[Trajectory], config: Config, framing: Sequence[int], on_step: OnStep
-) -> tuple[Grid, list[Trajectory]]:
-    """Draw the map of all sessions, and return it with the trajectories as matched against it.
+    group: SessionGroup, config: Config, framing: Sequence[int], progress: Progress
+) -> tuple[Grid, list[Session]]:
+    """Draw the map of a group, and return it with the sessions at the poses as matched against it.
 
-    ``placed`` are the poses of each session, map_T_laser. What did not stay where it was seen is no part of the map.
-    Sessions whose track is doubtful are matched against the map of the others too, these not against theirs. The frame
-    is that in which the sessions of the numbers ``framing`` were, as nearly as can be.
+    What did not stay where it was seen is no part of the map. Sessions whose track is doubtful are matched against the
+    map of the others too, these not against theirs. The frame is that in which the sessions of the numbers ``framing``
+    were, as nearly as can be.
     """
-    method, refined_poses, done = Robust(config), list(placed), 0
+    sessions, placed = group.sessions, trajectories(group)
+    method, refined_poses, done, total = Robust(config), list(placed), 0, sum(map(len, placed))
     for doubtful in sorted({session.doubtful for session in sessions}):
         numbers = [k for k, session in enumerate(sessions) if session.doubtful == doubtful]
         for scan, motion in _all_scans([sessions[k] for k in numbers], [placed[k] for k in numbers]):
             method.insert(scan, motion.map_T_laser, motion)
             done += 1
-            on_step("draw map", done)
+            progress("draw map", done, total)
         method.remove_dynamic_cells()
         for k in numbers:
             refined_poses[k] = _match_scans(sessions[k], placed[k], method)
@@ -65,9 +64,10 @@ def merged_map(
     grid = GridBuilder(method.grid.cell_m)
     for done, (scan, motion) in enumerate(_all_scans(sessions, refined_poses), start=1):
         grid.insert(motion.map_T_laser, *method.placed_points(scan, motion.map_T_laser, motion))
-        on_step("draw map again", done)
+        progress("draw map again", done, total)
     grid.remove_dynamic_cells()
-    return grid.by_rows(), refined_poses
+    placed_sessions = zip(sessions, refined_poses, strict=True)
+    return grid.by_rows(), [replace(session, map_T_laser=poses) for session, poses in placed_sessions]
 
 
 def frame_of(here: Sequence[Trajectory], there: Sequence[Trajectory]) -> Pose:

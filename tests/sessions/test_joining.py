@@ -41,8 +41,8 @@ def test_overlapping_sessions_are_joined_to_one_map(tours, sessions) -> None:
     assert all(join.residual_m < 0.02 for join in group.joins)
     world_T_group = tours[group.sessions[0].name].world_T_laser[0]
     placed = trajectories(group)
-    grid, refined = merged_map(group.sessions, placed, CONFIG, [0], silent)
-    for poses in (placed, refined):
+    grid, refined = merged_map(group, CONFIG, [0], silent)
+    for poses in (placed, [member.map_T_laser for member in refined]):
         members = zip(group.sessions, poses, strict=True)
         assert max(errors_m(path, tours[member.name], world_T_group) for member, path in members) < 0.03
     assert np.count_nonzero(grid.hits) > 500
