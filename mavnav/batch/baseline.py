@@ -56,7 +56,8 @@ TOLERANCES: Final = (
 
 EXAMPLE: Final = "write for example --tolerance wall_thickness.p95_mm=5%"
 
-_TOLERANCE: Final = re.compile(r"\s*([0-9.eE+-]+)\s*(%?)\s*(?:,\s*(low|high)\s*)?")
+_NUMBER: Final = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
+_TOLERANCE: Final = re.compile(rf"\s*({_NUMBER})\s*(%?)\s*(?:,\s*(low|high)\s*)?")
 
 
 def parse_tolerance(name: str, text: str) -> Tolerance:
@@ -67,13 +68,9 @@ def parse_tolerance(name: str, text: str) -> Tolerance:
     """
     name = full_name(name)
     match = _TOLERANCE.fullmatch(text)
-    try:
-        size = float(match[1]) if match else None
-    except ValueError:
-        size = None
-    if match is None or size is None:
+    if match is None:
         raise UsageError(f"the tolerance {text!r} of {name} is no number, with % or not; {EXAMPLE}")
-    if size < 0:
+    if (size := float(match[1])) < 0:
         raise UsageError(f"the tolerance {text!r} of {name} is negative; write 0 to allow no change")
     default = any(known.name == name and known.high for known in TOLERANCES)
     high = match[3] == "high" if match[3] else default
@@ -116,14 +113,11 @@ def read_baseline(path: Path) -> Baseline:
             ExitCode(run["exit_code"])
         return Baseline(path, str(document["mavnav_version"]), runs)
     except OSError as error:
-        reason = f"cannot be read ({error.strerror})"
-        raise UsageError(
-            f"{file}: the baseline {reason}; name an earlier batch, or make one with --update-baseline"
-        ) from error
+        reason = f"{file}: the baseline cannot be read ({error.strerror})"
+        raise UsageError(f"{reason}; name an earlier batch, or make one with --update-baseline") from error
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
-        raise UsageError(
-            f"{file} is no baseline; name the directory of a batch, its batch.json, or a baseline file"
-        ) from error
+        advice = "name the directory of a batch, its batch.json, or a baseline file"
+        raise UsageError(f"{file} is no baseline; {advice}") from error
 
 
 def _figures(cell: Mapping[str, Any]) -> dict[str, float | None] | None:
@@ -184,9 +178,8 @@ def lacking(row: Mapping[str, Any], baseline: Baseline, watched: Sequence[Tolera
     """Return the metrics of a run for which a tolerance was given, and which the baseline file does not have."""
     stored = baseline.runs.get(row["name"], {"figures": None})["figures"]
     given = [tolerance.name for tolerance in watched if tolerance not in TOLERANCES]
-    return [
-        name for name in given if stored is not None and name not in stored and number(row["run"], name) is not None
-    ]
+    absent = [name for name in given if stored is not None and name not in stored]
+    return [name for name in absent if number(row["run"], name) is not None]
 
 
 def lacking_text(path: object, name: str) -> str:

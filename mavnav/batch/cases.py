@@ -133,17 +133,9 @@ def _cases(request: BatchRequest, entry: BatchLogs, log: str, name: str) -> Iter
         yield from (Case(_name(entry, name, setting), setting=setting, **shared) for setting in request.settings)
         return
     path, address = (Path(public_address(log)), log) if is_address(log) else (request.base / log, None)
+    more: dict[str, Any] = {"force": True, "report": request.report, "address": address, "typed": request.typed}
     for setting in request.settings:
-        wanted = ReplayRequest(
-            path,
-            request.directory,
-            setting.config,
-            entry.options,
-            force=True,
-            report=request.report,
-            address=address,
-            typed=request.typed,
-        )
+        wanted = ReplayRequest(path, request.directory, setting.config, entry.options, **more)
         yield Case(_name(entry, name, setting), setting=setting, run=make_run(wanted, *digests), **shared)
 
 

@@ -90,7 +90,7 @@ def request_of(options: BatchOptions) -> BatchRequest:
         directory=options.directory or (base / manifest.output if manifest.output else _default_directory(path)),
         limits=_limits(options, manifest),
         rules=_rules(options, manifest, origins, baseline),
-        part=_part(options.part),
+        part=None if options.part is None else BatchPart.parse(options.part),
         force=options.force,
         report=options.report or manifest.report,
         new_baseline=new_baseline,
@@ -212,12 +212,3 @@ def _tolerance(text: str) -> Tolerance:
     if not equals or not name.strip():
         raise UsageError(f"--tolerance {text!r} is not NAME=X; write for example --tolerance timing.cpu_s=50%")
     return parse_tolerance(name.strip(), size)
-
-
-def _part(text: str | None) -> BatchPart | None:
-    if text is None:
-        return None
-    number, slash, of = text.partition("/")
-    if not (slash and number.isdecimal() and of.isdecimal()):
-        raise UsageError(f"--part {text!r} is not I/N; write for example --part 1/4")
-    return BatchPart(int(number), int(of))

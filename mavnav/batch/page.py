@@ -156,8 +156,7 @@ def _crop(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def _downsample(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Reduce squares of cells to one pixel with their minimum, so that a wall of one cell remains visible."""
     side = -(-max(cells.shape) // MAX_PIXELS)
-    rows, columns = (-(-size // side) * side for size in cells.shape)
-    padded = np.full((rows, columns), 255, dtype=np.uint8)
-    padded[: cells.shape[0], : cells.shape[1]] = cells
-    blocks: NDArray[np.uint8] = padded.reshape(rows // side, side, columns // side, side).min(axis=(1, 3))
+    padded = np.pad(cells, [(0, -size % side) for size in cells.shape], constant_values=255)
+    rows, columns = (size // side for size in padded.shape)
+    blocks: NDArray[np.uint8] = padded.reshape(rows, side, columns, side).min(axis=(1, 3))
     return blocks

@@ -24,6 +24,7 @@ from mavnav.outputs.documents.addresses import public_address, public_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from io import FileIO
 
 _TIMEOUT: Final = "MAVNAV_FETCH_TIMEOUT_S"
 PIECE_BYTES: Final = 2**20
@@ -76,10 +77,8 @@ def download(address: str) -> Iterator[Path]:
     check_allowed(address)
     with TemporaryDirectory(prefix="mavnav-", ignore_cleanup_errors=True) as name:
         folder = Path(name)
-        try:
+        with _writing(address):
             (folder / path).parent.mkdir(parents=True)
-        except OSError as error:
-            raise _write_error(address, error) from error
         _Copy(address, folder / path, limits()).run()
         yield folder
 
@@ -104,9 +103,15 @@ def _allowed_hosts() -> list[str]:
     return [pattern.strip().lower() for pattern in os.environ.get("MAVNAV_FETCH_HOSTS", "").split(",")]
 
 
-def _write_error(address: str, error: OSError) -> OutputError:
-    reason = f"the temporary folder cannot be written ({error.strerror or error})"
-    return OutputError(f"{public_address(address)}: {reason}; make room, or set TMPDIR to another folder")
+@contextmanager
+def _writing(address: str) -> Iterator[None]:
+    """Raise OutputError where the temporary folder cannot be written."""
+    try:
+        yield
+    except OSError as error:
+        reason = f"the temporary folder cannot be written ({error.strerror or error})"
+        advice = "make room, or set TMPDIR to another folder"
+        raise OutputError(f"{public_address(address)}: {reason}; {advice}") from error
 
 
 class _Copy(Struct):
@@ -143,27 +148,21 @@ class _Copy(Struct):
             self.ended.set()
 
     def _copy(self) -> None:
-        with _open(self.address, self.limits) as source, self._create() as copy:
-            while not self.stop.is_set() and (piece := source.read(PIECE_BYTES)):
-                self.done_bytes += len(piece)
-                self.latest_s = monotonic()
-                if self.done_bytes > self.limits.max_bytes:
-                    raise self._refusal(f"larger than {self.limits.max_bytes / 1e6:g} MB", "MAVNAV_FETCH_MAX_MB")
-                self._put(copy, piece)
+        with _open(self.address, self.limits) as source:
+            with _writing(self.address):
+                copy = self.file.open("wb", buffering=0)
+            with copy:
+                while not self.stop.is_set() and (piece := source.read(PIECE_BYTES)):
+                    self.done_bytes += len(piece)
+                    self.latest_s = monotonic()
+                    if self.done_bytes > self.limits.max_bytes:
+                        raise self._refusal(f"larger than {self.limits.max_bytes / 1e6:g} MB", "MAVNAV_FETCH_MAX_MB")
+                    self._put(copy, memoryview(piece))
 
-    def _create(self) -> Any:  # noqa: ANN401  a file
-        try:
-            return self.file.open("wb", buffering=0)
-        except OSError as error:
-            raise _write_error(self.address, error) from error
-
-    def _put(self, copy: Any, piece: bytes) -> None:  # noqa: ANN401
-        left = memoryview(piece)
-        try:
+    def _put(self, copy: FileIO, left: memoryview) -> None:
+        with _writing(self.address):
             while left:
                 left = left[copy.write(left) :]
-        except OSError as error:
-            raise _write_error(self.address, error) from error
 
     def _timeout_error(self) -> UsageError:
         if monotonic() - self.began_s > self.limits.total_s:

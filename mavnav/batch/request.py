@@ -8,18 +8,17 @@ from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct, field
 
-from mavnav.config.layers import Layer
+from mavnav.config.layers import Layer, leaves
 from mavnav.config.loading import load_config
 from mavnav.config.options import ReplayOptions
 from mavnav.errors import ConfigError, UsageError
 from mavnav.outputs.documents.provenance import Typed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from mavnav.batch.baseline import Baseline, Tolerance
     from mavnav.batch.manifest import Origins
-    from mavnav.config.layers import Key
     from mavnav.config.models import Config
     from mavnav.metrics.gates import Gate
 
@@ -44,14 +43,10 @@ def crossed_settings(
     ``azimuths`` (yaw samples) are none, one for all grids, or one per grid; raises UsageError for another number, and
     ConfigError for invalid values.
     """
-    named: list[dict[str, object]] = [{"method": method} for method in methods] or [{}]
-    searches = [
-        {name: value for name, value in (("grid", grid), ("azimuth", azimuth)) if value is not None}
-        for grid, azimuth in zip_longest(grids, yaw_samples(grids, azimuths))
-    ]
-    return named_settings(
-        load_config(file, sets, {**options, **method, **search}) for method, search in product(named, searches)
-    )
+    searches = zip_longest(grids, yaw_samples(grids, azimuths))
+    named = ({"method": m, "grid": g, "azimuth": a} for m, (g, a) in product(methods or (None,), searches))
+    given = ({name: value for name, value in search.items() if value is not None} for search in named)
+    return named_settings(load_config(file, sets, {**options, **search}) for search in given)
 
 
 def yaw_samples(grids: Sequence[object], azimuths: Sequence[int]) -> list[int | None]:
@@ -60,9 +55,8 @@ def yaw_samples(grids: Sequence[object], azimuths: Sequence[int]) -> list[int | 
     ``azimuths`` are none, one for all grids, or one per grid; raises UsageError for another number.
     """
     if len(azimuths) not in {0, 1, len(grids)}:
-        raise UsageError(
-            f"{len(azimuths)} values of --azimuth for {len(grids)} grids; give none, one for all, or one for each"
-        )
+        given = f"{len(azimuths)} values of --azimuth for {len(grids)} grids"
+        raise UsageError(f"{given}; give none, one for all, or one for each")
     return list(azimuths) if len(azimuths) > 1 else [azimuths[0] if azimuths else None] * max(len(grids), 1)
 
 
@@ -92,18 +86,10 @@ def _setting(
             raise ConfigError(f"{layer.origins[*key, name]}: {name} is {value!r}; give it a word, or leave it out")
     file = own["config"]
     below = str(base / file) if file and (base / file).exists() else file
-    values = dict(_leaves({name: value for name, value in run.items() if name not in own}))
+    values = leaves({name: value for name, value in run.items() if name not in own})
     origins = {path: layer.origins.get(key + path, f"runs.{number}") for path in values}
     config = load_config(below, sets, options, Layer(values, origins))
     return Setting(own["name"] or setting_name(config), config)
-
-
-def _leaves(tree: Mapping[str, Any], above: Key = ()) -> Iterator[tuple[Key, object]]:
-    for name, value in tree.items():
-        if isinstance(value, dict):
-            yield from _leaves(value, (*above, name))
-        else:
-            yield (*above, name), value
 
 
 def format_value(value: object) -> str:
@@ -123,7 +109,7 @@ def _unique(settings: Iterable[Setting]) -> list[Setting]:
 def setting_name(config: Config) -> str:
     """Return the name of a configuration, such as ``robust 20/10x10``: yaw samples, grid, and non-default values."""
     default = load_config(None, (), {name: getattr(config, name) for name in ("method", "azimuth")})
-    mine, theirs = (dict(_leaves(c.document())) for c in (config, default))
+    mine, theirs = leaves(config.document()), leaves(default.document())
     others = [
         f"{'.'.join(key)}={format_value(value)}"
         for key, value in mine.items()
@@ -168,9 +154,16 @@ class BatchPart(Struct, frozen=True):
     def __post_init__(self) -> None:
         """Raise UsageError unless ``number`` is from 1 to ``of``."""
         if not 1 <= self.number <= self.of:
-            raise UsageError(
-                f"part {self.number}/{self.of} is none; parts count from 1, for example 1/{max(self.of, 2)}"
-            )
+            example = f"parts count from 1, for example 1/{max(self.of, 2)}"
+            raise UsageError(f"part {self.number}/{self.of} is none; {example}")
+
+    @classmethod
+    def parse(cls, text: str) -> BatchPart:
+        """Read ``1/4``; raises UsageError."""
+        number, slash, of = text.partition("/")
+        if not (slash and number.isdecimal() and of.isdecimal()):
+            raise UsageError(f"--part {text!r} is not I/N; write for example --part 1/4")
+        return cls(int(number), int(of))
 
 
 class BatchLogs(Struct, frozen=True):

@@ -54,11 +54,10 @@ def replay_remote(request: ReplayRequest, report: Progress) -> None:
     address = str(request.address)
     name = public_address(address)
     paths = {name: value for name, value in asdict(request).items() if isinstance(value, Path) and name != "log"}
-    absolute: dict[str, Any] = {"options": absolute_options(request.options)}
-    absolute |= {name: path.absolute() for name, path in paths.items()}
+    absolute = {name: path.absolute() for name, path in paths.items()}
     with download(address) as folder, chdir(folder):
         try:
-            replay_local(replace(request, **absolute), report)
+            replay_local(replace(request, options=absolute_options(request.options), **absolute), report)
         except MavnavError as error:
             error.args = (str(error).replace(str(request.log), name),)
             raise
@@ -119,7 +118,7 @@ def _run_missing(
                 record(case, _outcome_of(case, event.outcome, request))
         on_event(event)
 
-    jobs = [_job(name, request) for name, request in runs.items()]
+    jobs = [Job(name, replay_remote if run.address else replay_local, (run,)) for name, run in runs.items()]
     limits = plan.request.limits
     if cluster:
         cluster.run_jobs(jobs, listen, limits.timeout_s)
@@ -139,10 +138,6 @@ def _spoilt(run: PlannedRun, outcome: Outcome | None) -> Outcome:
     error = f"{run.directory / RUN_FILE} was removed or damaged meanwhile; repeat this call"
     pid, seconds = (outcome.pid, outcome.seconds) if outcome else (0, 0.0)
     return Outcome(Status.FAILED, pid, seconds, error=error, exit_code=ExitCode.OUTPUT)
-
-
-def _job(name: str, request: ReplayRequest) -> Job:
-    return Job(name, replay_remote if request.address else replay_local, (request,))
 
 
 def _run_here(jobs: Sequence[Job], on_event: OnEvent, limits: RunLimits) -> list[Outcome]:
@@ -174,9 +169,8 @@ def run_batch(
 
     rows, rules = run_cases(plan, on_event, judge, cluster), request.rules
     missing_runs = [] if rules.baseline is None or request.part else missing(rows, rules.baseline)
-    document = batch_document(
-        rows, monotonic() - began_s, rules.baseline, missing_runs, baseline_gate=rules.baseline_gate
-    )
+    wall_s = monotonic() - began_s
+    document = batch_document(rows, wall_s, rules.baseline, missing_runs, baseline_gate=rules.baseline_gate)
     if request.part is None:
         write_batch(document, request.directory)
     if request.new_baseline:

@@ -48,10 +48,8 @@ def _socket_factory(addresses: list[str], *, private: bool) -> Callable[[Any], s
         if (address_info[0] not in named or not private) and not _is_public(address_info[0]):
             shown = " and ".join(map(public_address, addresses))
             if address_info[0] in named:
-                reason, advice = (
-                    f"{address_info[0]} is a private address",
-                    "list the host in MAVNAV_FETCH_HOSTS on the workers",
-                )
+                reason = f"{address_info[0]} is a private address"
+                advice = "list the host in MAVNAV_FETCH_HOSTS on the workers"
             else:
                 reason, advice = f"it redirects to the private address {address_info[0]}", "name that address itself"
             raise UsageError(f"{shown}: cannot be read ({reason}); {advice}")

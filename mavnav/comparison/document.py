@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
+from mavnav.batch.document import run_row
 from mavnav.comparison.figures import RELATIVE_COSTS, best, one_best, relative_costs
 from mavnav.errors import ExitCode, worst
-from mavnav.jobs.run_cache import run_row
 from mavnav.metrics.gates import judge_some
 from mavnav.version import __version__
 
@@ -24,11 +24,10 @@ SCHEMA_VERSION: Final = 1
 def comparison_document(results: Sequence[CaseResult], directory: Path, gates: Sequence[Gate]) -> dict[str, Any]:
     """Return comparison.json of these results; the directories of the runs are relative to ``directory``."""
     runs = [result.document for result in results]
-    cases = [(result.case.name, result.case.run) for result in results if result.case.run]
-    planned = [run for _, run in cases]
+    planned = [result.case.run for result in results if result.case.run]
     costs = relative_costs([_group(run) for run in planned], runs)
     verdicts = [verdict for k, run in enumerate(runs) if run for verdict in _judge(gates, run, costs, k)]
-    rows = [run_row(*case, r.outcome, r.document, directory) for case, r in zip(cases, results, strict=True)]
+    rows = [run_row(result, directory) for result in results]
     logs = _logs(planned, runs)
     return {
         "schema_version": SCHEMA_VERSION,

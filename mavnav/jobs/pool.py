@@ -210,15 +210,12 @@ def _renumber(numbers: Sequence[int], on_event: Listener, number: int, tries: in
     def listen(event: Event) -> None:
         event = replace(event, index=numbers[event.index])
         if isinstance(event, Ended) and event.outcome.status is Status.DIED:
-            event = _retry_event(event, number, tries)
+            error = event.outcome.error
+            if number < tries:
+                event = Retried(event.index, error)
+            elif tries > 1:
+                outcome = replace(event.outcome, error=f"{error}; given up after {tries} tries")
+                event = Ended(event.index, outcome)
         on_event(event)
 
     return listen
-
-
-def _retry_event(event: Ended, number: int, tries: int) -> Event:
-    error = event.outcome.error
-    if number < tries:
-        return Retried(event.index, error)
-    given_up = f"{error}; given up after {tries} tries" if tries > 1 else error
-    return replace(event, outcome=replace(event.outcome, error=given_up))
