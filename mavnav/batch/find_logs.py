@@ -33,9 +33,8 @@ def find_logs(patterns: Iterable[str], base: Path) -> list[str]:
         try:
             logs.update(dict.fromkeys([pattern] if is_address(pattern) else _paths(pattern, base)))
         except OSError as error:
-            raise UsageError(
-                f"{error.filename or pattern} cannot be read: {error.strerror}; name other logs"
-            ) from error
+            place = error.filename or pattern
+            raise UsageError(f"{place} cannot be read: {error.strerror}; name other logs") from error
     return list(logs)
 
 
@@ -99,7 +98,8 @@ def _logs(paths: Sequence[Path]) -> list[Path]:
         if not folder or (path / "metadata.yaml").is_file():
             logs.append(path)
         elif not _is_run(path):
-            inner = [each for each in path.iterdir() if not each.name.startswith(".") and _may_be_log(each)]
+            shown = (each for each in path.iterdir() if not each.name.startswith("."))
+            inner = [each for each in shown if each.is_dir() or is_named_like_a_log(each)]
             waiting.extendleft(each for each in inner if not each.is_symlink())
             waiting.extend(each for each in inner if each.is_symlink())
     return sorted(logs)
@@ -107,10 +107,6 @@ def _logs(paths: Sequence[Path]) -> list[Path]:
 
 def _links(path: Path) -> int:
     return sum(part.is_symlink() for part in (path, *path.parents))
-
-
-def _may_be_log(path: Path) -> bool:
-    return path.is_dir() or is_named_like_a_log(path)
 
 
 def _relative(path: Path, base: Path) -> str:

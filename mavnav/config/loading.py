@@ -56,20 +56,17 @@ def presets_folder() -> Path:
     return installed if installed.is_dir() else package.parent / "configs"
 
 
-def presets() -> list[str]:
-    """Return the names of the presets: the files without walls in ``configs/``."""
-    return _config_names(scenarios=False)
-
-
+@cache
 def scenarios() -> list[str]:
     """Return the names of the scenarios: the files with walls in ``configs/``."""
-    return _config_names(scenarios=True)
+    texts = {path.stem: path.read_text("utf-8") for path in presets_folder().glob("*.yaml")}
+    return sorted(name for name, text in texts.items() if re.search(r"(?m)^walls:", text))
 
 
 @cache
-def _config_names(*, scenarios: bool) -> list[str]:
-    texts = {path.stem: path.read_text("utf-8") for path in presets_folder().glob("*.yaml")}
-    return [name for name, text in sorted(texts.items()) if bool(re.search(r"(?m)^walls:", text)) == scenarios]
+def presets() -> list[str]:
+    """Return the names of the presets: the files without walls in ``configs/``."""
+    return sorted({path.stem for path in presets_folder().glob("*.yaml")} - {*scenarios()})
 
 
 def file_layer(file: str | Path | None) -> Layer:

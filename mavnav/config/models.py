@@ -302,6 +302,5 @@ class PlannerConfig(Strict, frozen=True):
     def __post_init__(self) -> None:
         """Raise ValueError if the clearances are not in order."""
         if self.least_safety_mm > self.safety_mm:
-            raise ValueError(
-                f"has least_safety_mm {self.least_safety_mm:g} above safety_mm {self.safety_mm:g}; lower it"
-            )
+            least_mm, most_mm = self.least_safety_mm, self.safety_mm
+            raise ValueError(f"has least_safety_mm {least_mm:g} above safety_mm {most_mm:g}; lower it")

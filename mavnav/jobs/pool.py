@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace
 
 from mavnav.errors import ExitCode
-from mavnav.jobs.records import Ended, Event, Job, Outcome, Retried, Started, Status
-from mavnav.jobs.worker import serve
+from mavnav.jobs.worker import Ended, Event, Job, Outcome, Retried, Started, Status, serve
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

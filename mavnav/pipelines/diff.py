@@ -19,7 +19,7 @@ from mavnav.outputs.files.gridmap import read_npz
 from mavnav.outputs.pictures import difference_picture
 from mavnav.outputs.report.summary_page import diff_summary, draw_png, write_summary
 from mavnav.outputs.single_file import check_file, write_file
-from mavnav.pipelines.map_frame import rounded_pose
+from mavnav.pipelines.maps import rounded_pose
 from mavnav.sessions.map_alignment import align
 from mavnav.slam.matching.prior_map import PriorMap, prior_map_of
 from mavnav.units import MM

@@ -21,7 +21,7 @@ from mavnav.outputs.files.sessions import evidence, recording_file, trajectory_f
 from mavnav.outputs.pictures import merged_picture
 from mavnav.outputs.report.summary_page import merge_summary, write_summary
 from mavnav.outputs.writers import REPORT_FILE
-from mavnav.pipelines.map_frame import rounded_pose
+from mavnav.pipelines.maps import rounded_pose
 from mavnav.pipelines.replay import ReplayRequest, replay_log
 from mavnav.pipelines.sessions import UNREADABLE, FinishedRun, finished_run
 from mavnav.sessions.group import Join

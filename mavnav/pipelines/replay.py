@@ -27,8 +27,7 @@ from mavnav.outputs.documents.provenance import Typed, provenance, utc_now
 from mavnav.outputs.run import RunResult, Timing
 from mavnav.outputs.writers import check_groups, write_run
 from mavnav.pipelines.again import replay_words
-from mavnav.pipelines.map_frame import check_references, known_map, localisation, references_in_map
-from mavnav.pipelines.measuring import map_slices_of, measured_map
+from mavnav.pipelines.maps import check_references, known_map, localisation, measured_map, references_in_map, slices_of
 from mavnav.pose import Pose
 from mavnav.profiling import Progress, Stage, new_profile, timed
 from mavnav.slam.methods.registry import load_kernels, uses_odometry
@@ -196,7 +195,7 @@ def _track_and_write(
     outcome = changed(outcome, warnings=(*outcome.warnings, *warnings))
     measured = measured_map(outcome, log)
     timing = changed(began, wall_s=perf_counter() - began.wall_s, cpu_s=process_time() - began.cpu_s)
-    slices = map_slices_of(outcome, log, request.config)
+    slices = slices_of(outcome, log, request.config)
     truth, known = references.truth, request.options.get("map")
     run = RunResult(
         log=log,

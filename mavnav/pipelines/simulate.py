@@ -27,7 +27,7 @@ from mavnav.outputs.documents.run_json import MissionResult, TruthErrors
 from mavnav.outputs.pictures.animation import animate, check_animation
 from mavnav.outputs.run import MissionRecord, RunResult, Timing, Truth, WallShapes
 from mavnav.outputs.writers import WRITERS, check_groups, write_run
-from mavnav.pipelines.measuring import map_slices_of, measured_map
+from mavnav.pipelines.maps import measured_map, slices_of
 from mavnav.pose import Pose, rigid_fit
 from mavnav.profiling import Progress, new_profile
 from mavnav.simulation.mission import Flight, fly
@@ -106,7 +106,7 @@ def simulate_mission(
             config=request.scenario.slam,
             slam=flight.slam,
             measured=measured_map(flight.slam, log),
-            slices=map_slices_of(flight.slam, log, request.scenario.slam),
+            slices=slices_of(flight.slam, log, request.scenario.slam),
             timing=timing,
             truth=(truth := _truth(flight)),
             position_errors_m=position_errors(flight.slam.trajectory, truth.map_T_laser, aligned=False),

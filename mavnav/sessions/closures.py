@@ -7,6 +7,7 @@ Where a recording goes on after a cut, the scans on both sides of it are tracked
 
 from __future__ import annotations
 
+from collections import Counter
 from functools import partial
 from itertools import chain, islice
 from typing import TYPE_CHECKING, NamedTuple
@@ -48,10 +49,10 @@ SIDE_M, MOST_SCANS = 3.0, 300
 
 
 class Follows(NamedTuple):
-    """A session of a group at whose end another one begins: its number, and the pause between them, s."""
+    """A session of a group at whose end another one begins: the pause between them, s, and its number."""
 
-    number: int
     pause_s: float
+    number: int
 
     @property
     def soon(self) -> bool:
@@ -61,9 +62,8 @@ class Follows(NamedTuple):
 
 def ended_before(group: SessionGroup, session: Session, pause_s: float) -> Follows | None:
     """Return the session of a group that ended last before another one begins; None if the pause is longer."""
-    pauses_s = [(pause_between_s(session, member, pause_s), k) for k, member in enumerate(group.sessions)]
-    latest = min(((p, k) for p, k in pauses_s if p is not None), default=None)
-    return None if latest is None else Follows(latest[1], latest[0])
+    pauses_s = ((pause_between_s(session, member, pause_s), k) for k, member in enumerate(group.sessions))
+    return min((Follows(pause, k) for pause, k in pauses_s if pause is not None), default=None)
 
 
 def pause_between_s(session: Session, other: Session, pause_s: float) -> float | None:
@@ -179,12 +179,8 @@ def join_session(
     if join.contradicting > MOST_CONTRADICTING * len(tested):
         return None, join._replace(why="too many of its scans contradict the others' map")
     residual_m, residual_rad = residuals(closures, keys)
-    to = [group.sessions[group.owner(closure.start)].name for closure in closures]
-    join = join._replace(
-        residual_m=residual_m,
-        residual_rad=residual_rad,
-        joined_to=tuple((name, to.count(name)) for name in dict.fromkeys(to)),
-    )
+    to = Counter(group.sessions[group.owner(closure.start)].name for closure in closures)
+    join = join._replace(residual_m=residual_m, residual_rad=residual_rad, joined_to=tuple(to.items()))
     members = (*group.sessions, session)
     edges = [*bound, *edges_of(binding_closures(closures, keys, tie))]
     return SessionGroup(members, tuple(keys), tuple(edges), (*group.joins, join)), join
@@ -251,11 +247,8 @@ def optimize_new(first: int, edges: list[Edge], keys: list[KeyFrame], closures: 
 
 def supported_closures(closures: list[KeyClosure], keys: Sequence[KeyFrame]) -> list[KeyClosure]:
     """Keep the closures with which others agree, enough of them at other places of the path."""
-    kept = [
-        a
-        for a in closures
-        if len({keys[b.end].path_m // KEY_M for b in closures if b is a or agree(a, b, keys)}) >= PLACES
-    ]
+    supporting = [(a, [b for b in closures if b is a or agree(a, b, keys)]) for a in closures]
+    kept = [a for a, others in supporting if len({keys[b.end].path_m // KEY_M for b in others}) >= PLACES]
     return kept if len(kept) == len(closures) else supported_closures(kept, keys)
 
 

@@ -47,12 +47,8 @@ def locate_session(session: Session, known: KeyFrameMap, config: Config) -> tupl
     pairs, searched = witnesses(session, known, config)
     group_T_session, join = consensus(pairs), Join(session.name, searched, len(pairs))
     if group_T_session is None:
-        few = (
-            "too few of its scans fit in one place of the others' map"
-            if len(pairs) < LEAST_AGREEING
-            else "its scans disagree"
-        )
-        return join._replace(why=few), None
+        few = "too few of its scans fit in one place of the others' map"
+        return join._replace(why=few if len(pairs) < LEAST_AGREEING else "its scans disagree"), None
     agreeing = [pair for pair in pairs if not apart(group_T_session @ pair[0], pair[1])]
     return join._replace(agreeing=len(agreeing)), fit_transform(agreeing)
 
@@ -93,9 +89,8 @@ def _only_place(key: KeyFrame, known: KeyFrameMap, region: Region, config: Confi
     """Return where a key frame fits in a map; None where it fits nowhere, or elsewhere about as well."""
     if len(key.points) < config.robust.min_points:
         return None
-    best = unambiguous(
-        candidates(key.points, known.lines, known.grid, region, config, MOST_PLACES), AMBIGUITY_MARGIN, config
-    )
+    places = candidates(key.points, known.lines, known.grid, region, config, MOST_PLACES)
+    best = unambiguous(places, AMBIGUITY_MARGIN, config)
     return best if best and fits(best) else None
 
 

@@ -1,4 +1,4 @@
-"""The frame of a replay's map: that of a known map, or of the scan that begins it; and the references in it."""
+"""The map of a run: its frame, the references in that, and what is measured of it before it is written."""
 
 from __future__ import annotations
 
@@ -8,16 +8,25 @@ from msgspec.structs import replace
 
 from mavnav.errors import UsageError
 from mavnav.ground_truth.references import check_times
+from mavnav.mapping.occupancy_grid import known_area, measured_area
+from mavnav.mapping.slices import scans_with_heights, slice_map
+from mavnav.metrics.journey import Journey
+from mavnav.metrics.map_quality import measure_map
 from mavnav.metrics.trajectory_error import MAX_GAP_NS
 from mavnav.outputs.documents.run_json import FoundPose, Localisation, StartPose
+from mavnav.profiling import Stage, timed
 from mavnav.slam.methods.registry import LOCALIZERS
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
+    from mavnav.config.models import Config
     from mavnav.ground_truth.references import References
     from mavnav.logs import Log
+    from mavnav.mapping.slices import PlacedScan, Slices
+    from mavnav.metrics.map_quality import MeasuredMap
     from mavnav.pose import Pose
     from mavnav.slam.matching.prior_map import PriorMap
     from mavnav.slam.result import SlamResult
@@ -104,3 +113,25 @@ def _with_recorded_truth(references: References, log: Log, begin_ns: int | None)
     truth = log.truth.world_T_laser
     first = None if begin_ns is None else truth.at(begin_ns, MAX_GAP_NS)
     return replace(references, truth=truth.seen_from(first.inverse()) if first else truth)
+
+
+@timed("measuring")
+def measured_map(outcome: SlamResult, log: Log) -> MeasuredMap:
+    """Measure the known part of the map of a run, with the scans behind it."""
+    journey = Journey(
+        outcome.trajectory, log.scans, outcome.tracked_share, outcome.lost_for_good, planar=outcome.planar
+    )
+    return measure_map(measured_area(outcome.grid), journey)
+
+
+def slices_of(outcome: SlamResult, log: Log, config: Config) -> Slices | None:
+    """Cut the map of a run into slices by height; None where the height of the laser is not known, or hardly varies."""
+    attitude = log.attitude
+    if attitude is None or not attitude.has_heights:
+        return None
+
+    def place_scans() -> Iterator[PlacedScan]:
+        return scans_with_heights(log.scans(), outcome.trajectory, attitude.height_at)
+
+    with Stage("slices"):
+        return slice_map(place_scans, known_area(outcome.grid), config.slice_m)
