@@ -64,7 +64,7 @@ def compare(
     MavnavError
         UsageError, ConfigError or OutputError. A run that fails stops no other.
     """
-    from mavnav.batch.plan import load_kernels  # noqa: PLC0415  heavy
+    from mavnav.batch.runner import load_kernels  # noqa: PLC0415  heavy
     from mavnav.comparison import pipeline  # noqa: PLC0415
     from mavnav.comparison.grids import comparison_settings  # noqa: PLC0415
     from mavnav.jobs import usable_cores  # noqa: PLC0415

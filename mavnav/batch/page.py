@@ -8,7 +8,6 @@ from collections import Counter
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from msgspec import Struct
 from PIL import Image
 
 from mavnav.batch.document import ENDS, why, worst_first
@@ -40,32 +39,6 @@ COLUMNS: Final = (
 )
 
 
-class MetricField(Struct, frozen=True):
-    """The text of a metric and its sort key; both empty if there is no value."""
-
-    text: str
-    key: str
-
-
-class PageLine(Struct, frozen=True):
-    """A run on the page.
-
-    ``facts`` are its date, log and sensor; ``kind`` is passed, failed, or broken (a run without a result); ``link`` is
-    the address of the run's page; ``change`` is the change since the baseline.
-    """
-
-    name: str
-    kind: str
-    end: str
-    facts: str
-    reasons: tuple[str, ...]
-    link: str | None
-    picture: str | None
-    change: str
-    change_text: str
-    fields: tuple[MetricField, ...]
-
-
 def to_page(document: Mapping[str, Any], directory: Path) -> str:
     """Return the page of a batch whose run directories are in ``directory``."""
     templates = environment("mavnav.batch", "mavnav.outputs.report")
@@ -73,8 +46,8 @@ def to_page(document: Mapping[str, Any], directory: Path) -> str:
     return templates.get_template("batch.html").render(
         headline=batch_headline(document),
         lines=lines,
-        kinds=Counter(line.kind for line in lines),
-        changes=Counter(line.change for line in lines if line.change) if document["baseline"] else {},
+        kinds=Counter(line["kind"] for line in lines),
+        changes=Counter(line["change"] for line in lines if line["change"]) if document["baseline"] else {},
         missing=(document["baseline"] or {}).get("missing", []),
         columns=COLUMNS,
         style=inline(templates, "report.css", "batch.css"),
@@ -84,22 +57,27 @@ def to_page(document: Mapping[str, Any], directory: Path) -> str:
     )
 
 
-def _line(row: dict[str, Any], directory: Path) -> PageLine:
+def _line(row: dict[str, Any], directory: Path) -> dict[str, Any]:
+    """Return what the page says of a run.
+
+    ``facts`` are its date, log and sensor; ``kind`` is passed, failed, or broken (a run without a result); ``link`` is
+    the address of the run's page; ``change`` is the change since the baseline; ``fields`` are the metrics of `COLUMNS`.
+    """
     path = directory / row["directory"] if row["directory"] else None
     verdict = ExitCode(row["verdict"])
     end = "passed" if not verdict else ENDS[verdict]
-    return PageLine(
-        name=row["name"],
-        kind="passed" if not verdict else "failed" if row["run"] else "broken",
-        end=end,
-        facts=_facts(path) if path else "",
-        reasons=tuple(reason for reason in why(row) if reason != end),
-        link=_link(path, row["directory"]) if path else None,
-        picture=thumbnail(path) if path else None,
-        change=str((row["baseline"] or {}).get("change") or ""),
-        change_text=change_text(row),
-        fields=tuple(_field(column, row["run"]) for column in COLUMNS),
-    )
+    return {
+        "name": row["name"],
+        "kind": "passed" if not verdict else "failed" if row["run"] else "broken",
+        "end": end,
+        "facts": _facts(path) if path else "",
+        "reasons": [reason for reason in why(row) if reason != end],
+        "link": _link(path, row["directory"]) if path else None,
+        "picture": thumbnail(path) if path else None,
+        "change": str((row["baseline"] or {}).get("change") or ""),
+        "change_text": change_text(row),
+        "fields": [_field(column, row["run"]) for column in COLUMNS],
+    }
 
 
 def _link(path: Path, address: str) -> str | None:
@@ -116,9 +94,10 @@ def _facts(path: Path) -> str:
         return ""
 
 
-def _field(column: Quantity, run: Mapping[str, Any] | None) -> MetricField:
+def _field(column: Quantity, run: Mapping[str, Any] | None) -> dict[str, str]:
+    """Return the text of a metric and its sort key; both empty if there is no value."""
     value = column.of(run)
-    return MetricField("", "") if value is None else MetricField(column.text_of(run), f"{value:.9g}")
+    return {"text": column.text_of(run), "key": f"{value:.9g}"} if value is not None else {"text": "", "key": ""}
 
 
 MAX_PIXELS: Final = 160

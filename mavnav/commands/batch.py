@@ -38,8 +38,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mavnav.batch.options import BatchOptions
-    from mavnav.batch.plan import BatchPlan
     from mavnav.batch.request import BatchRequest
+    from mavnav.batch.runner import BatchPlan
     from mavnav.jobs.dask import Cluster
     from mavnav.profiling import Progress
 
@@ -181,7 +181,7 @@ def batch(
 def _plan(options: BatchOptions, report: Progress) -> BatchPlan:
     """Read manifest and logs, and load the kernels here."""
     from mavnav.batch.options import request_of
-    from mavnav.batch.plan import load_kernels, plan_batch
+    from mavnav.batch.runner import load_kernels, plan_batch
 
     plan = plan_batch(request_of(options), report)
     load_kernels(plan, report)

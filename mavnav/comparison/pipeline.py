@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec.structs import replace
 
 from mavnav.batch.cases import make_cases
-from mavnav.batch.plan import BatchPlan, check_gates, plan_cases
 from mavnav.batch.request import BatchLogs, BatchRequest, Rules, RunLimits
-from mavnav.batch.runner import run_cases
+from mavnav.batch.runner import BatchPlan, check_gates, plan_cases, run_cases
 from mavnav.comparison.document import comparison_document
 from mavnav.comparison.figures import RELATIVE_COSTS
 from mavnav.comparison.files import COMPARISON_FILE, write_comparison

@@ -24,9 +24,8 @@ from mavnav.outputs.writers import REPORT_FILE
 from mavnav.pipelines.maps import rounded_pose
 from mavnav.pipelines.replay import ReplayRequest, replay_log
 from mavnav.pipelines.sessions import UNREADABLE, FinishedRun, finished_run
-from mavnav.sessions.group import Join
+from mavnav.sessions.group import Join, frame_of, merged_map
 from mavnav.sessions.growth import join_sessions
-from mavnav.sessions.merged_map import frame_of, merged_map
 from mavnav.slam.methods.registry import load_kernels
 from mavnav.version import __version__
 

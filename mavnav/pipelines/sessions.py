@@ -17,9 +17,8 @@ from mavnav.logs.formats.detect import log_name
 from mavnav.outputs.directory import MERGE_FILE, RUN_FILE, file_sha256
 from mavnav.outputs.documents.continued_section import Continued, EarlierSession
 from mavnav.outputs.files.sessions import evidence, recording_file, trajectory_file
-from mavnav.sessions.group import Join, group_in_frame, make_session
+from mavnav.sessions.group import Join, group_in_frame, make_session, merged_map
 from mavnav.sessions.growth import alike, extend_group
-from mavnav.sessions.merged_map import merged_map
 from mavnav.slam.findings import HIGH
 from mavnav.slam.refinement.covariance import rotate_covariances
 from mavnav.version import __version__
@@ -85,20 +84,16 @@ class FinishedRun(Struct, frozen=True):
         Raises UsageError where a file is missing, or another one than was written, and NoScansError without any pose.
         """
         for file in (stored.trajectory, stored.recording):
-            self._check(file)
+            digest, path = self.document["outputs"].get(file), self.directory / file
+            if digest is None or not path.is_file():
+                raise UsageError(f"it has no {file}")
+            if file_sha256(path) != digest:
+                raise UsageError(f"{file} has been altered since it was written")
         if not (self.directory / stored.trajectory).stat().st_size:
             raise NoScansError("no scan was tracked")
         trajectory = read_tum(self.directory / stored.trajectory)
         log = open_log(self.directory / stored.recording, odom="off")
         return make_session(name or stored.name, log.scans, trajectory, config, doubtful=stored.doubtful)
-
-    def _check(self, name: str) -> None:
-        digest = self.document["outputs"].get(name)
-        path = self.directory / name
-        if digest is None or not path.is_file():
-            raise UsageError(f"it has no {name}")
-        if file_sha256(path) != digest:
-            raise UsageError(f"{name} has been altered since it was written")
 
 
 def is_doubtful(tracking: dict[str, Any]) -> bool:

@@ -16,8 +16,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from mavnav.pose import Pose, Trajectory
-from mavnav.sessions.group import APART_M, SessionGroup, own_edges
-from mavnav.sessions.merged_map import frame_of
+from mavnav.sessions.group import APART_M, SessionGroup, frame_of, own_edges
 from mavnav.slam.findings import Edge
 from mavnav.slam.loop_closure.closure import KeyClosure, agree
 from mavnav.slam.loop_closure.detection import LOOP_M, SIGHT_M, consistent_closures, edges_of, track_confirmed

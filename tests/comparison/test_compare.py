@@ -14,8 +14,8 @@ import pytest
 from msgspec.structs import replace
 
 from mavnav.api.results import Comparison
-from mavnav.batch.plan import BatchPlan, plan_batch
 from mavnav.batch.request import BatchRequest
+from mavnav.batch.runner import BatchPlan, plan_batch
 from mavnav.comparison.files import problems
 from mavnav.comparison.grids import comparison_settings
 from mavnav.comparison.pipeline import (

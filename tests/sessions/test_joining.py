@@ -9,9 +9,8 @@ from msgspec.structs import replace
 from mavnav.config.models import Config
 from mavnav.pose import Pose, Trajectory
 from mavnav.sessions.closures import count_contradicting
-from mavnav.sessions.group import Session, group_of, make_session, own_edges
+from mavnav.sessions.group import Session, group_of, make_session, merged_map, own_edges, trajectories
 from mavnav.sessions.growth import join_sessions
-from mavnav.sessions.merged_map import merged_map, trajectories
 from mavnav.slam.loop_closure.key_frames import KeyFrameMap
 from support.sessions import CELLAR, TOURS, errors_m, session, tour, twin_room
 from support.synthetic import Recording
