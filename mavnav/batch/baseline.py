@@ -35,10 +35,6 @@ class Tolerance(Struct, frozen=True):
     relative: float = 0.0
     high: bool = False
 
-    def allows(self, before: float) -> float:
-        """Return the largest difference from the value ``before`` that counts as no change."""
-        return max(self.absolute, self.relative * abs(before))
-
 
 TOLERANCES: Final = (
     Tolerance("map_quality.meaningful", high=True),
@@ -199,7 +195,7 @@ def _figure_change(tolerance: Tolerance, before: float | None, now: float | None
         change = ChangeKind.WORSE
     else:
         sign = -1.0 if tolerance.high else 1.0
-        change = _compare(sign * now, sign * before, tolerance.allows(before))
+        change = _compare(sign * now, sign * before, max(tolerance.absolute, tolerance.relative * abs(before)))
     return {"name": tolerance.name, "before": before, "now": now, "change": change}
 
 

@@ -73,8 +73,7 @@ def by_dotted_key(section: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _overlap(a: Key, b: Key) -> bool:
-    shorter = min(len(a), len(b))
-    return a[:shorter] == b[:shorter]
+    return all(one == other for one, other in zip(a, b, strict=False))
 
 
 def _inside(key: Key, list_key: Key) -> bool:

@@ -146,11 +146,9 @@ def _set_layer(assignment: str) -> Layer:
 
 
 def _option_layer(overrides: Mapping[str, object]) -> Layer:
-    given = {name: tuple(name.split(".")) for name, value in overrides.items() if value is not None}
-    return Layer(
-        {key: overrides[name] for name, key in given.items()},
-        {key: OPTIONS.get(name, f"--{key[-1].replace('_', '-')}") for name, key in given.items()},
-    )
+    values = {tuple(name.split(".")): value for name, value in overrides.items() if value is not None}
+    flags = {key: OPTIONS.get(".".join(key), f"--{key[-1].replace('_', '-')}") for key in values}
+    return Layer(values, flags)
 
 
 def key_now(key: Key) -> Key:

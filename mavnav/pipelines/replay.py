@@ -35,14 +35,13 @@ from mavnav.slam.pipeline import run_slam
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Sequence
 
     from mavnav.config.models import Config
     from mavnav.ground_truth.references import References
     from mavnav.logs import Log
     from mavnav.outputs.documents.run_json import Provenance
     from mavnav.pipelines.sessions import Continuation, FinishedRun
-    from mavnav.scan import Scan
     from mavnav.sessions.group import Session
     from mavnav.slam.matching.prior_map import PriorMap
     from mavnav.slam.result import SlamResult
@@ -145,7 +144,7 @@ def replay_log(
     check_directory(request.directory, force=request.force, inputs=request.inputs)
     given = Given(
         load_references(**reference_files(options)),
-        known_map(options.get("map"), _start_pose(options), request.config.method),
+        known_map(options.get("map"), _pose(options.get("start_pose")), request.config.method),
         replay_provenance(request),
         *_to_continue(request),
     )
@@ -175,9 +174,8 @@ def replay_provenance(request: ReplayRequest) -> Provenance:
     return provenance(utc_now(), request.typed, again, options)
 
 
-def _start_pose(options: ReplayOptions[Path]) -> Pose | None:
-    pose = options.get("start_pose")
-    return Pose(*pose) if pose else None
+def _pose(values: Sequence[float] | None) -> Pose | None:
+    return Pose(*values) if values else None
 
 
 def _track_and_write(
@@ -207,7 +205,7 @@ def _track_and_write(
         true_map=references.true_map,
         position_errors_m=position_errors(outcome.trajectory, truth, aligned=True) if truth else None,
         stopped=stopped,
-        localisation=localisation(known, _start_pose(request.options), outcome) if known else None,
+        localisation=localisation(known, _pose(request.options.get("start_pose")), outcome) if known else None,
         address=request.address,
         provenance=given.provenance,
         slices=slices,
@@ -233,15 +231,14 @@ def _continue(
 
 def _open(request: ReplayRequest, progress: Progress) -> Log:
     """Survey the log and correct its odometry; the paper's method never looks at odometry."""
-    options, config = request.options, request.config
-    extrinsic, truth = options.get("extrinsic"), options.get("truth")
+    options, config, truth = request.options, request.config, request.options.get("truth")
     log = open_log(
         request.log,
         topic=options.get("topic"),
         odom=config.odom if uses_odometry(config) else "off",
         start_s=options.get("start_s"),
         end_s=options.get("end_s"),
-        extrinsic=Pose(*extrinsic) if extrinsic else None,
+        extrinsic=_pose(options.get("extrinsic")),
         strict=options.get("strict", False),
         truth=recorded_topic(truth) if isinstance(truth, str) else None,
         attitude=config.attitude,
@@ -265,17 +262,12 @@ def with_corrected_odometry(log: Log, config: Config) -> Log:
 
 
 def _track(log: Log, config: Config, known: PriorMap | None, progress: Progress, stop: Stop) -> SlamResult:
-    total = log.counts.usable
-
-    def scans() -> Iterator[Scan]:
-        return takewhile(lambda _: stop() is None, log.scans())
-
     return run_slam(
-        scans,
+        lambda: takewhile(lambda _: stop() is None, log.scans()),
         config,
         log.period_s,
         log.odometry.odom_T_laser if log.odometry else None,
         rotation=log.imu.rotation if log.imu else None,
-        on_step=lambda phase, done: progress(phase, done, total),
+        on_step=lambda phase, done: progress(phase, done, log.counts.usable),
         prior_map=known,
     )

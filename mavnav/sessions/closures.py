@@ -219,9 +219,8 @@ def binding_closures(closures: list[KeyClosure], keys: Sequence[KeyFrame], tie: 
     """Return the closures that enter the pose graph: not those a short path across a tie, which are no loops."""
     if tie is None:
         return closures
-    paths_m = (
-        keys[c.end].path_m - keys[tie.end].path_m + abs(keys[tie.start].path_m - keys[c.start].path_m) for c in closures
-    )
+    start_m, end_m = keys[tie.start].path_m, keys[tie.end].path_m
+    paths_m = (keys[c.end].path_m - end_m + abs(start_m - keys[c.start].path_m) for c in closures)
     return [closure for closure, path_m in zip(closures, paths_m, strict=True) if path_m >= LOOP_M]
 
 

@@ -219,10 +219,8 @@ def _check_workers(client: Any, directory: Path) -> None:  # noqa: ANN401  a cli
     with NamedTemporaryFile(dir=directory, prefix=".seen-") as file:
         versions = client.run(our_version, on_error="return")
         seen = client.run(sees, str(Path(file.name).absolute()), on_error="return")
-    problems = [
-        f"{worker}: {why}" for worker in versions if (why := _incompatibility(versions[worker], seen.get(worker), ours))
-    ]
-    if problems:
+    reasons = {worker: _incompatibility(version, seen.get(worker), ours) for worker, version in versions.items()}
+    if problems := [f"{worker}: {why}" for worker, why in reasons.items() if why]:
         advice = f"install mavnav {ours[0]} there, and share the folder"
         raise UsageError(f"{'; '.join(problems)}: {advice}, or stop these workers")
 
