@@ -28,7 +28,7 @@ from mavnav.config.loading import load_config
 from mavnav.logs import open_log
 from mavnav.metrics.map_quality import measure_map
 from mavnav.metrics.wall_thickness import summary, wall_sections
-from mavnav.pipelines.measuring import measured_map
+from mavnav.pipelines.maps import measured_map
 from mavnav.pipelines.simulate import truth_errors
 from mavnav.profiling import new_profile
 from mavnav.simulation.mission import End, fly

@@ -17,8 +17,7 @@ from pathlib import Path
 from textwrap import fill, indent
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
-from mavnav.config.given_pose import pose_problem
-from mavnav.config.option_kinds import FILE, POSE, SWITCH, TOPICS, TRUTH, ValueKind, recorded_topic
+from mavnav.config.option_kinds import FILE, POSE, SWITCH, TOPICS, TRUTH, ValueKind, pose_problem, recorded_topic
 from mavnav.config.options import OPTIONS, TYPES, File, given_options
 from mavnav.errors import UsageError
 from mavnav.pose import Pose

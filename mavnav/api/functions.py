@@ -265,7 +265,7 @@ def compare(
     MavnavError
         UsageError, ConfigError or OutputError. A run that fails stops no other.
     """
-    from mavnav.batch.plan import load_kernels  # noqa: PLC0415  heavy
+    from mavnav.batch.runner import load_kernels  # noqa: PLC0415  heavy
     from mavnav.comparison import pipeline  # noqa: PLC0415
     from mavnav.jobs import usable_cores  # noqa: PLC0415
     from mavnav.outputs.writers import write_page  # noqa: PLC0415

@@ -35,10 +35,6 @@ class Tolerance(Struct, frozen=True):
     relative: float = 0.0
     high: bool = False
 
-    def allows(self, before: float) -> float:
-        """Return the largest difference from the value ``before`` that counts as no change."""
-        return max(self.absolute, self.relative * abs(before))
-
 
 TOLERANCES: Final = (
     Tolerance("map_quality.meaningful", high=True),
@@ -56,7 +52,8 @@ TOLERANCES: Final = (
 
 EXAMPLE: Final = "write for example --tolerance wall_thickness.p95_mm=5%"
 
-_TOLERANCE: Final = re.compile(r"\s*([0-9.eE+-]+)\s*(%?)\s*(?:,\s*(low|high)\s*)?")
+_NUMBER: Final = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
+_TOLERANCE: Final = re.compile(rf"\s*({_NUMBER})\s*(%?)\s*(?:,\s*(low|high)\s*)?")
 
 
 def parse_tolerance(name: str, text: str) -> Tolerance:
@@ -67,13 +64,9 @@ def parse_tolerance(name: str, text: str) -> Tolerance:
     """
     name = full_name(name)
     match = _TOLERANCE.fullmatch(text)
-    try:
-        size = float(match[1]) if match else None
-    except ValueError:
-        size = None
-    if match is None or size is None:
+    if match is None:
         raise UsageError(f"the tolerance {text!r} of {name} is no number, with % or not; {EXAMPLE}")
-    if size < 0:
+    if (size := float(match[1])) < 0:
         raise UsageError(f"the tolerance {text!r} of {name} is negative; write 0 to allow no change")
     default = any(known.name == name and known.high for known in TOLERANCES)
     high = match[3] == "high" if match[3] else default
@@ -116,14 +109,11 @@ def read_baseline(path: Path) -> Baseline:
             ExitCode(run["exit_code"])
         return Baseline(path, str(document["mavnav_version"]), runs)
     except OSError as error:
-        reason = f"cannot be read ({error.strerror})"
-        raise UsageError(
-            f"{file}: the baseline {reason}; name an earlier batch, or make one with --update-baseline"
-        ) from error
+        reason = f"{file}: the baseline cannot be read ({error.strerror})"
+        raise UsageError(f"{reason}; name an earlier batch, or make one with --update-baseline") from error
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
-        raise UsageError(
-            f"{file} is no baseline; name the directory of a batch, its batch.json, or a baseline file"
-        ) from error
+        advice = "name the directory of a batch, its batch.json, or a baseline file"
+        raise UsageError(f"{file} is no baseline; {advice}") from error
 
 
 def _figures(cell: Mapping[str, Any]) -> dict[str, float | None] | None:
@@ -184,9 +174,8 @@ def lacking(row: Mapping[str, Any], baseline: Baseline, watched: Sequence[Tolera
     """Return the metrics of a run for which a tolerance was given, and which the baseline file does not have."""
     stored = baseline.runs.get(row["name"], {"figures": None})["figures"]
     given = [tolerance.name for tolerance in watched if tolerance not in TOLERANCES]
-    return [
-        name for name in given if stored is not None and name not in stored and number(row["run"], name) is not None
-    ]
+    absent = [name for name in given if stored is not None and name not in stored]
+    return [name for name in absent if number(row["run"], name) is not None]
 
 
 def lacking_text(path: object, name: str) -> str:
@@ -206,7 +195,7 @@ def _figure_change(tolerance: Tolerance, before: float | None, now: float | None
         change = ChangeKind.WORSE
     else:
         sign = -1.0 if tolerance.high else 1.0
-        change = _compare(sign * now, sign * before, tolerance.allows(before))
+        change = _compare(sign * now, sign * before, max(tolerance.absolute, tolerance.relative * abs(before)))
     return {"name": tolerance.name, "before": before, "now": now, "change": change}
 
 

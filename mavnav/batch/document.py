@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.batch.baseline import ChangeKind, changes, lacking, lacking_text
 from mavnav.errors import SEVERITY, ExitCode, worst
-from mavnav.jobs.run_cache import run_row
 from mavnav.metrics.gates import judge_some
 from mavnav.version import __version__
 
@@ -16,11 +15,15 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from mavnav.batch.baseline import Baseline
-    from mavnav.batch.cases import Case, CaseResult
+    from mavnav.batch.cases import CaseResult
     from mavnav.batch.request import BatchRequest
 
 SCHEMA_VERSION: Final = 1
 BATCH_FILE: Final = "batch.json"
+
+_MEASURED: Final = ("scans", "tracking", "search", "map", "wall_thickness", "map_quality", "reference")
+SECTIONS: Final = (*_MEASURED, "timing", "exit_code")
+"""Sections of run.json that the document of a comparison or a batch repeats for every run."""
 
 
 def judged_row(result: CaseResult, request: BatchRequest) -> dict[str, Any]:
@@ -30,7 +33,9 @@ def judged_row(result: CaseResult, request: BatchRequest) -> dict[str, Any]:
     ``accepted`` and ``verdict``. The verdict is the worst exit code of the gates and of the run; the run's own code is
     ignored if it is accepted. A gate on a number that the run does not have fails.
     """
-    case, rules, row = result.case, request.rules, _row(result, request.directory)
+    case, rules, outcome = result.case, request.rules, result.outcome
+    own = {"log": case.log, "setting": case.setting.name, "seconds": outcome.seconds if outcome else None}
+    row = run_row(result, request.directory) | own
     verdicts = [] if result.document is None else judge_some((*rules.gates, *case.gates), result.document)
     gates = [verdict.row() for verdict in verdicts]
     change = None
@@ -45,29 +50,25 @@ def judged_row(result: CaseResult, request: BatchRequest) -> dict[str, Any]:
     return row | {"gates": gates, "baseline": change, "accepted": accepted, "verdict": int(worst(codes))}
 
 
-def _row(result: CaseResult, directory: Path) -> dict[str, Any]:
-    """Return the row of a run as in comparison.json, with ``setting`` and ``seconds``."""
-    case, outcome = result.case, result.outcome
-    row = run_row(case.name, case.run, outcome, result.document, directory) if case.run else _unreadable_row(case)
-    more = {"setting": case.setting.name, "seconds": outcome.seconds if outcome else None}
-    return row | {"log": case.log, **more}
+def run_row(result: CaseResult, directory: Path) -> dict[str, Any]:
+    """Return the row of a run: its display name, its settings, its status, and the sections of its run.json.
 
-
-def _unreadable_row(case: Case) -> dict[str, Any]:
-    """Return the row of a run whose log cannot be read."""
+    Its directory is relative to ``directory``. A log that cannot be read has no run, and the error of its case.
+    """
+    case, outcome, run, planned = result.case, result.outcome, result.document, result.case.run
     config = case.setting.config
     return {
         "name": case.name,
-        "log": case.log,
+        "log": str(planned.request.log) if planned else case.log,
         "method": config.method,
         "grid": str(config.grid),
         "azimuth": config.azimuth,
-        "key": None,
-        "status": "failed",
-        "exit_code": int(case.exit_code),
-        "error": case.error,
-        "directory": None,
-        "run": None,
+        "key": planned.key if planned else None,
+        "status": "failed" if run is None else "done" if outcome else "cached",
+        "exit_code": int(run["exit_code"] if run else outcome.exit_code if outcome else case.exit_code),
+        "error": (outcome.error if outcome else case.error) or None,
+        "directory": planned.directory.relative_to(directory).as_posix() if planned and run else None,
+        "run": {name: run[name] for name in SECTIONS if name in run} if run else None,
     }
 
 
@@ -91,21 +92,18 @@ def batch_document(
     baseline_gate: bool,
 ) -> dict[str, Any]:
     """Return batch.json of these rows; runs that only the baseline has, ``missing_runs``, fail the baseline gate."""
+    runs = [row["run"] for row in rows]
     codes = [*(row["verdict"] for row in rows), *(ExitCode.GATE_FAILED for _ in missing_runs if baseline_gate)]
     return {
         "schema_version": SCHEMA_VERSION,
         "mavnav_version": __version__,
-        "profile": next((run["map_quality"]["profile"] for run in _runs(rows) if run.get("map_quality")), None),
+        "profile": next((run["map_quality"]["profile"] for run in runs if run and run.get("map_quality")), None),
         "counts": _counts(rows),
         "wall_s": wall_s,
         "cells": list(rows),
         "baseline": None if baseline is None else {**_since(rows, baseline, missing_runs), "gate": baseline_gate},
         "exit_code": int(worst(codes)),
     }
-
-
-def _runs(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    return [row["run"] for row in rows if row["run"]]
 
 
 def _counts(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -120,11 +118,9 @@ def _counts(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 def _since(rows: Sequence[Mapping[str, Any]], baseline: Baseline, missing_runs: Sequence[str]) -> dict[str, Any]:
     kinds = Counter(row["baseline"]["change"] for row in rows)
     counts = {str(change): kinds[change] for change in ChangeKind}
-    more = {
-        "missing": list(missing_runs),
-        "lacking": list(dict.fromkeys(n for r in rows for n in r["baseline"]["lacking"])),
-    }
-    return {"path": str(baseline.path), "mavnav_version": baseline.version, **counts, **more}
+    absent = list(dict.fromkeys(name for row in rows for name in row["baseline"]["lacking"]))
+    about = {"path": str(baseline.path), "mavnav_version": baseline.version}
+    return {**about, **counts, "missing": list(missing_runs), "lacking": absent}
 
 
 def worst_first(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -1,25 +1,41 @@
-"""The files of a batch: batch.json, batch.csv and batch.html."""
+"""The files of a batch: batch.json, batch.csv, and batch.html.
+
+The page has all runs, worst first, each with a small map and the reasons of a failure.
+"""
 
 from __future__ import annotations
 
 import csv
 import io
 import os
+from base64 import b64encode
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+from PIL import Image
+
 from mavnav.atomic_files import beside
-from mavnav.batch.document import BATCH_FILE
-from mavnav.batch.page import to_page
-from mavnav.errors import OutputError, UsageError
+from mavnav.batch.document import BATCH_FILE, ENDS, why, worst_first
+from mavnav.batch.summary import batch_headline, change_text
+from mavnav.config.named_files import read_json
+from mavnav.errors import ExitCode, OutputError, UsageError
 from mavnav.jobs.run_cache import RUNS_FOLDER
-from mavnav.outputs.directory import check_apart
-from mavnav.outputs.documents.quantities import number
+from mavnav.outputs.directory import RUN_FILE, check_apart
+from mavnav.outputs.documents.quantities import NAMED, PATH, TIME, number
 from mavnav.outputs.files.document import to_json
+from mavnav.outputs.report.html import environment, facts, inline
 from mavnav.outputs.report.markdown import inert
+from mavnav.outputs.writers import REPORT_FILE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
+
+    from numpy.typing import NDArray
+
+    from mavnav.outputs.documents.quantities import Quantity
+
 
 PAGE_FILE: Final = "batch.html"
 
@@ -99,3 +115,115 @@ def batch_csv(document: dict[str, Any]) -> str:
 
 
 TEXTS: Final[dict[str, Callable[[dict[str, Any]], str]]] = {BATCH_FILE: to_json, "batch.csv": batch_csv}
+
+
+COLUMNS: Final = (
+    NAMED["map.accepted_share"],
+    PATH,
+    NAMED["wall_thickness.spread.p95_mm"],
+    NAMED["map_quality.ghost_walls.length_m"],
+    NAMED["map_quality.revisits.nn_l_mm"],
+    TIME,
+)
+
+
+def to_page(document: Mapping[str, Any], directory: Path) -> str:
+    """Return the page of a batch whose run directories are in ``directory``."""
+    templates = environment("mavnav.batch", "mavnav.outputs.report")
+    lines = [_line(row, directory) for row in worst_first(document["cells"])]
+    return templates.get_template("batch.html").render(
+        headline=batch_headline(document),
+        lines=lines,
+        kinds=Counter(line["kind"] for line in lines),
+        changes=Counter(line["change"] for line in lines if line["change"]) if document["baseline"] else {},
+        missing=(document["baseline"] or {}).get("missing", []),
+        columns=COLUMNS,
+        style=inline(templates, "report.css", "batch.css"),
+        script=inline(templates, "batch.js"),
+        version=document["mavnav_version"],
+        profile=document["profile"],
+    )
+
+
+def _line(row: dict[str, Any], directory: Path) -> dict[str, Any]:
+    """Return what the page says of a run.
+
+    ``facts`` are its date, log and sensor; ``kind`` is passed, failed, or broken (a run without a result); ``link`` is
+    the address of the run's page; ``change`` is the change since the baseline; ``fields`` are the metrics of `COLUMNS`.
+    """
+    path = directory / row["directory"] if row["directory"] else None
+    verdict = ExitCode(row["verdict"])
+    end = "passed" if not verdict else ENDS[verdict]
+    return {
+        "name": row["name"],
+        "kind": "passed" if not verdict else "failed" if row["run"] else "broken",
+        "end": end,
+        "facts": _facts(path) if path else "",
+        "reasons": [reason for reason in why(row) if reason != end],
+        "link": _link(path, row["directory"]) if path else None,
+        "picture": thumbnail(path) if path else None,
+        "change": str((row["baseline"] or {}).get("change") or ""),
+        "change_text": change_text(row),
+        "fields": [_field(column, row["run"]) for column in COLUMNS],
+    }
+
+
+def _link(path: Path, address: str) -> str | None:
+    """Return the address of a run's report, else of its map or run.json; ``address`` is that of its directory."""
+    names = (name for name in (REPORT_FILE, "map.png", RUN_FILE) if (path / name).is_file())
+    return next((f"{address}/{name}" for name in names), None)
+
+
+def _facts(path: Path) -> str:
+    """Return the facts of a run from its run.json; empty if that cannot be read."""
+    try:
+        return facts([read_json(path / RUN_FILE)])
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        return ""
+
+
+def _field(column: Quantity, run: Mapping[str, Any] | None) -> dict[str, str]:
+    """Return the text of a metric and its sort key; both empty if there is no value."""
+    value = column.of(run)
+    return {"text": column.text_of(run), "key": f"{value:.9g}"} if value is not None else {"text": "", "key": ""}
+
+
+MAX_PIXELS: Final = 160
+"""Maximum width and height of a thumbnail, in pixels; it is shown at half that size, for high-density screens."""
+
+_UNKNOWN: Final = 205
+"""Gray level of map_server for a cell that no beam has crossed."""
+
+_SHADES: Final = {"wall": 24, "unknown": 232, "free": 255}
+
+
+def thumbnail(directory: Path) -> str | None:
+    """Return a small image of the map of a run as a data URI, cropped to the known cells; None without a map."""
+    try:
+        with Image.open(directory / "map.pgm") as image:
+            cells = np.asarray(image)
+    except (OSError, ValueError):  # the latter before pillow 13, for a file that is cut
+        return None
+    seen = _downsample(_crop(cells))
+    shades = np.where(seen < _UNKNOWN, _SHADES["wall"], np.where(seen == _UNKNOWN, _SHADES["unknown"], _SHADES["free"]))
+    buffer = io.BytesIO()
+    Image.fromarray(shades.astype(np.uint8)).quantize(4).save(buffer, format="PNG", optimize=True)
+    return "data:image/png;base64," + b64encode(buffer.getvalue()).decode("ascii")
+
+
+def _crop(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Crop the unknown borders."""
+    known = cells != _UNKNOWN
+    rows, columns = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
+    if not rows.size:
+        return cells[:1, :1]
+    return cells[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+
+
+def _downsample(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Reduce squares of cells to one pixel with their minimum, so that a wall of one cell remains visible."""
+    side = -(-max(cells.shape) // MAX_PIXELS)
+    padded = np.pad(cells, [(0, -size % side) for size in cells.shape], constant_values=255)
+    rows, columns = (size // side for size in padded.shape)
+    blocks: NDArray[np.uint8] = padded.reshape(rows, side, columns, side).min(axis=(1, 3))
+    return blocks

@@ -8,6 +8,7 @@ without a result is an error. Metrics are the output of a case, because the sche
 from __future__ import annotations
 
 import re
+from collections import Counter
 from typing import TYPE_CHECKING, Any, Final
 from xml.etree import ElementTree as XML  # noqa: N814  short, because many lines use it
 
@@ -40,10 +41,9 @@ def to_junit(document: Mapping[str, Any]) -> str:
 
 
 def _totals(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
-    kinds = [_kind(row) for row in rows]
-    seconds = sum(_seconds(row) for row in rows)
-    counts = {"failures": kinds.count("failure"), "errors": kinds.count("error")}
-    return {"tests": str(len(rows)), **{k: str(v) for k, v in counts.items()}, "time": f"{seconds:.3f}"}
+    kinds = Counter(_kind(row) for row in rows)
+    counts = {"tests": len(rows), "failures": kinds["failure"], "errors": kinds["error"]}
+    return {**{name: str(count) for name, count in counts.items()}, "time": f"{sum(map(_seconds, rows)):.3f}"}
 
 
 def _seconds(row: Mapping[str, Any]) -> float:
@@ -52,9 +52,7 @@ def _seconds(row: Mapping[str, Any]) -> float:
 
 
 def _kind(row: Mapping[str, Any]) -> str | None:
-    if not row["verdict"]:
-        return None
-    return "failure" if row["run"] else "error"
+    return None if not row["verdict"] else "failure" if row["run"] else "error"
 
 
 def _suite(log: str, rows: Sequence[Mapping[str, Any]]) -> XML.Element:

@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from msgspec import Meta, Struct, defstruct, field
 from msgspec.structs import force_setattr
 
-from mavnav.config.given_pose import pose_problem
 from mavnav.config.loading import origin, read_model
-from mavnav.config.option_kinds import NUMBER, SWITCH
+from mavnav.config.models import Strict, setting
+from mavnav.config.option_kinds import NUMBER, SWITCH, pose_problem
 from mavnav.config.options import OPTIONS
-from mavnav.config.strict import Strict, setting
 from mavnav.config.yaml_layers import read_yaml
 from mavnav.errors import ConfigError, UsageError
 from mavnav.metrics.gates import full_name

@@ -12,8 +12,7 @@ from mavnav.batch.baseline import parse_tolerance, read_baseline, tolerances
 from mavnav.batch.cases import BASELINE_GATE
 from mavnav.batch.document import BATCH_FILE
 from mavnav.batch.manifest import GATE_EXAMPLE, Manifest, errors_at, origins_of, read_manifest
-from mavnav.batch.request import BatchLogs, BatchPart, BatchRequest, Rules, RunLimits
-from mavnav.batch.settings import Setting, crossed_settings, listed_settings
+from mavnav.batch.request import BatchLogs, BatchPart, BatchRequest, Rules, RunLimits, crossed_settings, listed_settings
 from mavnav.config.layers import Layer
 from mavnav.config.options import ReplayOptions, given_options, restore_options, settings_of
 from mavnav.errors import ExitCode, UsageError
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
 
     from mavnav.batch.baseline import Tolerance
     from mavnav.batch.manifest import LogEntry, Origins
+    from mavnav.batch.request import Setting
 
 MANIFEST_SUFFIXES = (".yaml", ".yml")
 
@@ -74,15 +74,15 @@ def request_of(options: BatchOptions) -> BatchRequest:
     base = path.parent if path else Path()
     baseline = options.baseline or (base / manifest.baseline if manifest.baseline else None)
     new_baseline = baseline if options.update_baseline else None
-    origins = origins_of(manifest, layer)
+    origins, usual = origins_of(manifest, layer), Path("runs") / (f"batch-{path.stem}" if path else "batch")
     return BatchRequest(
         entries=_entries(options, manifest, base),
         settings=tuple(_settings(options, manifest, layer, base)),
         base=base,
-        directory=options.directory or (base / manifest.output if manifest.output else _default_directory(path)),
+        directory=options.directory or (base / manifest.output if manifest.output else usual),
         limits=_limits(options, manifest),
         rules=_rules(options, manifest, origins, baseline),
-        part=_part(options.part),
+        part=None if options.part is None else BatchPart.parse(options.part),
         force=options.force,
         report=options.report or manifest.report,
         new_baseline=new_baseline,
@@ -108,10 +108,6 @@ def _manifest_path(sources: Sequence[str]) -> Path | None:
     if len(manifests) > 1:
         raise UsageError(f"{len(manifests)} manifests; name one, and logs besides")
     return Path(manifests[0]) if manifests else None
-
-
-def _default_directory(path: Path | None) -> Path:
-    return Path("runs") / (f"batch-{path.stem}" if path else "batch")
 
 
 def _entries(options: BatchOptions, manifest: Manifest, base: Path) -> tuple[BatchLogs, ...]:
@@ -204,12 +200,3 @@ def _tolerance(text: str) -> Tolerance:
     if not equals or not name.strip():
         raise UsageError(f"--tolerance {text!r} is not NAME=X; write for example --tolerance timing.cpu_s=50%")
     return parse_tolerance(name.strip(), size)
-
-
-def _part(text: str | None) -> BatchPart | None:
-    if text is None:
-        return None
-    number, slash, of = text.partition("/")
-    if not (slash and number.isdecimal() and of.isdecimal()):
-        raise UsageError(f"--part {text!r} is not I/N; write for example --part 1/4")
-    return BatchPart(int(number), int(of))

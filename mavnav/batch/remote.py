@@ -1,13 +1,17 @@
 """Download of logs by address: any file that fsspec can open is copied to a temporary folder while it is needed.
 
 Time, size and data rate of the copy are limited, because a server may never answer, never end, or be very slow.
+
+The client of web servers follows no redirection into private networks that the user did not name.
 """
 
 from __future__ import annotations
 
 import os
-from contextlib import contextmanager
+import socket
+from contextlib import contextmanager, suppress
 from fnmatch import fnmatchcase
+from ipaddress import ip_address
 from math import isfinite
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -23,7 +27,9 @@ from mavnav.jobs.dask.worker import in_cluster
 from mavnav.outputs.documents.addresses import public_address, public_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
+    from io import FileIO
+
 
 _TIMEOUT: Final = "MAVNAV_FETCH_TIMEOUT_S"
 PIECE_BYTES: Final = 2**20
@@ -76,10 +82,8 @@ def download(address: str) -> Iterator[Path]:
     check_allowed(address)
     with TemporaryDirectory(prefix="mavnav-", ignore_cleanup_errors=True) as name:
         folder = Path(name)
-        try:
+        with _writing(address):
             (folder / path).parent.mkdir(parents=True)
-        except OSError as error:
-            raise _write_error(address, error) from error
         _Copy(address, folder / path, limits()).run()
         yield folder
 
@@ -104,9 +108,15 @@ def _allowed_hosts() -> list[str]:
     return [pattern.strip().lower() for pattern in os.environ.get("MAVNAV_FETCH_HOSTS", "").split(",")]
 
 
-def _write_error(address: str, error: OSError) -> OutputError:
-    reason = f"the temporary folder cannot be written ({error.strerror or error})"
-    return OutputError(f"{public_address(address)}: {reason}; make room, or set TMPDIR to another folder")
+@contextmanager
+def _writing(address: str) -> Iterator[None]:
+    """Raise OutputError where the temporary folder cannot be written."""
+    try:
+        yield
+    except OSError as error:
+        reason = f"the temporary folder cannot be written ({error.strerror or error})"
+        advice = "make room, or set TMPDIR to another folder"
+        raise OutputError(f"{public_address(address)}: {reason}; {advice}") from error
 
 
 class _Copy(Struct):
@@ -143,27 +153,21 @@ class _Copy(Struct):
             self.ended.set()
 
     def _copy(self) -> None:
-        with _open(self.address, self.limits) as source, self._create() as copy:
-            while not self.stop.is_set() and (piece := source.read(PIECE_BYTES)):
-                self.done_bytes += len(piece)
-                self.latest_s = monotonic()
-                if self.done_bytes > self.limits.max_bytes:
-                    raise self._refusal(f"larger than {self.limits.max_bytes / 1e6:g} MB", "MAVNAV_FETCH_MAX_MB")
-                self._put(copy, piece)
+        with _open(self.address, self.limits) as source:
+            with _writing(self.address):
+                copy = self.file.open("wb", buffering=0)
+            with copy:
+                while not self.stop.is_set() and (piece := source.read(PIECE_BYTES)):
+                    self.done_bytes += len(piece)
+                    self.latest_s = monotonic()
+                    if self.done_bytes > self.limits.max_bytes:
+                        raise self._refusal(f"larger than {self.limits.max_bytes / 1e6:g} MB", "MAVNAV_FETCH_MAX_MB")
+                    self._put(copy, memoryview(piece))
 
-    def _create(self) -> Any:  # noqa: ANN401  a file
-        try:
-            return self.file.open("wb", buffering=0)
-        except OSError as error:
-            raise _write_error(self.address, error) from error
-
-    def _put(self, copy: Any, piece: bytes) -> None:  # noqa: ANN401
-        left = memoryview(piece)
-        try:
+    def _put(self, copy: FileIO, left: memoryview) -> None:
+        with _writing(self.address):
             while left:
                 left = left[copy.write(left) :]
-        except OSError as error:
-            raise _write_error(self.address, error) from error
 
     def _timeout_error(self) -> UsageError:
         if monotonic() - self.began_s > self.limits.total_s:
@@ -203,8 +207,6 @@ def _open(address: str, bounds: DownloadLimits) -> Any:  # noqa: ANN401  an open
     """Open an address; one of a web server is read as a stream, with its redirections checked."""
     options: dict[str, Any] = {}
     if any(part.lower().startswith(("http://", "https://")) for part in address.split("::")):
-        from mavnav.batch.web import client_options  # noqa: PLC0415  an extra
-
         options = client_options(address, bounds.total_s, bounds.idle_s, private=bounds.private)
     return _fsspec().open(address, "rb", **options)
 
@@ -215,3 +217,64 @@ def _fsspec() -> Any:  # noqa: ANN401  a module
     except ImportError as error:
         raise UsageError("logs by address need fsspec; install mavnav[cluster]") from error
     return fsspec
+
+
+def client_options(address: str, total_s: float, idle_s: float, *, private: bool) -> dict[str, Any]:
+    """Return the options of ``fsspec.open`` for an address with ``http(s)://`` in it.
+
+    A request may take ``total_s`` in all and ``idle_s`` without data. A host of a private network is allowed only with
+    ``private`` and if the address itself names it; a redirection to another one raises UsageError.
+    """
+    import aiohttp  # noqa: PLC0415  an extra
+
+    parts = [part for part in address.split("::") if part.lower().startswith(("http://", "https://"))]
+    timeout = aiohttp.ClientTimeout(total=total_s, sock_connect=idle_s, sock_read=idle_s)
+    make_socket = _socket_factory(parts, private=private)
+
+    async def get_client(**options: Any) -> aiohttp.ClientSession:  # noqa: ANN401
+        connector = aiohttp.TCPConnector(socket_factory=make_socket)
+        return aiohttp.ClientSession(**{"timeout": timeout, "connector": connector, **options})
+
+    client: dict[str, Any] = {"get_client": get_client, "skip_instance_cache": True}
+    if len(address.split("::")) == 1:
+        client["block_size"] = 0  # one request, read as a stream
+    return {part.partition("://")[0].lower(): client for part in parts}
+
+
+def _socket_factory(addresses: list[str], *, private: bool) -> Callable[[Any], socket.socket]:
+    """Return the socket factory of a client; it rejects private addresses, except named ones with ``private``."""
+    named: set[str] = set()
+
+    def make_socket(info: Any) -> socket.socket:  # noqa: ANN401  an item of getaddrinfo
+        family, kind, protocol, _, address_info = info
+        if not named:
+            named.update(*map(_hosts, addresses))
+        if (address_info[0] not in named or not private) and not _is_public(address_info[0]):
+            shown = " and ".join(map(public_address, addresses))
+            if address_info[0] in named:
+                reason = f"{address_info[0]} is a private address"
+                advice = "list the host in MAVNAV_FETCH_HOSTS on the workers"
+            else:
+                reason, advice = f"it redirects to the private address {address_info[0]}", "name that address itself"
+            raise UsageError(f"{shown}: cannot be read ({reason}); {advice}")
+        made = socket.socket(family, kind, protocol)
+        made.setblocking(False)
+        return made
+
+    return make_socket
+
+
+def _hosts(address: str) -> set[str]:
+    """Return the numeric addresses of the host of a URL; empty if it has none."""
+    with suppress(OSError, ValueError):
+        return {str(entry[4][0]) for entry in socket.getaddrinfo(urlsplit(address).hostname, None)}
+    return set()
+
+
+def _is_public(host: str) -> bool:
+    try:
+        address_info = ip_address(host.partition("%")[0])
+    except ValueError:
+        return False
+    mapped = getattr(address_info, "ipv4_mapped", None)
+    return (mapped or address_info).is_global

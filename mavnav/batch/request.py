@@ -1,23 +1,121 @@
-"""The request of a batch or a comparison: logs, settings, limits and gates."""
+"""The request of a batch or a comparison: logs, limits, gates and settings, named alike in every batch."""
 
 from __future__ import annotations
 
+from itertools import product, zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct, field
 
+from mavnav.config.layers import Layer, leaves
+from mavnav.config.loading import load_config
 from mavnav.config.options import ReplayOptions
-from mavnav.errors import UsageError
+from mavnav.errors import ConfigError, UsageError
 from mavnav.outputs.documents.provenance import Typed
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping, Sequence
 
     from mavnav.batch.baseline import Baseline, Tolerance
     from mavnav.batch.manifest import Origins
-    from mavnav.batch.settings import Setting
+    from mavnav.config.models import Config
     from mavnav.metrics.gates import Gate
+
+
+class Setting(Struct, frozen=True):
+    """A configuration and its name."""
+
+    name: str
+    config: Config
+
+
+def crossed_settings(
+    file: str | None,
+    sets: Sequence[str],
+    methods: Sequence[str],
+    grids: Sequence[str],
+    azimuths: Sequence[int],
+    options: Mapping[str, object],
+) -> list[Setting]:
+    """Return a setting for every method and grid; without methods or grids, those of the configuration.
+
+    ``azimuths`` (yaw samples) are none, one for all grids, or one per grid; raises UsageError for another number, and
+    ConfigError for invalid values.
+    """
+    searches = zip_longest(grids, yaw_samples(grids, azimuths))
+    named = ({"method": m, "grid": g, "azimuth": a} for m, (g, a) in product(methods or (None,), searches))
+    given = ({name: value for name, value in search.items() if value is not None} for search in named)
+    return named_settings(load_config(file, sets, {**options, **search}) for search in given)
+
+
+def yaw_samples(grids: Sequence[object], azimuths: Sequence[int]) -> list[int | None]:
+    """Return the yaw samples of each grid, or a single value if there is no grid; None if they are not given.
+
+    ``azimuths`` are none, one for all grids, or one per grid; raises UsageError for another number.
+    """
+    if len(azimuths) not in {0, 1, len(grids)}:
+        given = f"{len(azimuths)} values of --azimuth for {len(grids)} grids"
+        raise UsageError(f"{given}; give none, one for all, or one for each")
+    return list(azimuths) if len(azimuths) > 1 else [azimuths[0] if azimuths else None] * max(len(grids), 1)
+
+
+def named_settings(configs: Iterable[Config]) -> list[Setting]:
+    """Return configurations with their names, without duplicates."""
+    return _unique(Setting(setting_name(config), config) for config in configs)
+
+
+def listed_settings(
+    runs: Sequence[Mapping[str, Any]], layer: Layer, base: Path, sets: Sequence[str], options: Mapping[str, object]
+) -> list[Setting]:
+    """Return the settings of a manifest's ``runs``; ``sets`` and ``options`` of the command line override them.
+
+    A run has the keys of a configuration, and optionally ``name`` and ``config``, a preset or a file relative to
+    ``base``. Raises ConfigError with the manifest's line.
+    """
+    return _unique(_setting(number, run, layer, base, sets, options) for number, run in enumerate(runs))
+
+
+def _setting(
+    number: int, run: Mapping[str, Any], layer: Layer, base: Path, sets: Sequence[str], options: Mapping[str, object]
+) -> Setting:
+    key = ("runs", str(number))
+    own = {name: run.get(name) for name in ("name", "config")}
+    for name, value in own.items():
+        if value is not None and not (isinstance(value, str) and value):
+            raise ConfigError(f"{layer.origins[*key, name]}: {name} is {value!r}; give it a word, or leave it out")
+    file = own["config"]
+    below = str(base / file) if file and (base / file).exists() else file
+    values = leaves({name: value for name, value in run.items() if name not in own})
+    origins = {path: layer.origins.get(key + path, f"runs.{number}") for path in values}
+    config = load_config(below, sets, options, Layer(values, origins))
+    return Setting(own["name"] or setting_name(config), config)
+
+
+def format_value(value: object) -> str:
+    """Format a value as on the command line."""
+    return f"{value:g}" if isinstance(value, float) else str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def _unique(settings: Iterable[Setting]) -> list[Setting]:
+    """Return the settings without duplicates; raises ConfigError if two configurations have the same name."""
+    by_name: dict[str, Setting] = {}
+    for setting in settings:
+        if by_name.setdefault(setting.name, setting).config != setting.config:
+            raise ConfigError(f"two runs are named {setting.name!r}; give each a name of its own")
+    return list(by_name.values())
+
+
+def setting_name(config: Config) -> str:
+    """Return the name of a configuration, such as ``robust 20/10x10``: yaw samples, grid, and non-default values."""
+    default = load_config(None, (), {name: getattr(config, name) for name in ("method", "azimuth")})
+    mine, theirs = leaves(config.document()), leaves(default.document())
+    others = [
+        f"{'.'.join(key)}={format_value(value)}"
+        for key, value in mine.items()
+        if value != theirs[key] and key[-1] != "grid" and key[0] not in {"paper", "robust"} - {config.method}
+    ]
+    return " ".join([config.method, f"{config.azimuth}/{config.grid}", *others])
 
 
 class RunLimits(Struct, frozen=True):
@@ -56,9 +154,16 @@ class BatchPart(Struct, frozen=True):
     def __post_init__(self) -> None:
         """Raise UsageError unless ``number`` is from 1 to ``of``."""
         if not 1 <= self.number <= self.of:
-            raise UsageError(
-                f"part {self.number}/{self.of} is none; parts count from 1, for example 1/{max(self.of, 2)}"
-            )
+            example = f"parts count from 1, for example 1/{max(self.of, 2)}"
+            raise UsageError(f"part {self.number}/{self.of} is none; {example}")
+
+    @classmethod
+    def parse(cls, text: str) -> BatchPart:
+        """Read ``1/4``; raises UsageError."""
+        number, slash, of = text.partition("/")
+        if not (slash and number.isdecimal() and of.isdecimal()):
+            raise UsageError(f"--part {text!r} is not I/N; write for example --part 1/4")
+        return cls(int(number), int(of))
 
 
 class BatchLogs(Struct, frozen=True):

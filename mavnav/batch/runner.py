@@ -1,33 +1,142 @@
-"""The runner of a batch or a comparison: runs every missing run in a separate process, and reports results immediately.
+"""The plan and the runner of a batch or a comparison: every missing run in a separate process, its result at once.
 
-Finished runs are read from the cache. If the process of a run dies, its files are removed and the run is retried.
+Finished runs are read from the cache. If the process of a run dies, its files are removed and the run is retried. The
+directory of a batch contains a run directory for every run in ``cells/``, so that finished runs are not repeated.
+``batch.json``, ``batch.csv`` and ``batch.html`` cover all runs.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeVar
+from contextlib import chdir
+from pathlib import Path
+from time import monotonic
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
-from msgspec.structs import replace
+from msgspec import Struct
+from msgspec.structs import asdict, replace
 
 from mavnav.atomic_files import discard
-from mavnav.batch.cases import CaseResult
-from mavnav.batch.jobs import replay_local, replay_remote
-from mavnav.errors import ExitCode
+from mavnav.batch.baseline import EXAMPLE, missing, write_baseline
+from mavnav.batch.cases import Case, CaseResult, make_cases, read_paths
+from mavnav.batch.document import BATCH_FILE, batch_document, judged_row
+from mavnav.batch.files import check_files, write_batch
+from mavnav.batch.manifest import GATE_EXAMPLE, errors_at
+from mavnav.batch.remote import download
+from mavnav.config.options import absolute_options
+from mavnav.errors import ExitCode, MavnavError, UsageError
 from mavnav.jobs import Ended, Event, Job, Outcome, Status, run_jobs, run_with_retries
-from mavnav.jobs.run_cache import finished_document
+from mavnav.jobs.run_cache import RUNS_FOLDER, check_cache_directory, finished_document, is_finished
+from mavnav.metrics.gates import check_names
 from mavnav.outputs.directory import RUN_FILE
+from mavnav.outputs.documents.addresses import public_address
+from mavnav.outputs.documents.schema import number_names
+from mavnav.pipelines.replay import replay_log
+from mavnav.slam.methods import registry
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from mavnav.batch.cases import Case
-    from mavnav.batch.plan import BatchPlan
-    from mavnav.batch.request import RunLimits
+    from mavnav.batch.request import BatchRequest, RunLimits
     from mavnav.jobs.dask import Cluster
     from mavnav.jobs.run_cache import PlannedRun
     from mavnav.pipelines.replay import ReplayRequest
+    from mavnav.profiling import Progress
 
     OnEvent = Callable[[Event], None]
+    Row = dict[str, Any]
+
+
+_OWN_FILES: Final = (RUNS_FOLDER, BATCH_FILE)
+
+
+class BatchPlan(Struct, frozen=True):
+    """The cases of a request, and those of their run directories that are finished."""
+
+    request: BatchRequest
+    cases: tuple[Case, ...]
+    finished: frozenset[Path]
+
+    def by_directory(self) -> dict[Path, list[Case]]:
+        """Return the cases of each run directory; cases with the same directory share one run."""
+        cases: dict[Path, list[Case]] = {}
+        for case in self.cases:
+            if case.run:
+                cases.setdefault(case.run.directory, []).append(case)
+        return cases
+
+    @property
+    def missing(self) -> list[Case]:
+        """The cases to run, one for each run directory."""
+        return [cases[0] for directory, cases in self.by_directory().items() if directory not in self.finished]
+
+
+def plan_batch(request: BatchRequest, progress: Progress) -> BatchPlan:
+    """Return the plan of a batch: its cases, and which of their runs are finished.
+
+    Raises, before any run: UsageError if there are no logs, for gates and tolerances on unknown numbers, for folders
+    that cannot be read, and for files to write that the batch reads or writes otherwise; OutputError if the directory
+    cannot be used. A log that cannot be read only fails its own cases.
+    """
+    if not request.entries:
+        raise UsageError("no logs; name a manifest, or logs, patterns or folders")
+    if request.files:
+        check_files(request.files, (*request.inputs, *read_paths(request)), request.directory)
+    check_cache_directory(request.directory, _OWN_FILES)
+    cases = make_cases(request, progress)
+    check_gates(request, cases)
+    part = request.part
+    return plan_cases(request, cases[part.number - 1 :: part.of] if part else cases)
+
+
+def plan_cases(request: BatchRequest, cases: Sequence[Case]) -> BatchPlan:
+    """Return the plan of these cases, with those of their runs that are finished."""
+    runs = () if request.force else (case.run for case in cases if case.run)
+    return BatchPlan(request, tuple(cases), frozenset(run.directory for run in runs if is_finished(run)))
+
+
+def load_kernels(plan: BatchPlan, progress: Progress) -> None:
+    """Compile the kernels of the missing runs before they start; workers of a cluster compile their own."""
+    for case in plan.missing if plan.request.limits.scheduler is None else ():
+        registry.load_kernels(case.setting.config, progress)
+
+
+def check_gates(request: BatchRequest, cases: Sequence[Case], more: Sequence[str] = ()) -> None:
+    """Raise UsageError for a gate or tolerance on an unknown number, or on ground truth that a log does not have.
+
+    ``more`` are names allowed in gates in addition to those of run.json.
+    """
+    rules, origins = request.rules, request.origins
+    known = {has_references: number_names(reference=has_references) for has_references in (True, False)}
+    for tolerance in rules.watched:
+        with errors_at(origins.get(("tolerances", tolerance.name))):
+            check_names([tolerance.name], known[True], EXAMPLE)
+    for gate, has_references in dict.fromkeys(
+        (gate, case.has_references) for case in cases for gate in (*rules.gates, *case.gates)
+    ):
+        where = origins.get(("gates", gate.text))
+        with errors_at(where):
+            check_names([gate.name], [*known[has_references], *more], *([GATE_EXAMPLE] if where else []))
+
+
+def replay_local(request: ReplayRequest, report: Progress) -> None:
+    """Replay one log into its run directory; the kernels are compiled already, and nothing is returned."""
+    replay_log(request, report, compile_s=0.0)
+
+
+def replay_remote(request: ReplayRequest, report: Progress) -> None:
+    """Download a log and replay it; errors contain its address instead of its path."""
+    report("fetching", 0, None)
+    address = str(request.address)
+    name = public_address(address)
+    paths = {name: value for name, value in asdict(request).items() if isinstance(value, Path) and name != "log"}
+    absolute = {name: path.absolute() for name, path in paths.items()}
+    with download(address) as folder, chdir(folder):
+        try:
+            replay_local(replace(request, options=absolute_options(request.options), **absolute), report)
+        except MavnavError as error:
+            error.args = (str(error).replace(str(request.log), name),)
+            raise
+
 
 T = TypeVar("T")
 
@@ -84,7 +193,7 @@ def _run_missing(
                 record(case, _outcome_of(case, event.outcome, request))
         on_event(event)
 
-    jobs = [_job(name, request) for name, request in runs.items()]
+    jobs = [Job(name, replay_remote if run.address else replay_local, (run,)) for name, run in runs.items()]
     limits = plan.request.limits
     if cluster:
         cluster.run_jobs(jobs, listen, limits.timeout_s)
@@ -94,9 +203,8 @@ def _run_missing(
 
 def _outcome_of(case: Case, outcome: Outcome, request: ReplayRequest) -> Outcome:
     """Return the outcome of a run for one of the cases that share it: the error names the log of the case."""
-    if case.run is None or not outcome.error:
-        return outcome
-    return replace(outcome, error=outcome.error.replace(str(request.log), str(case.run.request.log)))
+    own = case.run.request.log if case.run else request.log
+    return replace(outcome, error=outcome.error.replace(str(request.log), str(own)))
 
 
 def _spoilt(run: PlannedRun, outcome: Outcome | None) -> Outcome:
@@ -104,10 +212,6 @@ def _spoilt(run: PlannedRun, outcome: Outcome | None) -> Outcome:
     error = f"{run.directory / RUN_FILE} was removed or damaged meanwhile; repeat this call"
     pid, seconds = (outcome.pid, outcome.seconds) if outcome else (0, 0.0)
     return Outcome(Status.FAILED, pid, seconds, error=error, exit_code=ExitCode.OUTPUT)
-
-
-def _job(name: str, request: ReplayRequest) -> Job:
-    return Job(name, replay_remote if request.address else replay_local, (request,))
 
 
 def _run_here(jobs: Sequence[Job], on_event: OnEvent, limits: RunLimits) -> list[Outcome]:
@@ -119,3 +223,30 @@ def _run_here(jobs: Sequence[Job], on_event: OnEvent, limits: RunLimits) -> list
         on_event(event)
 
     return run_jobs(jobs, limits.workers, tidy, limits.timeout_s, limits.memory_mb)
+
+
+def run_batch(
+    plan: BatchPlan, on_event: Callable[[Event], None], on_row: Callable[[Row], None], cluster: Cluster | None = None
+) -> Row:
+    """Run the missing runs, evaluate all gates, and return batch.json.
+
+    ``on_row`` is called with the row of every run as soon as it is known; ``on_event`` and ``cluster`` are those of
+    `run_cases`. Raises OutputError if the documents cannot be written. A part of a batch writes no documents, and does
+    not report runs missing since the baseline: run the whole batch for these when all parts are finished.
+    """
+    began_s, request = monotonic(), plan.request
+
+    def judge(result: CaseResult) -> Row:
+        row = judged_row(result, request)
+        on_row(row)
+        return row
+
+    rows, rules = run_cases(plan, on_event, judge, cluster), request.rules
+    missing_runs = [] if rules.baseline is None or request.part else missing(rows, rules.baseline)
+    wall_s = monotonic() - began_s
+    document = batch_document(rows, wall_s, rules.baseline, missing_runs, baseline_gate=rules.baseline_gate)
+    if request.part is None:
+        write_batch(document, request.directory)
+    if request.new_baseline:
+        write_baseline(rows, request.new_baseline, rules.watched)
+    return document

@@ -46,12 +46,8 @@ def to_summary(document: Mapping[str, Any]) -> str:
     lines += [f"- **{escape(row['name'])}**: {escape('; '.join(why(row)))}" for row in bad[:MAX_ROWS]]
     lines += [f"- **{escape(name)}**: in the baseline, not in this batch" for name in _missing(document)[:MAX_ROWS]]
     lines += [""] if bad or _missing(document) else []
-    titles = [
-        "",
-        "run",
-        *(figure.head for figure in FIGURES),
-        *(["since the baseline"] if document["baseline"] else []),
-    ]
+    titles = ["", "run", *(figure.head for figure in FIGURES)]
+    titles += ["since the baseline"] if document["baseline"] else []
     lines += [table_row(titles), table_row(["---"] * len(titles))]
     lines += [table_row(_cells(row, since=bool(document["baseline"]))) for row in rows[:MAX_ROWS]]
     if len(rows) > MAX_ROWS:
@@ -91,9 +87,8 @@ def change_text(row: Mapping[str, Any]) -> str:
 def github_commands(document: Mapping[str, Any]) -> list[str]:
     """Return the workflow commands that show the failures of a batch on GitHub, one line each."""
     bad = [row for row in worst_first(document["cells"]) if row["verdict"]]
-    errors = [
-        f"::error file={_property(r['log'])},title={_property(r['name'])}::{_data('; '.join(why(r)))}" for r in bad
-    ]
+    places = [f"file={_property(row['log'])},title={_property(row['name'])}" for row in bad]
+    errors = [f"::error {place}::{_data('; '.join(why(row)))}" for place, row in zip(places, bad, strict=True)]
     return errors + [f"::{kind} title=mavnav::{_data(text)}" for kind, text in missing_lines(document)]
 
 

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mavnav.batch.options import BatchOptions
-    from mavnav.batch.plan import BatchPlan
     from mavnav.batch.request import BatchRequest
+    from mavnav.batch.runner import BatchPlan
     from mavnav.jobs.dask import Cluster
     from mavnav.profiling import Progress
 
@@ -168,7 +168,7 @@ def batch(
 def _plan(options: BatchOptions, report: Progress) -> BatchPlan:
     """Read manifest and logs, and load the kernels here."""
     from mavnav.batch.options import request_of
-    from mavnav.batch.plan import load_kernels, plan_batch
+    from mavnav.batch.runner import load_kernels, plan_batch
 
     plan = plan_batch(request_of(options), report)
     load_kernels(plan, report)
@@ -176,7 +176,7 @@ def _plan(options: BatchOptions, report: Progress) -> BatchPlan:
 
 
 def _run(plan: BatchPlan, *, json: bool, quiet: bool) -> dict[str, Any]:
-    from mavnav.batch.run import run_batch
+    from mavnav.batch.runner import run_batch
 
     with (
         _cluster(plan.request, quiet=quiet) as cluster,

@@ -15,7 +15,7 @@ from mavnav.config.options import READING, REFERENCES, read_options, settings_of
 from mavnav.errors import UsageError
 
 if TYPE_CHECKING:
-    from mavnav.batch.plan import BatchPlan
+    from mavnav.batch.runner import BatchPlan
     from mavnav.profiling import Progress
 
 EPILOG = """
@@ -67,7 +67,7 @@ def compare(
     bounds = shared.gates_of(gates)
     with reporting(quiet=quiet) as report:
         with loading_modules():
-            from mavnav.batch.plan import load_kernels
+            from mavnav.batch.runner import load_kernels
             from mavnav.comparison import pipeline
             from mavnav.jobs import usable_cores
             from mavnav.outputs.documents.provenance import Typed

@@ -141,7 +141,7 @@ def _note_problems(document: dict[str, Any]) -> None:
 
 def _note_continued(continued: dict[str, Any], log: str) -> None:
     """Print what the user must not miss of a run to which a log was added."""
-    from mavnav.pipelines.continuing import run_to_continue, version_warning
+    from mavnav.pipelines.sessions import run_to_continue, version_warning
 
     if warning := version_warning(run_to_continue(Path(continued["run"]))):
         note(f"mavnav: warning: {warning}")

@@ -10,9 +10,8 @@ import io
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.atomic_files import beside
-from mavnav.batch.document import ENDS
+from mavnav.batch.document import ENDS, run_row
 from mavnav.errors import ExitCode, OutputError, worst
-from mavnav.jobs.run_cache import run_row
 from mavnav.metrics.gates import judge_some
 from mavnav.outputs.documents.quantities import QUANTITIES, comparable, number, ranked_values, size_note, winners
 from mavnav.outputs.files.document import to_json
@@ -46,12 +45,11 @@ def comparison_document(results: Sequence[CaseResult], directory: Path, gates: S
     the metric depends on them; all are None if there are several logs.
     """
     runs = [result.document for result in results]
-    cases = [(result.case.name, result.case.run) for result in results if result.case.run]
-    planned = [run for _, run in cases]
+    planned = [result.case.run for result in results if result.case.run]
     groups = [((r.request.log, r.config.method), r.config.grid.points + r.config.azimuth) for r in planned]
     costs = relative_costs(groups, runs)
     verdicts = [verdict for k, run in enumerate(runs) if run for verdict in _judge(gates, run, costs, k)]
-    rows = [run_row(*case, r.outcome, r.document, directory) for case, r in zip(cases, results, strict=True)]
+    rows = [run_row(result, directory) for result in results]
     logs = _logs(planned, runs)
     codes = [*(row["exit_code"] for row in rows), *(ExitCode.GATE_FAILED for v in verdicts if not v["passed"])]
     return {

@@ -13,10 +13,8 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec.structs import replace
 
 from mavnav.batch.cases import make_cases
-from mavnav.batch.plan import BatchPlan, check_gates, plan_cases
-from mavnav.batch.request import BatchLogs, BatchRequest, Rules, RunLimits
-from mavnav.batch.runner import run_cases
-from mavnav.batch.settings import crossed_settings, named_settings
+from mavnav.batch.request import BatchLogs, BatchRequest, Rules, RunLimits, crossed_settings, named_settings
+from mavnav.batch.runner import BatchPlan, check_gates, plan_cases, run_cases
 from mavnav.comparison.document import COMPARISON_FILE, RELATIVE_COSTS, comparison_document, write_comparison
 from mavnav.config.named_files import read_json
 from mavnav.config.options import reference_files
@@ -31,7 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Sequence
 
     from mavnav.batch.cases import Case
-    from mavnav.batch.settings import Setting
+    from mavnav.batch.request import Setting
     from mavnav.config.models import Config
     from mavnav.config.options import ReplayOptions
     from mavnav.jobs import Event

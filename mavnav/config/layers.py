@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from msgspec import Struct, field
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
 Key = tuple[str, ...]
 
@@ -58,17 +58,22 @@ class Layer(Struct, frozen=True):
         return root
 
 
-def by_dotted_key(section: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+def leaves(section: Mapping[str, Any], above: Key = ()) -> dict[Key, Any]:
+    """Return the values of nested dictionaries by their keys; an empty one has none."""
+    values: dict[Key, Any] = {}
+    for name, value in section.items():
+        key = (*above, name)
+        values |= leaves(value, key) if isinstance(value, dict) else {key: value}
+    return values
+
+
+def by_dotted_key(section: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values of nested dictionaries by their dotted keys; an empty one has none."""
-    leaves: dict[str, Any] = {}
-    for key, value in section.items():
-        leaves |= by_dotted_key(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
-    return leaves
+    return {".".join(key): value for key, value in leaves(section).items()}
 
 
 def _overlap(a: Key, b: Key) -> bool:
-    shorter = min(len(a), len(b))
-    return a[:shorter] == b[:shorter]
+    return all(one == other for one, other in zip(a, b, strict=False))
 
 
 def _inside(key: Key, list_key: Key) -> bool:

@@ -56,20 +56,17 @@ def presets_folder() -> Path:
     return installed if installed.is_dir() else package.parent / "configs"
 
 
-def presets() -> list[str]:
-    """Return the names of the presets: the files without walls in ``configs/``."""
-    return _config_names(scenarios=False)
-
-
+@cache
 def scenarios() -> list[str]:
     """Return the names of the scenarios: the files with walls in ``configs/``."""
-    return _config_names(scenarios=True)
+    texts = {path.stem: path.read_text("utf-8") for path in presets_folder().glob("*.yaml")}
+    return sorted(name for name, text in texts.items() if re.search(r"(?m)^walls:", text))
 
 
 @cache
-def _config_names(*, scenarios: bool) -> list[str]:
-    texts = {path.stem: path.read_text("utf-8") for path in presets_folder().glob("*.yaml")}
-    return [name for name, text in sorted(texts.items()) if bool(re.search(r"(?m)^walls:", text)) == scenarios]
+def presets() -> list[str]:
+    """Return the names of the presets: the files without walls in ``configs/``."""
+    return sorted({path.stem for path in presets_folder().glob("*.yaml")} - {*scenarios()})
 
 
 def file_layer(file: str | Path | None) -> Layer:
@@ -149,11 +146,9 @@ def _set_layer(assignment: str) -> Layer:
 
 
 def _option_layer(overrides: Mapping[str, object]) -> Layer:
-    given = {name: tuple(name.split(".")) for name, value in overrides.items() if value is not None}
-    return Layer(
-        {key: overrides[name] for name, key in given.items()},
-        {key: OPTIONS.get(name, f"--{key[-1].replace('_', '-')}") for name, key in given.items()},
-    )
+    values = {tuple(name.split(".")): value for name, value in overrides.items() if value is not None}
+    flags = {key: OPTIONS.get(".".join(key), f"--{key[-1].replace('_', '-')}") for key in values}
+    return Layer(values, flags)
 
 
 def key_now(key: Key) -> Key:
@@ -297,11 +292,11 @@ def _yaml_lines(document: Mapping[str, Any], above: Key, descriptions: Mapping[K
         if isinstance(value, dict):
             lines += [f"{indent}{name}:{comment}\n", *_yaml_lines(value, key, descriptions)]
         else:
-            lines.append(f"{indent}{name}: {_scalar(value)}{comment}\n")
+            lines.append(f"{indent}{name}: {to_scalar(value)}{comment}\n")
     return lines
 
 
-def _scalar(value: object) -> str:
-    if isinstance(value, str) and value and re.fullmatch(r"[A-Za-z/][\w/.-]*|\d+x\d+", value):
-        return value
-    return dumps(value)
+def to_scalar(value: object) -> str:
+    """Write a value as YAML; a plain word without quotes, which a shell would need quotes for."""
+    is_word = isinstance(value, str) and re.fullmatch(r"[A-Za-z/][\w/.-]*|\d+x\d+", value)
+    return str(value) if is_word else dumps(value)

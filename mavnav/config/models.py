@@ -11,14 +11,44 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args
 
-from msgspec import Meta, field, to_builtins
+from msgspec import Meta, Struct, field, to_builtins
 from msgspec.structs import force_setattr, replace
 
-from mavnav.config.strict import InSI, Strict, in_si, setting
 from mavnav.units import DEG, MM, MM2
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
+
+
+class Strict(Struct, frozen=True, forbid_unknown_fields=True):
+    """A frozen record that is read with all its bounds; unknown keys are refused.
+
+    A value that is wrong only beside others is refused in ``__post_init__``, by a ValueError that begins with the key
+    and a colon.
+    """
+
+
+class InSI:
+    """A value of a section in SI units: ``cell_m`` of ``cell_mm``."""
+
+    def __init__(self, key: str, unit: float) -> None:
+        """Take the key and its unit, a constant of `mavnav.units`."""
+        self._key, self._unit = key, unit
+
+    def __get__(self, section: Strict, owner: type[Strict]) -> float:
+        """Return the value."""
+        return float(getattr(section, self._key) * self._unit)
+
+
+def in_si(unit: float, *keys: str) -> Iterator[InSI]:
+    """Return attributes of a section for its keys of one unit."""
+    return (InSI(key, unit) for key in keys)
+
+
+def setting(description: str, **bounds: Any) -> Meta:  # noqa: ANN401  of msgspec.Meta
+    """Return the annotation of a field: its description and its bounds; NaN and infinity lie outside of two bounds."""
+    return Meta(description=description, **bounds)
+
 
 MethodName = Literal["robust", "paper"]
 
@@ -236,3 +266,41 @@ class Config(Strict, frozen=True):
     def document(self) -> dict[str, Any]:
         """Return the effective configuration as plain data, grid as text."""
         return {**to_builtins(self), "grid": str(self.grid)}
+
+
+TechniqueName = Literal["wavefront", "field", "wall_following", "virtual_obstacles"]
+
+
+class PlannerConfig(Strict, frozen=True):
+    """Parameters of the planner (paper, "Path Planning"); see docs/planner.md.
+
+    Forces have no unit: at force 1 the vehicle moves by ``max_step_mm`` in free space.
+    """
+
+    technique: Annotated[TechniqueName, setting("method against local minima")] = "wavefront"
+    attraction_gain: Annotated[float, setting("force of the goal", gt=0, le=1_000_000)] = 1.0
+    repulsion_gain: Annotated[float, setting("force of the occupied cells", ge=0, le=1_000_000)] = 0.5
+    repulsion_range_mm: Annotated[float, setting("cells farther away do not repel", gt=0, le=5000)] = 600.0
+    mass_kg: Annotated[float, setting("virtual mass; a larger one smooths the path", gt=0, le=1_000_000)] = 1.0
+    max_step_mm: Annotated[float, setting("longest command in the plane", gt=0, le=1000)] = 100.0
+    max_turn_deg: Annotated[float, setting("largest turn of a command", gt=0, le=180)] = 15.0
+    view_deg: Annotated[float, setting("at a larger angle to its heading, the vehicle turns first", gt=30, le=180)] = (
+        110.0
+    )
+    safety_mm: Annotated[float, setting("clearance that commands keep where possible", ge=0, le=5000)] = 250.0
+    least_safety_mm: Annotated[float, setting("clearance kept in narrow passages", ge=0, le=5000)] = 150.0
+    min_hits: Annotated[int, setting("least hits in 5x5 cells of an obstacle; paper: 1", ge=1, le=1_000_000)] = 2
+    min_share: Annotated[float, setting("least share of beams that end in an obstacle; paper: 0", ge=0, le=1)] = 0.1
+    plan_cell_mm: Annotated[float, setting("cell edge of the wavefront grid", ge=10, le=1000)] = 50.0
+    stall_steps: Annotated[int, setting("steps within stall_mm that count as a stall", ge=2)] = 25
+    stall_mm: Annotated[float, setting("a vehicle that stays within this has stalled", gt=0, le=1_000_000)] = 200.0
+
+    repulsion_range_m, max_step_m, stall_m = in_si(MM, "repulsion_range_mm", "max_step_mm", "stall_mm")
+    safety_m, least_safety_m, plan_cell_m = in_si(MM, "safety_mm", "least_safety_mm", "plan_cell_mm")
+    max_turn_rad, view_rad = in_si(DEG, "max_turn_deg", "view_deg")
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if the clearances are not in order."""
+        if self.least_safety_mm > self.safety_mm:
+            least_mm, most_mm = self.least_safety_mm, self.safety_mm
+            raise ValueError(f"has least_safety_mm {least_mm:g} above safety_mm {most_mm:g}; lower it")

@@ -78,9 +78,8 @@ def layer_of(text: bytes | str, name: str, wanted: str = CONFIGURATION) -> Layer
         _refuse_aliases(text, name, wanted)
         root = yaml.compose(text, _Yaml12)
     except yaml.MarkedYAMLError as error:
-        raise ConfigError(
-            f"{name}:{_line(error.problem_mark)}: not valid YAML, {error.problem}; mend that line"
-        ) from error
+        where = f"{name}:{_line(error.problem_mark)}"
+        raise ConfigError(f"{where}: not valid YAML, {error.problem}; mend that line") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise ConfigError(f"{name}: not YAML text; name {wanted}") from error
     layer = Layer()
@@ -120,8 +119,6 @@ def _collect(node: yaml.MappingNode, key: Key, name: str, layer: Layer) -> None:
         layer.origins[child] = f"{name}:{line}"
         if isinstance(value_node, yaml.MappingNode) and value_node.value:
             _collect(value_node, child, name, layer)
-        elif isinstance(value_node, yaml.MappingNode):
-            layer.values[child] = {}
         else:
             layer.values[child] = _value(value_node, child, name, layer)
 
@@ -137,13 +134,12 @@ def _value(node: yaml.Node, key: Key, name: str, layer: Layer) -> object:
         _collect(node, (), name, inner)
         layer.origins.update({(*key, *inner_key): origin for inner_key, origin in inner.origins.items()})
         return inner.tree()
+    where = f"{name}:{_line(node.start_mark)}: {'.'.join(key)}"
     if not isinstance(node, yaml.ScalarNode) or node.tag not in _SCALAR_TAGS:
-        where = f"{name}:{_line(node.start_mark)}: {'.'.join(key)}"
         raise ConfigError(f"{where} has a tag; write a plain number, word or list")
     loader = _Yaml12("")
     try:
         value: object = loader.construct_object(node)
     except ValueError as error:  # an integer with more digits than Python converts
-        where = f"{name}:{_line(node.start_mark)}: {'.'.join(key)}"
         raise ConfigError(f"{where} is a number of {len(node.value)} digits; write fewer") from error
     return value

@@ -5,10 +5,8 @@ during a job, only this job is lost, and a new worker replaces it. Workers are f
 and end when their parent dies. Their output to stdout and stderr is discarded.
 """
 
-from mavnav.jobs.pool import run_jobs, usable_cores
-from mavnav.jobs.records import Ended, Event, Job, Outcome, Progressed, Retried, Started, Status
-from mavnav.jobs.retry import run_with_retries
-from mavnav.jobs.worker import attempt, failure
+from mavnav.jobs.pool import run_jobs, run_with_retries, usable_cores
+from mavnav.jobs.worker import Ended, Event, Job, Outcome, Progressed, Retried, Started, Status, attempt, failure
 
 __all__ = [
     "Ended",

@@ -1,4 +1,4 @@
-"""The process pool: worker processes, the job of each, and the cause of its death."""
+"""The process pool: worker processes, the job of each, the cause of its death, and retries."""
 
 from __future__ import annotations
 
@@ -13,12 +13,17 @@ from multiprocessing import connection, get_context
 from time import monotonic
 from typing import TYPE_CHECKING
 
+from msgspec.structs import replace
+
 from mavnav.errors import ExitCode
-from mavnav.jobs.records import Ended, Event, Job, Outcome, Started, Status
-from mavnav.jobs.worker import serve
+from mavnav.jobs.worker import Ended, Event, Job, Outcome, Retried, Started, Status, serve
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
+
+    Listener = Callable[[Event], None]
+    Run = Callable[[Sequence[Job], Listener], Sequence[Outcome]]
+
 
 CONTEXT = get_context("fork") if sys.platform == "linux" else get_context("spawn")
 """Start method of workers. A forked worker shares its parent's modules; a spawned one takes 1 s of CPU to load them.
@@ -182,3 +187,34 @@ def _block_sigint() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def run_with_retries(jobs: Sequence[Job], run: Run, on_event: Listener, tries: int) -> None:
+    """Run jobs; run those whose process died again after all others, up to ``tries`` times in all.
+
+    ``run`` runs some jobs, as `run_jobs` does. ``on_event`` gets an `Ended` for every job once, with its index in
+    ``jobs``; a death before the last try is reported as `Retried`.
+    """
+    left = list(range(len(jobs)))
+    for number in range(1, tries + 1):
+        outcomes = run([jobs[k] for k in left], _renumber(left, on_event, number, tries))
+        left = [k for k, outcome in zip(left, outcomes, strict=True) if outcome.status is Status.DIED]
+        if not left:
+            return
+
+
+def _renumber(numbers: Sequence[int], on_event: Listener, number: int, tries: int) -> Listener:
+    """Return a listener that replaces the index of a job in this round by its index among all jobs."""
+
+    def listen(event: Event) -> None:
+        event = replace(event, index=numbers[event.index])
+        if isinstance(event, Ended) and event.outcome.status is Status.DIED:
+            error = event.outcome.error
+            if number < tries:
+                event = Retried(event.index, error)
+            elif tries > 1:
+                outcome = replace(event.outcome, error=f"{error}; given up after {tries} tries")
+                event = Ended(event.index, outcome)
+        on_event(event)
+
+    return listen

@@ -23,28 +23,14 @@ from mavnav.pipelines.replay import replay_directory
 from mavnav.version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from mavnav.config.models import Config
     from mavnav.ground_truth.references import References
-    from mavnav.jobs import Outcome
     from mavnav.pipelines.replay import ReplayRequest
 
 RUNS_FOLDER: Final = "cells"
 """Where in the directory of a comparison or a batch the directories of its runs are."""
-
-SECTIONS: Final = (
-    "scans",
-    "tracking",
-    "search",
-    "map",
-    "wall_thickness",
-    "map_quality",
-    "reference",
-    "timing",
-    "exit_code",
-)
-"""Sections of run.json that the document of a comparison or a batch repeats for every run."""
 
 
 class PlannedRun(Struct, frozen=True):
@@ -155,27 +141,3 @@ def _has_digest(path: Path, digest: str) -> bool:
         return file_sha256(path) == digest
     except (OSError, ValueError):
         return False
-
-
-def run_row(
-    name: str, planned: PlannedRun, outcome: Outcome | None, run: Mapping[str, Any] | None, directory: Path
-) -> dict[str, Any]:
-    """Return the row of a run: its display name, its settings, its status, and the sections of its run.json.
-
-    ``outcome`` is None for a run read from the cache, ``run`` for one that failed. Its directory is relative to
-    ``directory``.
-    """
-    status = "cached" if outcome is None else "failed" if run is None else "done"
-    return {
-        "name": name,
-        "log": str(planned.request.log),
-        "method": planned.config.method,
-        "grid": str(planned.config.grid),
-        "azimuth": planned.config.azimuth,
-        "key": planned.key,
-        "status": status,
-        "exit_code": int(run["exit_code"] if run else outcome.exit_code if outcome else ExitCode.BUG),
-        "error": outcome.error if outcome and outcome.error else None,
-        "directory": planned.directory.relative_to(directory).as_posix() if run else None,
-        "run": {name: run[name] for name in SECTIONS if name in run} if run else None,
-    }

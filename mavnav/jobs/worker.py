@@ -1,4 +1,4 @@
-"""The worker process: receives jobs from a channel, runs them, and sends progress and outcomes to the channel."""
+"""Jobs, their events and outcomes; and the worker process that receives jobs from a channel and sends those back."""
 
 from __future__ import annotations
 
@@ -6,18 +6,91 @@ import os
 import pickle
 import signal
 import sys
+from enum import StrEnum
 from multiprocessing import parent_process
 from threading import Thread
 from time import monotonic
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from msgspec import Struct
+
 from mavnav.errors import ExitCode, MavnavError, lacks_memory
-from mavnav.jobs.records import Ended, Job, Outcome, Progressed, Status
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from multiprocessing import connection
 
     from mavnav.profiling import Progress
+
+
+class Job(Struct, frozen=True):
+    """A function call to run in another process: ``work(*args, report)``.
+
+    ``work`` is a module-level function whose result can be pickled; ``report`` is a `Progress`. ``name`` is the display
+    name.
+    """
+
+    name: str
+    work: Callable[..., Any]
+    args: tuple[Any, ...] = ()
+
+
+class Status(StrEnum):
+    """How a job ended: with a result, an exception, the death of its process, or its time limit."""
+
+    DONE = "done"
+    FAILED = "failed"
+    DIED = "died"
+    TIMEOUT = "timeout"
+
+
+class Outcome(Struct, frozen=True):
+    """Outcome of a job.
+
+    ``value`` is its result. If there is none, ``error`` is the reason in one line, and ``exit_code`` is that of the
+    exception, or that of a bug if the process died. ``pid`` is the process that ran the job.
+    """
+
+    status: Status
+    pid: int
+    seconds: float
+    value: Any = None
+    error: str = ""
+    exit_code: ExitCode = ExitCode.DONE
+
+
+class Started(Struct, frozen=True):
+    """Job ``index`` started in process ``pid``."""
+
+    index: int
+    pid: int
+
+
+class Progressed(Struct, frozen=True):
+    """Job ``index`` reported its progress; see `Progress`."""
+
+    index: int
+    phase: str
+    done: int
+    total: int | None
+
+
+class Retried(Struct, frozen=True):
+    """The process of job ``index`` died with ``error``; the job will be run again."""
+
+    index: int
+    error: str
+
+
+class Ended(Struct, frozen=True):
+    """Job ``index`` ended."""
+
+    index: int
+    outcome: Outcome
+
+
+Event = Started | Progressed | Retried | Ended
+
 
 REPORT_PERIOD_S = 0.2
 """Minimum time between two progress reports of one phase, in s."""

@@ -132,7 +132,7 @@ def atomic_directory(directory: Path, *, force: bool, marker: str = RUN_FILE) ->
         raise OutputError(f"{directory} cannot be written: {reason}; make room or choose another with -o") from error
 
 
-def check_file(path: Path | None, suffix: str, kind: str, *, force: bool) -> None:
+def check_file(path: Path | None, suffix: str, *, force: bool) -> None:
     """Raise UsageError or OutputError for a file that could not be written or has another suffix; None is no file."""
     if path is None:
         return
@@ -140,12 +140,12 @@ def check_file(path: Path | None, suffix: str, kind: str, *, force: bool) -> Non
     if is_stream(path):
         return
     if path.suffix.lower() != suffix:
-        raise UsageError(f"{path} is no {kind} file; name it with {suffix}, for example {path}{suffix}")
+        raise UsageError(f"{path} is no {suffix[1:].upper()} file; name it with {suffix}, for example {path}{suffix}")
     if path.exists() and not force:
         raise OutputError(f"{path} exists; choose another file, or --force to replace it")
 
 
-def write_file(path: Path, write: Callable[[Path], None], *, force: bool) -> None:
+def write_file(path: Path, write: Callable[[Path], object], *, force: bool) -> None:
     """Write a file by a function that is given a path; raises OutputError if it cannot be written."""
     try:
         with beside(path, exclusive=not force) as partial:

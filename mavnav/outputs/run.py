@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from mavnav.outputs.documents.run_json import Localisation, MissionResult, Provenance, TruthErrors
     from mavnav.outputs.documents.sections import Continued
     from mavnav.pose import Trajectory
-    from mavnav.sessions.session import Session
+    from mavnav.sessions.group import Session
     from mavnav.slam.result import SlamResult
 
     Walls: TypeAlias = "Truth | TrueMap | WallShapes"

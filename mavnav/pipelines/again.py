@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import json
 import platform
-import re
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct, ValidationError, convert
 
 from mavnav.config.layers import by_dotted_key
-from mavnav.config.loading import key_now, load_config, read_model
+from mavnav.config.loading import key_now, load_config, read_model, to_scalar
 from mavnav.config.named_files import read_json
 from mavnav.config.options import restore_options, words_of
 from mavnav.errors import ConfigError, UsageError
@@ -30,8 +29,6 @@ if TYPE_CHECKING:
     from mavnav.config.layers import Layer
     from mavnav.config.models import Config
     from mavnav.config.options import ReplayOptions
-
-_WORD: Final = re.compile(r"[A-Za-z/][\w/.-]*|\d+x\d+")
 
 
 class EarlierRun(Struct, frozen=True):
@@ -53,9 +50,7 @@ class EarlierRun(Struct, frozen=True):
             for name, then in made.items()
             if (installed := now.get(name) or installed_version(name)) != then
         ]
-        lines = (
-            [f"other versions than in {self.directory}, results may differ: {', '.join(changed)}"] if changed else []
-        )
+        lines = [f"other versions than in {self.directory}, results may differ: {', '.join(changed)}"] * bool(changed)
         if self.document["partial"]:
             lines.append(f"{self.directory} was stopped before the log ended; this run goes on to its end")
         return lines
@@ -115,7 +110,7 @@ def replay_again(run: EarlierRun, log: Path | None) -> dict[str, Any]:
     return {
         "options": restore_options(run.document["provenance"]["options"], run.path),
         "log": _same_log(run, log),
-        "config": _config(run),
+        "config": load_config(values=_layer(run.document["config"], run.directory / RUN_FILE)),
         "report": (run.directory / REPORT_FILE).is_file(),
     }
 
@@ -128,56 +123,44 @@ def typed_again(run: EarlierRun, words: Sequence[str]) -> Typed:
 
 def simulation_again(run: EarlierRun) -> dict[str, Any]:
     """Return the fields of the request that repeats a mission: its effective scenario, whatever became of the file."""
-    name, source = str(run.directory / RUN_FILE), run.document["input"]
-    from mavnav.config.yaml_layers import layer_of  # noqa: PLC0415  yaml takes 10 ms to load
     from mavnav.simulation.world import Scenario  # noqa: PLC0415  models take time to build
 
+    file, source = run.directory / RUN_FILE, run.document["input"]
     return {
-        "scenario": read_model(
-            Scenario, layer_of(json.dumps(run.document["scenario"]), name).rename_keys(key_now), name
-        ),
+        "scenario": read_model(Scenario, _layer(run.document["scenario"], file), str(file)),
         "path": run.path(source["path"]),
         "content": (source["sha256"], source["size_bytes"]),
         "report": (run.directory / REPORT_FILE).is_file(),
     }
 
 
-def _config(run: EarlierRun) -> Config:
-    """Return the effective configuration of a run; raises ConfigError where this version has other keys."""
-    return load_config(values=_layer(run.document, run.directory / RUN_FILE))
-
-
 def run_layer(directory: str | Path) -> Layer:
     """Return the configuration of a run or merge, for a run that continues it; raises UsageError for what is none."""
-    from mavnav.pipelines.continuing import run_to_continue  # noqa: PLC0415  few runs need it
+    from mavnav.pipelines.sessions import run_to_continue  # noqa: PLC0415  few runs need it
 
     run = run_to_continue(Path(directory))
-    return _layer(run.document, run.directory)
+    return _layer(run.document["config"], run.directory)
 
 
-def _layer(document: dict[str, Any], path: Path) -> Layer:
+def _layer(section: dict[str, Any], path: Path) -> Layer:
+    """Return a section of the document in a file, a configuration or scenario, with the keys of now."""
     from mavnav.config.yaml_layers import layer_of  # noqa: PLC0415  yaml takes 10 ms to load
 
-    return layer_of(json.dumps(document["config"]), str(path)).rename_keys(key_now)
+    return layer_of(json.dumps(section), str(path)).rename_keys(key_now)
 
 
 def _same_log(run: EarlierRun, log: Path | None) -> Path:
     """Return the log of a run; raises UsageError unless it is there with the same content."""
-    source, was = run.document["input"], run.document["input"]["path"]
+    was, sha256 = (run.document["input"][key] for key in ("path", "sha256"))
+    again = f"write mavnav replay LOG --again {run.directory}"
     if log is None and is_address(was):
-        raise UsageError(
-            f"the log was fetched from {was}; fetch it and write mavnav replay LOG --again {run.directory}"
-        )
+        raise UsageError(f"the log was fetched from {was}; fetch it and {again}")
     path = log or run.path(was)
     if not path.exists():
-        where = f"write mavnav replay LOG --again {run.directory} with its place now"
-        raise UsageError(f"{path}: the log of the run is not there; {where}")
-    digest = content_sha256(path)
-    if digest != source["sha256"]:
-        changed = f"its SHA-256 was {source['sha256']} and is {digest}"
-        raise UsageError(
-            f"{path} is not the log of {run.directory}, {changed}; name the right one, or leave out --again"
-        )
+        raise UsageError(f"{path}: the log of the run is not there; {again} with its place now")
+    if (digest := content_sha256(path)) != sha256:
+        changed = f"{path} is not the log of {run.directory}, its SHA-256 was {sha256} and is {digest}"
+        raise UsageError(f"{changed}; name the right one, or leave out --again")
     return path
 
 
@@ -189,9 +172,8 @@ def replay_words(log: str, options: ReplayOptions[Path], config: Config) -> list
     """
     command = "batch" if is_address(log) else "replay"
     changed = changed_values(config, _base(options.get("continue_from"), config))
-    return ["mavnav", command, log, *words_of(options)] + [
-        f"--set={key}={_yaml_text(value)}" for key, value in changed.items()
-    ]
+    sets = [f"--set={key}={to_scalar(value)}" for key, value in changed.items()]
+    return ["mavnav", command, log, *words_of(options), *sets]
 
 
 def _base(continued: Path | None, config: Config) -> Config:
@@ -206,8 +188,3 @@ def changed_values(config: Config, base: Config) -> dict[str, Any]:
     """Return the method, and the values of a configuration by dotted keys that differ from those of another one."""
     default, own = by_dotted_key(base.document()), by_dotted_key(config.document())
     return {key: value for key, value in own.items() if key == "method" or value != default[key]}
-
-
-def _yaml_text(value: object) -> str:
-    """Write a value as YAML; a plain word without quotes, which a shell would need quotes for."""
-    return value if isinstance(value, str) and _WORD.fullmatch(value) else json.dumps(value)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import partial
 from math import isfinite
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct, field
@@ -15,12 +16,11 @@ from mavnav.errors import ExitCode, TopicError, UsageError, worst
 from mavnav.logs import check_log, open_log
 from mavnav.logs.formats.detect import log_name
 from mavnav.metrics.calibration.motion import motions_of
-from mavnav.metrics.calibration.quantities import KINDS, LEAST_TURN_RAD, Calibration, calibration_of, motion_of, refusal
+from mavnav.metrics.calibration.quantities import LEAST_TURN_RAD, Calibration, calibration_of, motion_of, refusal
 from mavnav.outputs.directory import check_apart, check_file, write_file
 from mavnav.outputs.files.document import to_json
 from mavnav.outputs.pictures import calibration_picture
 from mavnav.outputs.report.summary_page import calibration_summary, draw_png, write_summary
-from mavnav.pipelines.calibration_lines import option_of, reading_options, replay_line, transform_line
 from mavnav.scan import LONGEST_SWEEP
 from mavnav.slam.methods.registry import load_kernels
 from mavnav.slam.pipeline import MEASURING, run_slam
@@ -32,11 +32,15 @@ if TYPE_CHECKING:
     from mavnav.config.models import Config
     from mavnav.logs import Log
     from mavnav.metrics.calibration.motion import Motions
-    from mavnav.metrics.calibration.quantities import QuantityValue
+    from mavnav.metrics.calibration.quantities import QuantityKind, QuantityValue
     from mavnav.profiling import Progress
     from mavnav.slam.result import SlamResult
 
+
 SCHEMA_VERSION: Final = 1
+
+MOUNTING: Final = ("x_m", "y_m", "yaw_deg")
+"""Quantities of the mounting; the others are settings that correct the odometry."""
 
 RANGE_BIAS: Final = "an additive bias of all ranges moves the walls, not the track; measure a known distance"
 
@@ -92,9 +96,9 @@ def _check(request: CalibrationRequest) -> None:
     if "," in (options.get("topic") or ""):
         raise UsageError("calibrate takes one laser; name one --topic at a time")
     check_log(request.log, options.get("start_s"), options.get("end_s"))
-    check_file(request.document, ".json", "JSON", force=request.force)
-    check_file(request.picture, ".png", "PNG", force=request.force)
-    check_file(request.report, ".html", "HTML", force=request.force)
+    check_file(request.document, ".json", force=request.force)
+    check_file(request.picture, ".png", force=request.force)
+    check_file(request.report, ".html", force=request.force)
     files = {"--output": request.document, "--picture": request.picture, "--report": request.report}
     check_apart(files, (request.log, request.config_file))
 
@@ -139,8 +143,8 @@ def _doubtful(outcome: SlamResult) -> str:
 def _document(request: CalibrationRequest, log: Log, outcome: SlamResult, result: Calibration) -> dict[str, Any]:
     quantities = [_row(quantity, log) for quantity in result.quantities]
     upside_down = None if result.mirrored is None else result.mirrored != log.upside_down
+    overhead = log.upside_down if upside_down is None else upside_down
     code = ExitCode.GATE_FAILED if all(q["refused"] for q in quantities) else ExitCode.DONE
-    reading = reading_options(request.options, request.config.odom)
     codes = [code, ExitCode.TRACKING_LOST] if outcome.lost_for_good else [code]
     return {
         "schema_version": SCHEMA_VERSION,
@@ -159,8 +163,8 @@ def _document(request: CalibrationRequest, log: Log, outcome: SlamResult, result
         "beams_reversed": _switch(_is_reversed(log, outcome, result), False, _order(log)),
         "range_bias": {"value": None, "in_log": None, "agrees": None, "refused": RANGE_BIAS},
         "lines": {
-            "static_transform": transform_line(quantities, log, upside_down=upside_down),
-            "replay": replay_line(request.log, reading, quantities, log, upside_down=upside_down),
+            "static_transform": transform_line(quantities, log, overhead=overhead),
+            "replay": replay_line(request, quantities, log, overhead=overhead),
         },
         "warnings": [*log.warnings, *outcome.warnings],
         "damage": [{"what": damage.what, "where": damage.where} for damage in log.damage],
@@ -198,7 +202,7 @@ def _motion(result: Calibration) -> dict[str, Any]:
 def _row(quantity: QuantityValue, log: Log) -> dict[str, Any]:
     """Describe a quantity: what was found, what the log says now, and whether they agree."""
     kind, value, ci95 = quantity.kind, quantity.value, quantity.ci95
-    in_log = _in_log(kind.name, log)
+    in_log = _in_log(kind, log)
     difference = None if value is None or in_log is None else value - in_log
     if difference is not None and kind.name == "yaw_deg":
         difference = (difference + 180.0) % 360.0 - 180.0
@@ -221,14 +225,13 @@ def _round(value: float | None) -> float | None:
     return None if value is None or not isfinite(value) else round(value, 4) + 0.0  # -0.0 becomes 0.0
 
 
-def _in_log(name: str, log: Log) -> float | None:
+def _in_log(kind: QuantityKind, log: Log) -> float | None:
     """Return what the log says of a quantity: the mounting in its transforms; odometry is taken as it is."""
-    mounting = log.base_T_laser
-    if name not in {"x_m", "y_m", "yaw_deg"}:
-        return next(kind.assumed for kind in KINDS if kind.name == name)
-    if mounting is None:
+    if kind.name not in MOUNTING:
+        return kind.assumed
+    if (mounting := log.base_T_laser) is None:
         return None
-    return {"x_m": mounting.x_m, "y_m": mounting.y_m, "yaw_deg": mounting.yaw_rad / DEG}[name]
+    return {"x_m": mounting.x_m, "y_m": mounting.y_m, "yaw_deg": mounting.yaw_rad / DEG}[kind.name]
 
 
 def _switch(value: bool | None, in_log: bool, why: str) -> dict[str, Any]:
@@ -258,8 +261,7 @@ def _write(request: CalibrationRequest, document: dict[str, Any], result: Calibr
     title = log_name(request.log)
     picture = partial(calibration_picture.write, motions, result.fit, title) if result.fit else None
     if request.document:
-        text = to_json(document)
-        write_file(request.document, lambda path: _write_text(path, text), force=request.force)
+        write_file(request.document, lambda path: path.write_text(to_json(document), "utf-8"), force=request.force)
     if request.picture and picture:
         write_file(request.picture, picture, force=request.force)
     if request.report:
@@ -267,5 +269,43 @@ def _write(request: CalibrationRequest, document: dict[str, Any], result: Calibr
         write_file(request.report, partial(write_summary, summary), force=request.force)
 
 
-def _write_text(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
+def option_of(name: str, value: float | None) -> str | None:
+    """Return the option of a replay that takes a quantity; the mounting has one for three."""
+    return None if value is None or name in MOUNTING else f"--set odometry.{name}={value:.4f}"
+
+
+def transform_line(rows: list[dict[str, Any]], log: Log, *, overhead: bool) -> str | None:
+    """Return the command that publishes the mounting; None where a part of it is not known."""
+    mounting = _mounting(rows)
+    if mounting is None:
+        return None
+    x_m, y_m, yaw_rad = mounting
+    roll = "3.14159" if overhead else "0"
+    frames = f"--frame-id {quote(log.base_frame or 'base_link')} --child-frame-id {quote(log.frame_id)}"
+    turned = f"--roll {roll} --pitch 0 --yaw {yaw_rad:z.4f}"
+    return f"ros2 run tf2_ros static_transform_publisher --x {x_m:z.4f} --y {y_m:z.4f} --z 0 {turned} {frames}"
+
+
+def reading_options(options: ReplayOptions[Path], odom: str) -> list[str]:
+    """Return the options of a replay that read from a log what was calibrated."""
+    given = {"--topic": options.get("topic"), "--odom": None if odom == "auto" else odom}
+    words = [f"{option} {quote(value)}" for option, value in given.items() if value]
+    return [*words, "--strict"] if options.get("strict") else words
+
+
+def replay_line(request: CalibrationRequest, rows: list[dict[str, Any]], log: Log, *, overhead: bool) -> str | None:
+    """Return the command that replays the log with all that differs from what it says; None where nothing does."""
+    differing = {row["name"] for row in rows if row["value"] is not None and not row["agrees"]}
+    mounting, words = _mounting(rows), list[str]()
+    if mounting and (differing & {*MOUNTING} or overhead != log.upside_down):
+        words.append(f"--extrinsic={','.join(f'{value:.4f}' for value in mounting)}")
+        words += ["--set upside_down=true"] if overhead else []
+    words += [row["option"] for row in rows if row["option"] and row["name"] in differing]
+    reading = reading_options(request.options, request.config.odom)
+    return " ".join(("mavnav replay", quote(str(request.log)), *reading, *words)) if words else None
+
+
+def _mounting(rows: list[dict[str, Any]]) -> tuple[float, float, float] | None:
+    """Return x, y and yaw of the laser, m, m, rad; None where one is not known."""
+    x_m, y_m, yaw_deg = (next(row["value"] for row in rows if row["name"] == name) for name in MOUNTING)
+    return None if None in (x_m, y_m, yaw_deg) else (x_m, y_m, yaw_deg * DEG)

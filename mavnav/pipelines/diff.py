@@ -18,9 +18,10 @@ from mavnav.outputs.directory import check_apart, check_file, write_file
 from mavnav.outputs.files.gridmap import read_npz
 from mavnav.outputs.pictures import difference_picture
 from mavnav.outputs.report.summary_page import diff_summary, draw_png, write_summary
+from mavnav.pipelines.maps import rounded_pose
 from mavnav.sessions.map_alignment import align
 from mavnav.slam.matching.prior_map import PriorMap, prior_map_of
-from mavnav.units import DEG, MM
+from mavnav.units import MM
 from mavnav.version import __version__
 
 if TYPE_CHECKING:
@@ -56,8 +57,8 @@ def diff_maps(request: DiffRequest, progress: Progress) -> dict[str, Any]:
 
     The exit code in it is 1 where the maps cannot be aligned; then all numbers are null, and there is no picture.
     """
-    check_file(request.picture, ".png", "PNG", force=request.force)
-    check_file(request.report, ".html", "HTML", force=request.force)
+    check_file(request.picture, ".png", force=request.force)
+    check_file(request.report, ".html", force=request.force)
     a, b = read_walls(request.a), read_walls(request.b)
     files = {"--output": request.picture, "--report": request.report}
     check_apart(files, (*map_files(request.a), *map_files(request.b)))
@@ -108,15 +109,13 @@ def read_walls(path: Path) -> PriorMap:
 
 
 def _document(request: DiffRequest, alignment: Alignment | None, result: Difference | None) -> dict[str, Any]:
-    changes = [] if result is None else result.changes
-    code = ExitCode.GATE_FAILED if result is None else ExitCode.DONE
     return {
         "schema_version": SCHEMA_VERSION,
         "mavnav_version": __version__,
         "a": str(request.a),
         "b": str(request.b),
         "alignment": alignment and _alignment(alignment),
-        **(dict.fromkeys(NUMBERS) if result is None else _numbers(result)),
+        **(_numbers(result) if result else dict.fromkeys(NUMBERS)),
         "changes": [
             {
                 "number": number,
@@ -127,34 +126,24 @@ def _document(request: DiffRequest, alignment: Alignment | None, result: Differe
                 "length_m": round(change.length_m, 3),
                 "moved_with": None if change.moved_with is None else change.moved_with + 1,
             }
-            for number, change in enumerate(changes, start=1)
+            for number, change in enumerate(result.changes if result else (), start=1)
         ],
-        "exit_code": int(code),
+        "exit_code": int(ExitCode.DONE if result else ExitCode.GATE_FAILED),
     }
 
 
 def _numbers(result: Difference) -> dict[str, float]:
     gone_m2, new_m2 = result.m2("gone"), result.m2("new")
+    areas_m2 = [round(m2, 4) for m2 in (gone_m2, new_m2, gone_m2 + new_m2)]
     kinds = [change.kind for change in result.changes]
-    moved = sum(change.moved_with is not None for change in result.changes) // 2
-    values = (
-        round(result.compared_m2, 3),
-        round(result.same_share, 4),
-        *(round(m2, 4) for m2 in (gone_m2, new_m2, gone_m2 + new_m2)),
-        kinds.count("gone"),
-        kinds.count("new"),
-        moved,
-    )
+    counts = kinds.count("gone"), kinds.count("new"), sum(c.moved_with is not None for c in result.changes) // 2
+    values = round(result.compared_m2, 3), round(result.same_share, 4), *areas_m2, *counts
     return dict(zip(NUMBERS, values, strict=True))
 
 
 def _alignment(alignment: Alignment) -> dict[str, float]:
-    """Describe the alignment; adding 0 turns -0.0 into 0.0."""
-    x_m, y_m, yaw_rad = alignment.a_T_b
     return {
-        "x_m": round(x_m, 4) + 0.0,
-        "y_m": round(y_m, 4) + 0.0,
-        "yaw_deg": round(yaw_rad / DEG, 3) + 0.0,
+        **rounded_pose(alignment.a_T_b),
         "places": alignment.taken,
         "agreeing": alignment.agreeing,
         "rms_mm": round(alignment.cost_m2**0.5 / MM, 1),

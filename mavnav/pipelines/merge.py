@@ -7,19 +7,9 @@ from itertools import count
 from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
-from msgspec.structs import replace
 
 from mavnav.atomic_files import temporary_folder
-from mavnav.errors import (
-    ExitCode,
-    MavnavError,
-    NoScansError,
-    SeveralTopicsError,
-    TopicError,
-    UsageError,
-    reason_of,
-    worst,
-)
+from mavnav.errors import ExitCode, NoScansError, SeveralTopicsError, TopicError, UsageError, reason_of, worst
 from mavnav.logs import check_log
 from mavnav.logs.formats.detect import log_name
 from mavnav.mapping.occupancy_grid import known_area
@@ -31,23 +21,21 @@ from mavnav.outputs.files.trajectory import recording_file, trajectory_file, wri
 from mavnav.outputs.pictures.map_picture import write_merged
 from mavnav.outputs.report.summary_page import merge_summary, write_summary
 from mavnav.outputs.writers import REPORT_FILE
+from mavnav.pipelines.maps import rounded_pose
 from mavnav.pipelines.replay import ReplayRequest, replay_log
-from mavnav.pipelines.sessions import FinishedRun, finished_run
-from mavnav.sessions.group import Join
+from mavnav.pipelines.sessions import UNREADABLE, FinishedRun, finished_run
+from mavnav.sessions.group import Join, frame_of, merged_map
 from mavnav.sessions.growth import join_sessions
-from mavnav.sessions.merged_map import frame_of, merged_map, trajectories
 from mavnav.slam.methods.registry import load_kernels
-from mavnav.units import DEG
 from mavnav.version import __version__
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from mavnav.config.models import Config
-    from mavnav.pose import Pose, Trajectory
+    from mavnav.pose import Trajectory
     from mavnav.profiling import Progress
-    from mavnav.sessions.group import SessionGroup
-    from mavnav.sessions.session import Session
+    from mavnav.sessions.group import Session, SessionGroup
 
 SCHEMA_VERSION: Final = 1
 TRACKING: Final = ("lost", "tracked_share", "intervals", "doubt")
@@ -96,13 +84,8 @@ def merge(request: MergeRequest, progress: Progress) -> dict[str, Any]:
             raise NoScansError("none of the logs and runs has a tracked scan; examine them with mavnav info")
         load_kernels(request.config, progress, rare=True)
         group, refused = join_sessions(sessions, request.config, lambda name: progress(f"joining {name}", 0, None))
-        placed, framing = trajectories(group), [_first(group, sessions)]
-        total = sum(map(len, placed))
-        grid, poses = merged_map(
-            group.sessions, placed, request.config, framing, lambda phase, done: progress(phase, done, total)
-        )
+        grid, members = merged_map(group, request.config, [_first(group, sessions)], progress)
         drawn = GridMap(known_area(grid))
-        members = [replace(session, map_T_laser=path) for session, path in zip(group.sessions, poses, strict=True)]
         progress("writing", 0, None)
         return _write(request, drawn, members, _document(request, inputs, [*group.joins, *refused], members))
 
@@ -113,9 +96,8 @@ def _check(request: MergeRequest) -> None:
         raise UsageError("there is nothing to merge with one log; name two or more logs or runs")
     if request.config.method != "robust":
         raise UsageError(f"merge: method {request.config.method} cannot search whole maps; use the robust method")
-    check_directory(
-        request.directory, force=request.force, marker=MERGE_FILE, inputs=(*request.inputs, request.config_file)
-    )
+    inputs = *request.inputs, request.config_file
+    check_directory(request.directory, force=request.force, marker=MERGE_FILE, inputs=inputs)
     for path in request.inputs:
         if _is_run(path):
             _run(path)
@@ -174,10 +156,9 @@ def _read(name: str, run: FinishedRun, config: Config) -> Session:
         return run.session(run.stored_sessions[0], config, name)
     except NoScansError:
         raise
-    except (OSError, ValueError, LookupError, TypeError, MavnavError) as error:
-        where = run.directory
-        reason = reason_of(error)
-        raise UsageError(f"{where} is no whole run: {reason}; make it again with mavnav replay --force") from error
+    except UNREADABLE as error:
+        reason = f"{run.directory} is no whole run: {reason_of(error)}"
+        raise UsageError(f"{reason}; make it again with mavnav replay --force") from error
 
 
 def _first(group: SessionGroup, sessions: list[Session]) -> int:
@@ -200,7 +181,7 @@ def _write(request: MergeRequest, drawn: GridMap, members: list[Session], docume
         if request.report:
             write_summary(merge_summary(document, (folder / "map.png").read_bytes()), folder / REPORT_FILE)
         digests = {file.name: file_sha256(file) for file in sorted(folder.iterdir())}
-        document = document | {"outputs": digests, "exit_code": document["exit_code"]}
+        document = document | {"outputs": digests}
         (folder / MERGE_FILE).write_text(to_json(document), encoding="utf-8")
     return document
 
@@ -226,7 +207,6 @@ def _document(request: MergeRequest, inputs: list[Input], joins: list[Join], mem
 def _row(given: Input, join: Join, paths: dict[str, Trajectory]) -> dict[str, Any]:
     """Describe what became of an input."""
     own, run, joined = given.session and given.session.map_T_laser, given.run or {}, given.name in paths
-    placement: dict[str, Any] = plain(evidence(join))
     return {
         "name": given.name,
         "input": str(given.path),
@@ -235,14 +215,8 @@ def _row(given: Input, join: Join, paths: dict[str, Trajectory]) -> dict[str, An
         "why": join.why or None,
         "trajectory": trajectory_file(given.name) if joined else None,
         "recording": recording_file(given.name) if joined else None,
-        "map_T_session": _pose(frame_of([own], [paths[given.name]])) if own and joined else None,
-        **placement,
+        "map_T_session": rounded_pose(frame_of([own], [paths[given.name]])) if own and joined else None,
+        **plain(evidence(join)),
         "tracking": {key: run["tracking"].get(key) for key in TRACKING} if run else None,
         "damage": run.get("damage", []),
     }
-
-
-def _pose(pose: Pose) -> dict[str, float]:
-    """Describe a pose; adding 0 turns -0.0 into 0.0."""
-    x_m, y_m, yaw_deg = round(pose.x_m, 4), round(pose.y_m, 4), round(pose.yaw_rad / DEG, 3)
-    return {"x_m": x_m + 0.0, "y_m": y_m + 0.0, "yaw_deg": yaw_deg + 0.0}

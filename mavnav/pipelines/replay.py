@@ -27,9 +27,7 @@ from mavnav.outputs.documents.sections import options_section
 from mavnav.outputs.run import RunResult, Timing
 from mavnav.outputs.writers import check_groups, write_run
 from mavnav.pipelines.again import replay_words
-from mavnav.pipelines.localising import known_map, localisation
-from mavnav.pipelines.map_references import check_references, references_in_map
-from mavnav.pipelines.measuring import map_slices_of, measured_map
+from mavnav.pipelines.maps import check_references, known_map, localisation, measured_map, references_in_map, slices_of
 from mavnav.pose import Pose
 from mavnav.profiling import Progress, Stage, new_profile, timed
 from mavnav.slam.methods.registry import load_kernels, uses_odometry
@@ -37,16 +35,14 @@ from mavnav.slam.pipeline import run_slam
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Sequence
 
     from mavnav.config.models import Config
     from mavnav.ground_truth.references import References
     from mavnav.logs import Log
     from mavnav.outputs.documents.run_json import Provenance
-    from mavnav.pipelines.continuing import Continuation
-    from mavnav.pipelines.sessions import FinishedRun
-    from mavnav.scan import Scan
-    from mavnav.sessions.session import Session
+    from mavnav.pipelines.sessions import Continuation, FinishedRun
+    from mavnav.sessions.group import Session
     from mavnav.slam.matching.prior_map import PriorMap
     from mavnav.slam.result import SlamResult
 
@@ -117,7 +113,7 @@ def _to_continue(request: ReplayRequest) -> tuple[FinishedRun | None, tuple[Sess
     target = request.directory.resolve()
     if directory.resolve() in {target, *target.parents}:
         raise UsageError(f"{request.directory} is the run to continue, or inside of it; choose another one with -o")
-    from mavnav.pipelines.continuing import earlier_sessions, run_to_continue  # noqa: PLC0415  few runs need it
+    from mavnav.pipelines.sessions import earlier_sessions, run_to_continue  # noqa: PLC0415  few runs need it
 
     run = run_to_continue(directory)
     return run, tuple(earlier_sessions(run, request.config))
@@ -128,19 +124,11 @@ def replay_directory(log: Path, config: Config) -> Path:
     return Path("runs") / f"{log_name(log)}-{config.method}-{config.azimuth}-{config.grid}"
 
 
-def _never() -> None:
-    """Stop for nothing."""
-
-
-def _unstoppable() -> AbstractContextManager[Stop]:
-    return nullcontext(_never)
-
-
 def replay_log(
     request: ReplayRequest,
     progress: Progress,
     compile_s: float,
-    stoppable: Callable[[], AbstractContextManager[Stop]] = _unstoppable,
+    stoppable: Callable[[], AbstractContextManager[Stop]] = lambda: nullcontext(lambda: None),
     startup_s: float = 0.0,
 ) -> tuple[RunResult, dict[str, Any]]:
     """Run the whole job and return the run with its document (run.json).
@@ -156,7 +144,7 @@ def replay_log(
     check_directory(request.directory, force=request.force, inputs=request.inputs)
     given = Given(
         load_references(**reference_files(options)),
-        known_map(options.get("map"), _start_pose(options), request.config.method),
+        known_map(options.get("map"), _pose(options.get("start_pose")), request.config.method),
         replay_provenance(request),
         *_to_continue(request),
     )
@@ -186,9 +174,8 @@ def replay_provenance(request: ReplayRequest) -> Provenance:
     return provenance(utc_now(), request.typed, again, options)
 
 
-def _start_pose(options: ReplayOptions[Path]) -> Pose | None:
-    pose = options.get("start_pose")
-    return Pose(*pose) if pose else None
+def _pose(values: Sequence[float] | None) -> Pose | None:
+    return Pose(*values) if values else None
 
 
 def _track_and_write(
@@ -206,7 +193,7 @@ def _track_and_write(
     outcome = changed(outcome, warnings=(*outcome.warnings, *warnings))
     measured = measured_map(outcome, log)
     timing = changed(began, wall_s=perf_counter() - began.wall_s, cpu_s=process_time() - began.cpu_s)
-    slices = map_slices_of(outcome, log, request.config)
+    slices = slices_of(outcome, log, request.config)
     truth, known = references.truth, request.options.get("map")
     run = RunResult(
         log=log,
@@ -218,7 +205,7 @@ def _track_and_write(
         true_map=references.true_map,
         position_errors_m=position_errors(outcome.trajectory, truth, aligned=True) if truth else None,
         stopped=stopped,
-        localisation=localisation(known, _start_pose(request.options), outcome) if known else None,
+        localisation=localisation(known, _pose(request.options.get("start_pose")), outcome) if known else None,
         address=request.address,
         provenance=given.provenance,
         slices=slices,
@@ -236,7 +223,7 @@ def _continue(
     """Place the log in the map of the run that it continues; None without one."""
     if given.run is None:
         return None
-    from mavnav.pipelines.continuing import continue_run  # noqa: PLC0415  few runs need it
+    from mavnav.pipelines.sessions import continue_run  # noqa: PLC0415  few runs need it
 
     with Stage("joining"):
         return continue_run(given.run, given.earlier, outcome, log, config, progress, stopped=stopped)
@@ -244,25 +231,21 @@ def _continue(
 
 def _open(request: ReplayRequest, progress: Progress) -> Log:
     """Survey the log and correct its odometry; the paper's method never looks at odometry."""
-    return with_corrected_odometry(_survey(request, progress), request.config)
-
-
-def _survey(request: ReplayRequest, progress: Progress) -> Log:
-    options, config = request.options, request.config
-    extrinsic, truth = options.get("extrinsic"), options.get("truth")
-    return open_log(
+    options, config, truth = request.options, request.config, request.options.get("truth")
+    log = open_log(
         request.log,
         topic=options.get("topic"),
         odom=config.odom if uses_odometry(config) else "off",
         start_s=options.get("start_s"),
         end_s=options.get("end_s"),
-        extrinsic=Pose(*extrinsic) if extrinsic else None,
+        extrinsic=_pose(options.get("extrinsic")),
         strict=options.get("strict", False),
         truth=recorded_topic(truth) if isinstance(truth, str) else None,
         attitude=config.attitude,
         upside_down=config.upside_down,
         progress=lambda done, total: progress("reading", done, total),
     )
+    return with_corrected_odometry(log, config)
 
 
 def with_corrected_odometry(log: Log, config: Config) -> Log:
@@ -279,17 +262,12 @@ def with_corrected_odometry(log: Log, config: Config) -> Log:
 
 
 def _track(log: Log, config: Config, known: PriorMap | None, progress: Progress, stop: Stop) -> SlamResult:
-    total = log.counts.usable
-
-    def scans() -> Iterator[Scan]:
-        return takewhile(lambda _: stop() is None, log.scans())
-
     return run_slam(
-        scans,
+        lambda: takewhile(lambda _: stop() is None, log.scans()),
         config,
         log.period_s,
         log.odometry.odom_T_laser if log.odometry else None,
         rotation=log.imu.rotation if log.imu else None,
-        on_step=lambda phase, done: progress(phase, done, total),
+        on_step=lambda phase, done: progress(phase, done, log.counts.usable),
         prior_map=known,
     )

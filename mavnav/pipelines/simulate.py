@@ -26,7 +26,7 @@ from mavnav.outputs.documents.run_json import MissionResult, TruthErrors
 from mavnav.outputs.pictures.animation import animate, check_animation
 from mavnav.outputs.run import MissionRecord, RunResult, Timing, Truth, WallShapes
 from mavnav.outputs.writers import WRITERS, check_groups, write_run
-from mavnav.pipelines.measuring import map_slices_of, measured_map
+from mavnav.pipelines.maps import measured_map, slices_of
 from mavnav.pose import Pose, rigid_fit
 from mavnav.profiling import Progress, new_profile
 from mavnav.simulation.mission import Flight, fly
@@ -37,7 +37,6 @@ from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
     from mavnav.logs import Log
-    from mavnav.metrics.reference import Reference
     from mavnav.simulation.world import Scenario
 
 
@@ -100,17 +99,18 @@ def simulate_mission(
         kept = folder / f"{short_name(request.scenario.name)}.mcap"
         record(recording, kept)
         log = _open_recording(kept, request.scenario)
+        known = References(truth=flight.map_T_laser, true_map=of_scenario(flight.scenario, flight.world_T_map))
         run = RunResult(
             log=log,
             config=request.scenario.slam,
             slam=flight.slam,
             measured=measured_map(flight.slam, log),
-            slices=map_slices_of(flight.slam, log, request.scenario.slam),
+            slices=slices_of(flight.slam, log, request.scenario.slam),
             timing=timing,
             truth=(truth := _truth(flight)),
             position_errors_m=position_errors(flight.slam.trajectory, truth.map_T_laser, aligned=False),
             mission=_mission(request, flight),
-            reference=_reference(flight),
+            reference=compare_to(known, flight.slam.trajectory, occupied_xy_m(flight.slam.grid)),
             provenance=origin,
         )
         document = write_run(run, request.directory, force=request.force, report=request.report, groups=request.outputs)
@@ -132,8 +132,7 @@ def _open_recording(path: Path, scenario: Scenario) -> Log:
 def check_outputs(request: SimulationRequest) -> None:
     """Raise OutputError or UsageError for what could not be written at the end."""
     places = [Path(os.path.realpath(p)) for p in (request.directory, request.recording, request.animation) if p]
-    twice = [str(p) for p in places if places.count(p) > 1]
-    if twice:
+    if twice := [str(p) for p in places if places.count(p) > 1]:
         raise UsageError(f"{twice[0]} is to be two things; give run directory, recording and animation a name each")
     run, *others = places
     for place in others:
@@ -143,12 +142,10 @@ def check_outputs(request: SimulationRequest) -> None:
     config = Path(request.typed.config) if request.typed.config else None
     check_directory(request.directory, force=request.force, inputs=(request.path, config))
     check_apart({"--record": request.recording, "--animate": request.animation}, (request.path, config))
-    if request.recording:
-        check_recording(request.recording, force=request.force)
-        check_parent(request.recording)
-    if request.animation:
-        check_animation(request.animation, force=request.force)
-        check_parent(request.animation)
+    for path, check in ((request.recording, check_recording), (request.animation, check_animation)):
+        if path:
+            check(path, force=request.force)
+            check_parent(path)
 
 
 def recording_of(flight: Flight) -> Recording:
@@ -164,12 +161,10 @@ def recording_of(flight: Flight) -> Recording:
 
 def _truth(flight: Flight) -> Truth:
     """Bring walls and goal to the map frame."""
-    map_T_world = flight.world_T_map.inverse()
     walls = flight.scenario.obstacles.seen_from(flight.world_T_map)
     measured = flight.scenario.measured_walls
     sketch = measured.seen_from(flight.world_T_map) if measured else None
-    x, y = flight.scenario.goals_xy_m[-1]
-    goal = map_T_world @ Pose(x, y)
+    goal = flight.world_T_map.inverse() @ Pose(*flight.scenario.goals_xy_m[-1])
     return Truth(
         map_T_laser=flight.map_T_laser,
         segments_map=walls.segments,
@@ -180,30 +175,12 @@ def _truth(flight: Flight) -> Truth:
     )
 
 
-def _reference(flight: Flight) -> Reference | None:
-    """Compare the outcome with the truth as a replay with ``--truth`` and ``--truth-map`` does."""
-    truth = References(truth=flight.map_T_laser, true_map=of_scenario(flight.scenario, flight.world_T_map))
-    return compare_to(truth, flight.slam.trajectory, occupied_xy_m(flight.slam.grid))
-
-
-def _content(path: Path) -> tuple[str, int]:
-    """Return SHA-256 and size in bytes of a file."""
-    content = path.read_bytes()
-    return sha256(content).hexdigest(), len(content)
-
-
 def _mission(request: SimulationRequest, flight: Flight) -> MissionRecord:
-    mission = flight.mission
+    mission, content = flight.mission, b"" if request.content else request.path.read_bytes()
     numbers = {name: value for name, value in asdict(mission).items() if name != "end"}
-    digest, size_bytes = request.content or _content(request.path)
-    return MissionRecord(
-        path=request.path,
-        sha256=digest,
-        size_bytes=size_bytes,
-        scenario=flight.scenario.document(),
-        result=MissionResult(mission.reached, mission.end.value, **numbers, **_attitude_numbers(flight)),
-        errors=truth_errors(flight),
-    )
+    result = MissionResult(mission.reached, mission.end.value, **numbers, **_attitude_numbers(flight))
+    digest, size_bytes = request.content or (sha256(content).hexdigest(), len(content))
+    return MissionRecord(request.path, digest, size_bytes, flight.scenario.document(), result, truth_errors(flight))
 
 
 def _attitude_numbers(flight: Flight) -> dict[str, Any]:

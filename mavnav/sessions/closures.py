@@ -1,19 +1,22 @@
 """Closures between a session and a group: they are searched as for loops, key frame by key frame.
 
 Some must agree, at several places, and hardly any key frame may contradict the map of the group.
+
+Where a recording goes on after a cut, the scans on both sides of it are tracked together.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from functools import partial
-from typing import TYPE_CHECKING
+from itertools import chain, islice
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
 
-from mavnav.pose import Pose
-from mavnav.sessions.following import end_of, track_across_cut
-from mavnav.sessions.group import APART_M, SessionGroup, own_edges
+from mavnav.pose import Pose, Trajectory
+from mavnav.sessions.group import APART_M, SessionGroup, frame_of, own_edges
 from mavnav.slam.findings import Edge
 from mavnav.slam.loop_closure.closure import KeyClosure, agree, find_closure
 from mavnav.slam.loop_closure.detection import LOOP_M, SIGHT_M, consistent_closures, edges_of, track_confirmed
@@ -21,17 +24,82 @@ from mavnav.slam.loop_closure.key_frames import KEY_M, KeyFrame
 from mavnav.slam.loop_closure.pose_graph import PATH_SIGMA_M, PATH_SIGMA_RAD, optimize, root_information
 from mavnav.slam.matching.relocalization import with_conflicts
 from mavnav.slam.matching.scan_matching import no_match
+from mavnav.slam.matching.steps import Steps, lost_intervals, tracked_trajectory
+from mavnav.slam.methods.robust import Robust
 from mavnav.slam.recovery.parts import evenly
-from mavnav.units import DEG
+from mavnav.slam.tracker import track
+from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from mavnav.config.models import Config
-    from mavnav.sessions.following import Follows
-    from mavnav.sessions.group import GroupMap, Join
-    from mavnav.sessions.session import Session
+    from mavnav.sessions.group import GroupMap, Join, Session
     from mavnav.slam.loop_closure.key_frames import KeyFrameMap
+
+
+SOON_S = 5.0
+"""Time between two parts of one recording."""
+
+SIDE_M, MOST_SCANS = 3.0, 300
+"""So much of the path on each side of a cut is tracked, and so many scans at most."""
+
+
+class Follows(NamedTuple):
+    """A session of a group at whose end another one begins: the pause between them, s, and its number."""
+
+    pause_s: float
+    number: int
+
+    @property
+    def soon(self) -> bool:
+        """Whether both may be parts of one recording."""
+        return self.pause_s <= SOON_S
+
+
+def ended_before(group: SessionGroup, session: Session, pause_s: float) -> Follows | None:
+    """Return the session of a group that ended last before another one begins; None if the pause is longer."""
+    pauses_s = ((pause_between_s(session, member, pause_s), k) for k, member in enumerate(group.sessions))
+    return min((Follows(pause, k) for pause, k in pauses_s if pause is not None), default=None)
+
+
+def pause_between_s(session: Session, other: Session, pause_s: float) -> float | None:
+    """Return the pause after which a session begins at the end of another one, s; None if it is longer, or before."""
+    if other is session or len(session.map_T_laser) < 2:
+        return None
+    left_s = (int(session.map_T_laser.stamps_ns[0]) - int(other.map_T_laser.stamps_ns[-1])) * NS
+    return left_s if 0.0 <= left_s <= pause_s else None
+
+
+def end_of(group: SessionGroup, number: int) -> Pose:
+    """Return the frame of a session in that of its group, as it is at the end of the session."""
+    return group.keys_of(number)[-1].map_T_laser @ group.sessions[number].keys[-1].map_T_laser.inverse()
+
+
+def track_across_cut(member: Session, session: Session, config: Config) -> Pose | None:
+    """Return the frame of a session in that of another one which ended before; None where the track does not go on."""
+    before, after = member.map_T_laser, session.map_T_laser
+    first, last = _rows_within(before.xyyaw[::-1]), _rows_within(after.xyyaw)
+    scans = chain(islice(member.scans(), len(before) - first, None), islice(session.scans(), last))
+    method = Robust(config)
+    steps = Steps(track(scans, method, session.at_rest._replace(expects_rest=method.expects_rest)))
+    if not steps.column("tracked").all() or any(lost_intervals(steps)):
+        return None
+    local = tracked_trajectory(steps)
+    member_T_local = frame_of([_rows(local, slice(first))], [_rows(before, slice(len(before) - first, None))])
+    local_T_session = frame_of([_rows(after, slice(last))], [_rows(local, slice(first, None))])
+    return member_T_local @ local_T_session
+
+
+def _rows(path: Trajectory, rows: slice) -> Trajectory:
+    return Trajectory(path.stamps_ns[rows], path.xyyaw[rows])
+
+
+def _rows_within(xyyaw: np.ndarray) -> int:
+    """Count the poses (n, 3) up to ``SIDE_M`` of the path."""
+    path_m = np.hypot(*np.diff(xyyaw[:MOST_SCANS, :2], axis=0).T).cumsum()
+    return 1 + int(np.searchsorted(path_m, SIDE_M))
+
 
 LEAST_CLOSURES, LEAST_AT_END = 4, 3
 """So many closures that agree make a join; so many where the track of another session goes on."""
@@ -108,12 +176,8 @@ def join_session(
     if join.contradicting > MOST_CONTRADICTING * len(tested):
         return None, join._replace(why="too many of its scans contradict the others' map")
     residual_m, residual_rad = residuals(closures, keys)
-    to = [group.sessions[group.owner(closure.start)].name for closure in closures]
-    join = join._replace(
-        residual_m=residual_m,
-        residual_rad=residual_rad,
-        joined_to=tuple((name, to.count(name)) for name in dict.fromkeys(to)),
-    )
+    to = Counter(group.sessions[group.owner(closure.start)].name for closure in closures)
+    join = join._replace(residual_m=residual_m, residual_rad=residual_rad, joined_to=tuple(to.items()))
     members = (*group.sessions, session)
     edges = [*bound, *edges_of(binding_closures(closures, keys, tie))]
     return SessionGroup(members, tuple(keys), tuple(edges), (*group.joins, join)), join
@@ -153,9 +217,8 @@ def binding_closures(closures: list[KeyClosure], keys: Sequence[KeyFrame], tie: 
     """Return the closures that enter the pose graph: not those a short path across a tie, which are no loops."""
     if tie is None:
         return closures
-    paths_m = (
-        keys[c.end].path_m - keys[tie.end].path_m + abs(keys[tie.start].path_m - keys[c.start].path_m) for c in closures
-    )
+    start_m, end_m = keys[tie.start].path_m, keys[tie.end].path_m
+    paths_m = (keys[c.end].path_m - end_m + abs(start_m - keys[c.start].path_m) for c in closures)
     return [closure for closure, path_m in zip(closures, paths_m, strict=True) if path_m >= LOOP_M]
 
 
@@ -180,11 +243,8 @@ def optimize_new(first: int, edges: list[Edge], keys: list[KeyFrame], closures: 
 
 def supported_closures(closures: list[KeyClosure], keys: Sequence[KeyFrame]) -> list[KeyClosure]:
     """Keep the closures with which others agree, enough of them at other places of the path."""
-    kept = [
-        a
-        for a in closures
-        if len({keys[b.end].path_m // KEY_M for b in closures if b is a or agree(a, b, keys)}) >= PLACES
-    ]
+    supporting = [(a, [b for b in closures if b is a or agree(a, b, keys)]) for a in closures]
+    kept = [a for a, others in supporting if len({keys[b.end].path_m // KEY_M for b in others}) >= PLACES]
     return kept if len(kept) == len(closures) else supported_closures(kept, keys)
 
 

@@ -1,26 +1,93 @@
-"""Groups of sessions that are joined: their key frames in one frame, the pose graph over all of them, and their map."""
+"""Sessions, groups of those that are joined (key frames in one frame, the pose graph over all), and their one map.
+
+In the map every scan is where the pose graph puts it, then where it fits what all sessions saw.
+"""
 
 from __future__ import annotations
 
+from array import array
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
+from zlib import crc32
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
+from mavnav.mapping.occupancy_grid import GridBuilder
+from mavnav.pose import rigid_fit
 from mavnav.slam.findings import Edge
 from mavnav.slam.loop_closure.closure import SIGMA_M, SIGMA_RAD
-from mavnav.slam.loop_closure.detection import LOOP_M
-from mavnav.slam.loop_closure.key_frames import KEY_M, KEY_RAD, KeyFrame, KeyFrameMap, Visibility
+from mavnav.slam.loop_closure.detection import LOOP_M, follow
+from mavnav.slam.loop_closure.key_frames import KEY_M, KEY_RAD, KeyFrame, KeyFrameMap, Visibility, key_rows
 from mavnav.slam.loop_closure.pose_graph import PATH_SIGMA_M, PATH_SIGMA_RAD, root_information
-from mavnav.units import DEG
+from mavnav.slam.matching.motion_model import USUAL_PERIOD_S, Motion, motions_along
+from mavnav.slam.matching.scan_matching import no_match
+from mavnav.slam.matching.steps import Step, Steps, tracked_trajectory
+from mavnav.slam.methods.robust import Robust
+from mavnav.slam.refinement.refine import refine_steps
+from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
+
+    from numpy.typing import NDArray
 
     from mavnav.config.models import Config
-    from mavnav.sessions.session import Session
+    from mavnav.mapping.occupancy_grid import Grid
+    from mavnav.pose import Pose, Trajectory
+    from mavnav.profiling import Progress
+    from mavnav.scan import Scan
+
+
+END_M, END_KEY_M, END_KEY_RAD = 1.5, 0.1, 5 * DEG
+"""Sessions may meet at an end: that near to the ends of the path, key frames follow each other more closely."""
+
+
+class Session(Struct, frozen=True):
+    """Tracked scans, from the first one again at every call, their poses, a row each, and the key frames among them.
+
+    ``doubtful``: the track may be wrong, by its own run. ``scan_hashes`` are those of the ranges.
+    """
+
+    name: str
+    scans: Callable[[], Iterable[Scan]]
+    map_T_laser: Trajectory
+    keys: tuple[KeyFrame, ...]
+    doubtful: bool = False
+    scan_hashes: frozenset[int] = frozenset()
+
+    @property
+    def at_rest(self) -> Motion:
+        """The motion before the first scan: the time between two scans alone is known."""
+        steps_ns = np.diff(self.map_T_laser.stamps_ns)
+        return Motion(float(np.median(steps_ns)) * NS if len(steps_ns) else USUAL_PERIOD_S)
+
+
+def make_session(
+    name: str, scans: Callable[[], Iterable[Scan]], map_T_laser: Trajectory, config: Config, *, doubtful: bool = False
+) -> Session:
+    """Choose the key frames of a session; raises ValueError where the scans are not those of the trajectory."""
+    path_of, method, keys = key_paths_m(map_T_laser.xyyaw), Robust(config), list[KeyFrame]()
+    stamps_ns, hashes = map_T_laser.stamps_ns.tolist(), set[int]()
+    for row, (scan, stamp_ns) in enumerate(zip(scans(), stamps_ns, strict=True)):
+        if scan.stamp_ns != stamp_ns:
+            msg = f"pose {row} is of another time than scan {row}"
+            raise ValueError(msg)
+        hashes.add(crc32(scan.ranges_m.tobytes()))
+        if row in path_of:
+            keys.append(KeyFrame(row, path_of[row], method.match_points(scan).copy(), map_T_laser[row]))
+    return Session(name, scans, map_T_laser, tuple(keys), doubtful, frozenset(hashes))
+
+
+def key_paths_m(xyyaw: NDArray[np.float64]) -> dict[int, float]:
+    """Choose the rows of key frames out of poses (n, 3); return the path length up to each, m."""
+    rows, paths_m = key_rows(xyyaw)
+    close = zip(*key_rows(xyyaw, END_KEY_M, END_KEY_RAD), strict=True)
+    end_m = paths_m[-1] - END_M if rows else 0.0
+    chosen = [*zip(rows, paths_m, strict=True), *(pair for pair in close if not END_M < pair[1] < end_m)]
+    return dict(sorted(chosen))
+
 
 DOUBTFUL = 3.0
 """The path of a session whose own track is doubtful has standard deviations so many times as large: it is bent to fit
@@ -156,3 +223,68 @@ class GroupMap:
         self.map.grow(self.keys, len(keys))
         self.seen.grow(len(keys))
         return self
+
+
+AHEAD_M = 1.0
+"""Frames are compared by the positions of poses, and by points so far ahead of them."""
+
+
+def trajectories(group: SessionGroup) -> list[Trajectory]:
+    """Return the poses of all scans of each session in the frame of the group: they move with their key frames."""
+    return [follow(member.map_T_laser, member.keys, group.keys_of(k)) for k, member in enumerate(group.sessions)]
+
+
+def merged_map(
+    group: SessionGroup, config: Config, framing: Sequence[int], progress: Progress
+) -> tuple[Grid, list[Session]]:
+    """Draw the map of a group, and return it with the sessions at the poses as matched against it.
+
+    What did not stay where it was seen is no part of the map. Sessions whose track is doubtful are matched against the
+    map of the others too, these not against theirs. The frame is that in which the sessions of the numbers ``framing``
+    were, as nearly as can be.
+    """
+    sessions, placed = group.sessions, trajectories(group)
+    method, refined_poses, done, total = Robust(config), list(placed), 0, sum(map(len, placed))
+    for doubtful in sorted({session.doubtful for session in sessions}):
+        numbers = [k for k, session in enumerate(sessions) if session.doubtful == doubtful]
+        for scan, motion in _all_scans([sessions[k] for k in numbers], [placed[k] for k in numbers]):
+            method.insert(scan, motion.map_T_laser, motion)
+            done += 1
+            progress("draw map", done, total)
+        method.remove_dynamic_cells()
+        for k in numbers:
+            refined_poses[k] = _match_scans(sessions[k], placed[k], method)
+    map_T_here = frame_of([refined_poses[k] for k in framing], [sessions[k].map_T_laser for k in framing])
+    refined_poses = [poses.seen_from(map_T_here) for poses in refined_poses]
+    grid = GridBuilder(method.grid.cell_m)
+    for done, (scan, motion) in enumerate(_all_scans(sessions, refined_poses), start=1):
+        grid.insert(motion.map_T_laser, *method.placed_points(scan, motion.map_T_laser, motion))
+        progress("draw map again", done, total)
+    grid.remove_dynamic_cells()
+    placed_sessions = zip(sessions, refined_poses, strict=True)
+    return grid.by_rows(), [replace(session, map_T_laser=poses) for session, poses in placed_sessions]
+
+
+def frame_of(here: Sequence[Trajectory], there: Sequence[Trajectory]) -> Pose:
+    """Return the motion that brings poses best to where they are in another frame: themselves, and a point ahead."""
+    return rigid_fit(*(np.concatenate([_points(path) for path in paths]) for paths in (here, there)))
+
+
+def _points(path: Trajectory) -> NDArray[np.float64]:
+    """Return the positions of poses, and points ahead of them, (2 n, 2), m."""
+    x_m, y_m, yaw_rad = path.xyyaw.T
+    ahead = np.column_stack((x_m + AHEAD_M * np.cos(yaw_rad), y_m + AHEAD_M * np.sin(yaw_rad)))
+    return np.concatenate((path.xyyaw[:, :2], ahead))
+
+
+def _all_scans(sessions: Sequence[Session], placed: Sequence[Trajectory]) -> Iterator[tuple[Scan, Motion]]:
+    """Give every scan with its pose and velocity."""
+    for session, poses in zip(sessions, placed, strict=True):
+        yield from zip(session.scans(), motions_along(poses, session.at_rest), strict=True)
+
+
+def _match_scans(session: Session, poses: Trajectory, method: Robust) -> Trajectory:
+    """Match every scan of a session against the map of all."""
+    stamps_ns = poses.stamps_ns.tolist()
+    steps = (Step(k, stamp_ns, no_match(poses[k]), tracked=True) for k, stamp_ns in enumerate(stamps_ns))
+    return tracked_trajectory(Steps(refine_steps(session.scans(), steps, method, array("d"))))

@@ -102,8 +102,7 @@ class _Target:
     def refine(self, a_T_b: Pose, b: PriorMap) -> tuple[Pose, float]:
         """Refine an alignment by the least distance of the walls of ``b``; return it with its cost, m2."""
         walls_xy_m = _sample(b.walls_xy_m)
-        x_m, y_m = walls_xy_m.mean(axis=0).tolist()
-        middle = Pose(x_m, y_m)
+        middle = Pose(*walls_xy_m.mean(axis=0).tolist())
         schedule = Schedule.of(self.config, self.lines, (REFINED_M, REFINED_RAD))
         points = transform_points(middle.inverse(), walls_xy_m)
         match = search_lines(points, self.lines, a_T_b @ middle, schedule)

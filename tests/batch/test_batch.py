@@ -12,9 +12,8 @@ from pathlib import Path
 import pytest
 
 from mavnav.batch.options import BatchOptions, request_of
-from mavnav.batch.plan import plan_batch
 from mavnav.batch.request import BatchPart
-from mavnav.batch.run import run_batch
+from mavnav.batch.runner import plan_batch, run_batch
 from mavnav.batch.summary import missing_lines
 from mavnav.errors import ConfigError, ExitCode, OutputError, UsageError
 from mavnav.jobs import Ended, Event, Started

@@ -14,8 +14,7 @@ from types import SimpleNamespace
 import pytest
 
 from mavnav.batch.options import BatchOptions, request_of
-from mavnav.batch.plan import plan_batch
-from mavnav.batch.run import run_batch
+from mavnav.batch.runner import plan_batch, run_batch
 from mavnav.errors import ExitCode, UsageError
 from mavnav.jobs import Ended, Event, Job, Outcome, Progressed, Started, Status
 from mavnav.jobs.dask import LOCAL, Cluster, connect

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from mavnav.batch.find_logs import check_found, find_logs
+from mavnav.batch.cases import check_found, find_logs
 from mavnav.errors import NoScansError, UsageError
 from mavnav.outputs.documents.addresses import is_address
 

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mavnav.batch.page import to_page
-from mavnav.batch.thumbnail import MAX_PIXELS, thumbnail
+from mavnav.batch.files import MAX_PIXELS, thumbnail, to_page
 from support.html_page import Page
 
 

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from mavnav.batch import run
+from mavnav.batch import runner
 from mavnav.commands import signals
 from mavnav.errors import ExitCode
 from mavnav.slam.methods import registry
@@ -88,7 +88,7 @@ def test_an_interrupted_batch_says_what_stays(mavnav: Callable, empty: Path, mon
     def interrupted(*_: object) -> None:
         raise signals.Interrupted
 
-    monkeypatch.setattr(run, "run_batch", interrupted)
+    monkeypatch.setattr(runner, "run_batch", interrupted)
     code, out, err = mavnav("batch", "logs", "-q")
     assert (code, out) == (ExitCode.INTERRUPTED, "")
     assert err.splitlines() == [
@@ -101,7 +101,7 @@ def test_kernels_are_there_before_the_workers(mavnav: Callable, empty: Path, mon
     """Or all of them would compile at once, and what that takes would count against the time of a run."""
     loaded: list[str] = []
     monkeypatch.setattr(registry, "load_kernels", lambda config, _: loaded.append(config.method))
-    monkeypatch.setattr(run, "run_batch", lambda *_: pytest.fail("too early") if not loaded else _stop())
+    monkeypatch.setattr(runner, "run_batch", lambda *_: pytest.fail("too early") if not loaded else _stop())
     Path("logs/a.mcap").write_bytes(b"")
     mavnav("batch", "logs", "gone.bag", "--method", "robust", "--method", "paper", "-q")
     assert loaded == ["robust", "paper"]

@@ -14,8 +14,8 @@ import pytest
 from msgspec.structs import replace
 
 from mavnav.api.results import Comparison
-from mavnav.batch.plan import BatchPlan, plan_batch
 from mavnav.batch.request import BatchRequest
+from mavnav.batch.runner import BatchPlan, plan_batch
 from mavnav.comparison.document import problems
 from mavnav.comparison.pipeline import (
     comparison_request,

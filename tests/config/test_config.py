@@ -16,9 +16,16 @@ from msgspec.structs import replace
 from mavnav.batch.manifest import Manifest
 from mavnav.config.layers import by_dotted_key
 from mavnav.config.loading import fields, load_config, method_layer, presets, read_model, schema_of, to_yaml
-from mavnav.config.models import Config, GridSize, PaperConfig, PaperExpert, RobustConfig, RobustExpert
-from mavnav.config.planner import PlannerConfig
-from mavnav.config.strict import InSI
+from mavnav.config.models import (
+    Config,
+    GridSize,
+    InSI,
+    PaperConfig,
+    PaperExpert,
+    PlannerConfig,
+    RobustConfig,
+    RobustExpert,
+)
 from mavnav.errors import ConfigError
 from mavnav.simulation.world import Scenario, load_scenario, scenario_schema
 from mavnav.simulation.world.flight import FlightConfig

@@ -9,10 +9,8 @@ from msgspec.structs import replace
 from mavnav.config.models import Config
 from mavnav.pose import Pose, Trajectory
 from mavnav.sessions.closures import count_contradicting
-from mavnav.sessions.group import group_of, own_edges
+from mavnav.sessions.group import Session, group_of, make_session, merged_map, own_edges, trajectories
 from mavnav.sessions.growth import join_sessions
-from mavnav.sessions.merged_map import merged_map, trajectories
-from mavnav.sessions.session import Session, make_session
 from mavnav.slam.loop_closure.key_frames import KeyFrameMap
 from support.sessions import CELLAR, TOURS, errors_m, session, tour, twin_room
 from support.synthetic import Recording
@@ -42,8 +40,8 @@ def test_overlapping_sessions_are_joined_to_one_map(tours, sessions) -> None:
     assert all(join.residual_m < 0.02 for join in group.joins)
     world_T_group = tours[group.sessions[0].name].world_T_laser[0]
     placed = trajectories(group)
-    grid, refined = merged_map(group.sessions, placed, CONFIG, [0], silent)
-    for poses in (placed, refined):
+    grid, refined = merged_map(group, CONFIG, [0], silent)
+    for poses in (placed, [member.map_T_laser for member in refined]):
         members = zip(group.sessions, poses, strict=True)
         assert max(errors_m(path, tours[member.name], world_T_group) for member, path in members) < 0.03
     assert np.count_nonzero(grid.hits) > 500

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import ValidationError, convert
 
-from mavnav.config.planner import PlannerConfig
+from mavnav.config.models import PlannerConfig
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose
 from mavnav.simulation.planner.local_minima import unit

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from msgspec import Struct
 
-from mavnav.config.planner import PlannerConfig
+from mavnav.config.models import PlannerConfig
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose, transform_points
 from mavnav.simulation.planner.potential_field import Plan, Planner

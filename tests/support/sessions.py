@@ -10,7 +10,7 @@ import numpy as np
 from mavnav.config.models import Config
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import LaserSpec
-from mavnav.sessions.session import Session, make_session
+from mavnav.sessions.group import Session, make_session
 from support.log_files import LASER, Message, write_mcap
 from support.synthetic import DEG, LDS_01, Recording, Segments, along, box, furnished_rooms, polyline, record
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from mavnav.batch.options import BatchOptions, request_of
-from mavnav.batch.plan import plan_batch
-from mavnav.batch.run import run_batch
+from mavnav.batch.runner import plan_batch, run_batch
 
 OPTIONS: dict[str, Any] = {
     "sources": ("logs", "gone.bag"),

@@ -66,40 +66,28 @@ class Cluster(Struct, frozen=True):
         context = JobContext(*our_version(), str(Path.cwd()), topic, timeout_s)
         received: SimpleQueue[Any] = SimpleQueue()
         self.client.subscribe_topic(topic, lambda event: received.put(Progressed(*event[1]["progress"])))
-        under_way: dict[int, _Submitted] = {}
+        under_way, outcomes = dict[int, _Submitted](), dict[int, Outcome]()
+        waiting = list(enumerate(jobs))[::-1]
         try:
-            return self._outcomes(jobs, context, received, under_way, on_event, max_jobs)
+            while len(outcomes) < len(jobs):
+                while waiting and len(under_way) < (max_jobs or max(self._count(), 1)):
+                    index, job = waiting.pop()
+                    under_way[index] = self._submit(index, job, context, received)
+                    on_event(Started(index, 0))
+                for event in _events(received, under_way):
+                    if isinstance(event, Ended):
+                        del under_way[event.index]
+                        outcomes[event.index] = event.outcome
+                    on_event(event)
         finally:
             self.client.cancel([job.future for job in under_way.values()])
             self.client.unsubscribe_topic(topic)
-
-    def _outcomes(
-        self,
-        jobs: Sequence[Job],
-        context: JobContext,
-        received: SimpleQueue[Any],
-        under_way: dict[int, _Submitted],
-        on_event: Callable[[Event], None],
-        max_jobs: int | None,
-    ) -> list[Outcome]:
-        outcomes: dict[int, Outcome] = {}
-        waiting = list(enumerate(jobs))[::-1]
-        while len(outcomes) < len(jobs):
-            while waiting and len(under_way) < (max_jobs or max(self._count(), 1)):
-                index, job = waiting.pop()
-                under_way[index] = self._submit(index, job, context, received)
-                on_event(Started(index, 0))
-            for event in _events(received, under_way):
-                if isinstance(event, Ended):
-                    del under_way[event.index]
-                    outcomes[event.index] = event.outcome
-                on_event(event)
         return [outcomes[index] for index in range(len(jobs))]
 
     def _count(self) -> int:
         try:
             return self.workers
-        except (OSError, TimeoutError) as error:
+        except OSError as error:
             raise UsageError("the scheduler is gone; start it again and call again: what is finished stays") from error
 
     def _submit(self, index: int, job: Job, context: JobContext, received: SimpleQueue[Any]) -> _Submitted:
@@ -135,16 +123,15 @@ def _outcome(job: _Submitted) -> Outcome:
     if future.status == "finished":
         outcome: Outcome = future.result()
         return outcome
-    seconds = monotonic() - job.began_s
     if future.status != "error":
         raise UsageError("the scheduler is gone; start it again and call again: what is finished stays")
     error = future.exception()
     if isinstance(error, KilledWorker):
         count = error.allowed_failures + 1
-        text = f"{pluralize(count, 'worker')} died of it, the last {error.last_worker.address}"
-        return Outcome(Status.DIED, 0, seconds, error=text, exit_code=ExitCode.BUG)
-    text = f"its worker could not run it: {type(error).__name__}: {error}"
-    return Outcome(Status.FAILED, 0, seconds, error=text, exit_code=ExitCode.BUG)
+        status, text = Status.DIED, f"{pluralize(count, 'worker')} died of it, the last {error.last_worker.address}"
+    else:
+        status, text = Status.FAILED, f"its worker could not run it: {type(error).__name__}: {error}"
+    return Outcome(status, 0, monotonic() - job.began_s, error=text, exit_code=ExitCode.BUG)
 
 
 @contextmanager
@@ -176,13 +163,7 @@ def connect(scheduler: str, directory: Path, workers: int, memory_mb: int | None
                 _check_scheduler(address)
             client = stack.enter_context(distributed.Client(address, timeout=CONNECT_S, set_as_default=False))
             client.wait_for_workers(1, timeout=CONNECT_S)
-        except (
-            OSError,
-            TimeoutError,
-            ValueError,
-            TypeError,
-            RuntimeError,
-        ) as error:  # TypeError and RuntimeError: certificates are missing
+        except (OSError, ValueError, TypeError, RuntimeError) as error:  # the last two: certificates are missing
             advice = "start one with `dask scheduler`, and `dask worker ADDRESS` where the work is to be done"
             if scheduler.startswith("tls://"):
                 advice = "name authority, certificate and key in Dask's settings, distributed.comm.tls"
@@ -238,10 +219,8 @@ def _check_workers(client: Any, directory: Path) -> None:  # noqa: ANN401  a cli
     with NamedTemporaryFile(dir=directory, prefix=".seen-") as file:
         versions = client.run(our_version, on_error="return")
         seen = client.run(sees, str(Path(file.name).absolute()), on_error="return")
-    problems = [
-        f"{worker}: {why}" for worker in versions if (why := _incompatibility(versions[worker], seen.get(worker), ours))
-    ]
-    if problems:
+    reasons = {worker: _incompatibility(version, seen.get(worker), ours) for worker, version in versions.items()}
+    if problems := [f"{worker}: {why}" for worker, why in reasons.items() if why]:
         advice = f"install mavnav {ours[0]} there, and share the folder"
         raise UsageError(f"{'; '.join(problems)}: {advice}, or stop these workers")
 

@@ -20,8 +20,6 @@ from mavnav.jobs.run_cache import source_sha256
 from mavnav.version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from mavnav.jobs import Job
 
 REPORT_PERIOD_S = 0.5
@@ -92,8 +90,10 @@ class _Reporter:
     """Progress callback: sends a report every ``REPORT_PERIOD_S`` at most, and ends a job at its time limit."""
 
     def __init__(self, index: int, context: JobContext, began_s: float) -> None:
+        from distributed import get_worker  # noqa: PLC0415  an extra
+
         self.index, self.context, self.began_s = index, context, began_s
-        self.late, self.sent_s, self.send = False, float("-inf"), _sender(context.topic)
+        self.late, self.sent_s, self.worker = False, float("-inf"), get_worker()
 
     def __call__(self, phase: str, done: int, total: int | None) -> None:
         now_s = monotonic()
@@ -102,11 +102,4 @@ class _Reporter:
             raise TimeoutError
         if now_s - self.sent_s >= REPORT_PERIOD_S:
             self.sent_s = now_s
-            self.send({"progress": [self.index, phase, done, total]})
-
-
-def _sender(topic: str) -> Callable[[dict[str, Any]], None]:
-    from distributed import get_worker  # noqa: PLC0415  an extra
-
-    worker = get_worker()
-    return lambda message: worker.log_event(topic, message)
+            self.worker.log_event(self.context.topic, {"progress": [self.index, phase, done, total]})

@@ -16,7 +16,7 @@ from mavnav.simulation.planner.shortest_path import aim_on_shortest_path
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from mavnav.config.planner import PlannerConfig
+    from mavnav.config.models import PlannerConfig
     from mavnav.simulation.planner.shortest_path import XY
 
 _SAME_PLACE_M, _MOST_AT_A_PLACE = 0.1, 3  # virtual obstacles, then they help no more

@@ -21,7 +21,7 @@ from mavnav.units import DEG, MM
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.config.planner import PlannerConfig
+    from mavnav.config.models import PlannerConfig
     from mavnav.mapping.occupancy_grid import GridBuilder
     from mavnav.simulation.planner.shortest_path import XY
 

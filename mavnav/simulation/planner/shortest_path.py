@@ -12,7 +12,7 @@ from mavnav.kernels.planning import wavefront
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.config.planner import PlannerConfig
+    from mavnav.config.models import PlannerConfig
 
     XY = NDArray[np.float64]
     """A point or a vector in the map frame, (2,) in m (a force: without unit), or several, (n, 2)."""

@@ -7,7 +7,7 @@ from typing import Annotated, Final
 import numpy as np
 from msgspec import Meta
 
-from mavnav.config.strict import Strict, in_si, setting
+from mavnav.config.models import Strict, in_si, setting
 from mavnav.scan import Attitude
 from mavnav.units import DEG, MM, MS
 

@@ -13,9 +13,7 @@ import numpy as np
 from msgspec import to_builtins
 from msgspec.structs import asdict, replace
 
-from mavnav.config.models import Config
-from mavnav.config.planner import PlannerConfig
-from mavnav.config.strict import InSI, Strict, in_si, setting
+from mavnav.config.models import Config, InSI, PlannerConfig, Strict, in_si, setting
 from mavnav.pose import Pose
 from mavnav.simulation.world.flight import FlightConfig
 from mavnav.simulation.world.laser import LASERS, LaserModel

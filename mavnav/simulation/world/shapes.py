@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from msgspec import Meta
 
-from mavnav.config.strict import Strict, setting
+from mavnav.config.models import Strict, setting
 from mavnav.units import DEG
 
 if TYPE_CHECKING:

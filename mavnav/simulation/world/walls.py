@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from msgspec.structs import asdict
 
-from mavnav.config.strict import Strict, setting
+from mavnav.config.models import Strict, setting
 from mavnav.simulation.world.geometry import World
 from mavnav.simulation.world.shapes import Arc, Box, Circle, Opening, Polyline, Shape, TableShape
 

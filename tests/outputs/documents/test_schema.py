@@ -11,10 +11,10 @@ from msgspec import convert
 from msgspec.structs import fields, replace
 
 from mavnav.batch.baseline import TOLERANCES
+from mavnav.batch.document import SECTIONS
 from mavnav.batch.files import FIGURES
 from mavnav.cli import run as command
 from mavnav.errors import ExitCode
-from mavnav.jobs.run_cache import SECTIONS
 from mavnav.outputs.documents.quantities import PATH, QUANTITIES, TIME
 from mavnav.outputs.documents.run_json import METRICS, RunDocument
 from mavnav.outputs.documents.schema import number_schema, run_keys, run_schema

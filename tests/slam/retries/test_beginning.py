@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from mavnav.config.models import Config
 from mavnav.ground_truth.references import References
-from mavnav.pipelines.map_references import references_in_map
+from mavnav.pipelines.maps import references_in_map
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import LaserSpec, Scan
 from mavnav.slam.matching.motion_model import Motion

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from mavnav.batch.manifest import read_manifest
-from mavnav.batch.settings import crossed_settings, listed_settings
+from mavnav.batch.request import crossed_settings, listed_settings
 from mavnav.errors import ConfigError, UsageError
 
 

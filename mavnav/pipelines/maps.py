@@ -1,0 +1,137 @@
+"""The map of a run: its frame, the references in that, and what is measured of it before it is written."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from msgspec.structs import replace
+
+from mavnav.errors import UsageError
+from mavnav.ground_truth.references import check_times
+from mavnav.mapping.occupancy_grid import known_area, measured_area
+from mavnav.mapping.slices import scans_with_heights, slice_map
+from mavnav.metrics.journey import Journey
+from mavnav.metrics.map_quality import measure_map
+from mavnav.metrics.reference import MAX_GAP_NS
+from mavnav.outputs.documents.run_json import FoundPose, Localisation, StartPose
+from mavnav.profiling import Stage, timed
+from mavnav.slam.methods.registry import LOCALIZERS
+from mavnav.units import DEG
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from mavnav.config.models import Config
+    from mavnav.ground_truth.references import References
+    from mavnav.logs import Log
+    from mavnav.mapping.slices import PlacedScan, Slices
+    from mavnav.metrics.map_quality import MeasuredMap
+    from mavnav.pose import Pose
+    from mavnav.slam.matching.prior_map import PriorMap
+    from mavnav.slam.result import SlamResult
+
+
+def known_map(path: Path | None, start_pose: Pose | None, method: str) -> PriorMap | None:
+    """Read the map to localize in, a map_server YAML file or the one in a run directory; raises UsageError.
+
+    ``start_pose`` is about where in it the laser begins. Returns None without a path.
+    """
+    if path is None:
+        return None
+    if method not in LOCALIZERS:
+        advice = f"use --method {' or '.join(LOCALIZERS)}"
+        raise UsageError(f"--map: method {method} makes a map of its own; {advice}")
+    from mavnav.ground_truth.map_file import read_map  # noqa: PLC0415  few runs need them
+    from mavnav.slam.matching.prior_map import prior_map_of  # noqa: PLC0415
+
+    file = read_map(path / "map.yaml" if path.is_dir() else path)
+    known = prior_map_of(file.grid, file.map_T_grid, start_pose)
+    if not len(known.walls_xy_m):
+        raise UsageError(f"{path}: the map has no occupied cell; name a map with walls")
+    return known
+
+
+def localisation(path: Path, start_pose: Pose | None, outcome: SlamResult) -> Localisation:
+    """Return the section of run.json on localization in a known map: the given start pose, and the one found."""
+    first = next((step for step in outcome.steps if step.tracked), None)
+    pose = first and first.match.map_T_laser
+    return Localisation(
+        map=str(path),
+        start_pose=start_pose and StartPose(start_pose.x_m, start_pose.y_m, start_pose.yaw_rad / DEG),
+        found=FoundPose(first.index, pose.x_m, pose.y_m, pose.yaw_rad / DEG) if first and pose else None,
+    )
+
+
+NO_WALLS: Final = (
+    "the map begins after the first scan of the mission, to which the walls of the scenario are relative: "
+    "it is not compared with them"
+)
+
+
+def rounded_pose(pose: Pose) -> dict[str, float]:
+    """Describe a pose for a document, in m, m, deg; adding 0 turns -0.0 into 0.0."""
+    values = round(pose.x_m, 4), round(pose.y_m, 4), round(pose.yaw_rad / DEG, 3)
+    return {name: value + 0.0 for name, value in zip(("x_m", "y_m", "yaw_deg"), values, strict=True)}
+
+
+def check_references(
+    references: References, log: Log, truth_map: Path | None, start_s: float | None, *, own_frame: bool
+) -> None:
+    """Raise UsageError for references of another time than the log, or of a frame that its map will not have.
+
+    ``truth_map`` is the file of the true map, ``start_s`` where in the log the run starts. In its ``own_frame`` a map
+    begins at a scan of the log, else it is in that of a given map or run.
+    """
+    check_times(_with_recorded_truth(references, log, None), log.first_ns, log.last_ns)
+    if start_s and references.of_first_scan and own_frame:
+        raise UsageError(
+            f"{truth_map}: the walls of a scenario are relative to the first scan of the mission; "
+            "leave out --start, or give the true walls as a map file in the frame of the map"
+        )
+
+
+def references_in_map(references: References, log: Log, begin_ns: int | None) -> tuple[References, tuple[str, ...]]:
+    """Return the references that a map is compared with, in its frame, and warnings of those left out.
+
+    ``begin_ns`` is the stamp of the scan that begins the map and defines its frame, None where that is no scan of the
+    log.
+    """
+    references = _with_recorded_truth(references, log, begin_ns)
+    if references.of_first_scan and begin_ns not in {None, log.first_ns}:
+        return replace(references, true_map=None), (NO_WALLS,)
+    return references, ()
+
+
+def _with_recorded_truth(references: References, log: Log, begin_ns: int | None) -> References:
+    """Add the truth that the log holds, if it was asked for, in the map frame: that of the scan which begins the map.
+
+    Where that scan is unknown, or has no truth, it stays in its own frame.
+    """
+    if log.truth is None:
+        return references
+    truth = log.truth.world_T_laser
+    first = None if begin_ns is None else truth.at(begin_ns, MAX_GAP_NS)
+    return replace(references, truth=truth.seen_from(first.inverse()) if first else truth)
+
+
+@timed("measuring")
+def measured_map(outcome: SlamResult, log: Log) -> MeasuredMap:
+    """Measure the known part of the map of a run, with the scans behind it."""
+    journey = Journey(
+        outcome.trajectory, log.scans, outcome.tracked_share, outcome.lost_for_good, planar=outcome.planar
+    )
+    return measure_map(measured_area(outcome.grid), journey)
+
+
+def slices_of(outcome: SlamResult, log: Log, config: Config) -> Slices | None:
+    """Cut the map of a run into slices by height; None where the height of the laser is not known, or hardly varies."""
+    attitude = log.attitude
+    if attitude is None or not attitude.has_heights:
+        return None
+
+    def place_scans() -> Iterator[PlacedScan]:
+        return scans_with_heights(log.scans(), outcome.trajectory, attitude.height_at)
+
+    with Stage("slices"):
+        return slice_map(place_scans, known_area(outcome.grid), config.slice_m)
