@@ -331,7 +331,9 @@ def lowest_poses(costs, xy_m, yaws_rad, separate, most):
         steps = [np.hypot(*(xy_m[p] - xy_m[other])) for _, _, other in found]
         if all(turn >= separate[1] or step >= separate[0] for turn, step in zip(turns, steps, strict=True)):
             found.append((cost, q, p))
-    return found[:most]
+        if len(found) == most:
+            break
+    return found
 
 
 def cost_floors(lines, box, step, truncate_m, levels):
