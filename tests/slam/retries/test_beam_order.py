@@ -14,10 +14,12 @@ from mavnav.pose import Pose
 from mavnav.scan import Scan
 from mavnav.slam.matching.scan_matching import Match, no_match
 from mavnav.slam.pipeline import run_slam
+from mavnav.slam.result import SlamResult
 from mavnav.slam.retries import beam_order
 from mavnav.slam.retries.beam_order import STRETCH_SCANS, cost_ratio, reversed_scan, turning_stretch
 from mavnav.slam.track import Track
-from support.synthetic import URG_04LX, along, furnished_rooms, scan_at
+from support.robots import cast_from
+from support.synthetic import URG_04LX, along, furnished_rooms
 
 SLOW = replace(URG_04LX, beams=171, angle_step_rad=4 * URG_04LX.angle_step_rad, time_increment_s=0.095 / 171)
 """A sweep that takes all the time between two scans, so that a turn shears it."""
@@ -43,27 +45,42 @@ def sweeps() -> list[Scan]:
     scans = []
     for k in range(1, len(path)):
         step = path[k - 1].between(path[k])
-        ranges = np.empty(SLOW.beams)
-        for i in range(SLOW.beams):
-            late = (i - (SLOW.beams - 1) / 2) * SLOW.time_increment_s / 0.1
-            here = path[k] @ Pose(late * step.x_m, late * step.y_m, late * step.yaw_rad)
-            beam = replace(SLOW, beams=1, angle_min_rad=float(SLOW.angles_rad[i]))
-            ranges[i] = scan_at(furnished_rooms(), here, beam).ranges_m[0]
+        late = (np.arange(SLOW.beams) - (SLOW.beams - 1) / 2) * SLOW.time_increment_s / 0.1
+        moved = np.array([path[k] @ Pose(*(share * np.array(step)).tolist()) for share in late])
+        ranges = cast_from(furnished_rooms(), moved[:, :2], SLOW.angles_rad + moved[:, 2])
+        ranges[(ranges < SLOW.range_min_m) | (ranges > SLOW.range_max_m)] = np.nan
         ranges *= 1.0 + 0.005 * rng.standard_normal(len(ranges))
         scans.append(Scan(int(path.stamps_ns[k]), ranges, SLOW))
     return scans
 
 
-def test_the_right_order_is_kept(sweeps: list[Scan]) -> None:
-    assert run_slam(lambda: sweeps, Config(), 0.1).warnings == ()
+@pytest.fixture(scope="module")
+def right(sweeps: list[Scan]) -> tuple[SlamResult, int]:
+    """Return the run of the sweeps as they are, and how many tracks it took."""
+    return run_of(sweeps)
 
 
-def test_a_wrong_order_is_found_out_and_said(sweeps: list[Scan]) -> None:
-    wrong = [reversed_scan(scan) for scan in sweeps]
-    (warning,) = run_slam(lambda: wrong, Config(), 0.1).warnings
+@pytest.fixture(scope="module")
+def wrong(sweeps: list[Scan]) -> tuple[SlamResult, int]:
+    """Return the run of the sweeps in the wrong order, and how many tracks it took."""
+    return run_of([reversed_scan(scan) for scan in sweeps])
+
+
+def run_of(scans: list[Scan]) -> tuple[SlamResult, int]:
+    tracks: list[object] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Track, "over", _counted(Track.over, tracks))
+        return run_slam(lambda: scans, Config(), 0.1), len(tracks)
+
+
+def test_the_right_order_is_kept(right: tuple[SlamResult, int]) -> None:
+    assert right[0].warnings == ()
+
+
+def test_a_wrong_order_is_found_out_and_said(right: tuple[SlamResult, int], wrong: tuple[SlamResult, int]) -> None:
+    (warning,) = wrong[0].warnings
     assert "reverse" in warning
-    right = run_slam(lambda: sweeps, Config(), 0.1)
-    np.testing.assert_array_equal(run_slam(lambda: wrong, Config(), 0.1).trajectory.xyyaw, right.trajectory.xyyaw)
+    np.testing.assert_array_equal(wrong[0].trajectory.xyyaw, right[0].trajectory.xyyaw)
 
 
 @pytest.mark.parametrize(
@@ -104,11 +121,7 @@ def test_no_turn_across_a_gap_is_compared() -> None:
 
 
 def test_the_right_order_is_tracked_once_and_a_wrong_one_tried(
-    sweeps: list[Scan], monkeypatch: pytest.MonkeyPatch
+    right: tuple[SlamResult, int], wrong: tuple[SlamResult, int]
 ) -> None:
-    maps: list[object] = []
-    monkeypatch.setattr(Track, "over", _counted(Track.over, maps))
-    run_slam(lambda: sweeps, Config(), 0.1)
-    assert len(maps) == 1
-    run_slam(lambda: [reversed_scan(scan) for scan in sweeps], Config(), 0.1)
-    assert len(maps) == 1 + 6  # as listed, both in a short and in a long trial, and the whole log again
+    assert right[1] == 1
+    assert wrong[1] == 6  # as listed, both in a short and in a long trial, and the whole log again
