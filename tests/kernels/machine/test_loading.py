@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from hashlib import sha256
 from shutil import copytree
 from typing import TYPE_CHECKING, Any
@@ -18,7 +19,7 @@ from mavnav.kernels.machine.cache import VERSIONS_KEPT, cache_key
 from mavnav.kernels.scans.points import extent, place_points
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Iterator
     from pathlib import Path
 
 
@@ -76,23 +77,71 @@ CALL = (
 )
 
 
+FORKING = """
+import gc, os, sys
+from numba.core.registry import cpu_target
+cpu_target.target_context.refresh()
+cpu_target.typing_context.refresh()
+gc.freeze()
+while line := sys.stdin.readline():
+    folder, environment, code = eval(line)
+    if not (child := os.fork()):
+        os.chdir(folder)
+        os.environ.clear()
+        os.environ.update(environment)
+        for number in (1, 2):
+            os.dup2(os.open(f"stream {number}", os.O_CREAT | os.O_TRUNC | os.O_WRONLY), number)
+        exec(code, {})
+        break
+    print(os.waitpid(child, 0)[1], flush=True)
+"""
+"""Has numba loaded, which takes a second or two, and forks a process for each code that is to run."""
+
+Called = Callable[..., list[float]]
+
+
+def environment_of(trial: Path) -> dict[str, str]:
+    return os.environ | {"PYTHONDONTWRITEBYTECODE": "1", "MAVNAV_CACHE_DIR": str(trial.parent / "cache")}
+
+
+@pytest.fixture(scope="module")
+def called() -> Iterator[Called]:
+    """Run both kernels in a process of its own, after other statements.
+
+    Returns their results, and how often each was compiled.
+    """
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    environment = os.environ | {"PYTHONDONTWRITEBYTECODE": "1"}
+    with subprocess.Popen([sys.executable, "-c", FORKING], env=environment, **pipes) as forking:
+
+        def call(trial: Path, before: str = "") -> list[float]:
+            print((str(trial.parent), environment_of(trial), before + CALL), file=forking.stdin, flush=True)
+            status = forking.stdout.readline()
+            out, err = ((trial.parent / f"stream {number}").read_text() for number in (1, 2))
+            assert (status, err) == ("0\n", "")
+            return [float(word) for word in out.split()]
+
+        yield call
+        forking.stdin.close()
+
+
 @pytest.fixture
 def trial(tmp_path: Path) -> Path:
     """Return the folder of a package of two kernels, of which one calls a helper of another file."""
-    folder = tmp_path / "trial"
+    return written(tmp_path / "trial")
+
+
+def written(folder: Path) -> Path:
     folder.mkdir()
     for name, source in SOURCES.items():
         (folder / f"{name}.py").write_text(source)
     return folder
 
 
-@pytest.fixture(scope="session")
-def compiled_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture(scope="module")
+def compiled_cache(tmp_path_factory: pytest.TempPathFactory, called: Called) -> Path:
     """Return a cache that holds both kernels."""
-    folder = tmp_path_factory.mktemp("compiled") / "trial"
-    folder.mkdir()
-    for name, source in SOURCES.items():
-        (folder / f"{name}.py").write_text(source)
+    folder = written(tmp_path_factory.mktemp("compiled") / "trial")
     assert called(folder) == [42.0, 2.0, 1, 1]
     return folder.parent / "cache"
 
@@ -104,25 +153,11 @@ def compiled_trial(trial: Path, compiled_cache: Path) -> Path:
     return trial
 
 
-def called(trial: Path, before: str = "") -> list[float]:
-    """Run both kernels in a process of its own; returns their results, and how often each was compiled."""
-    return [float(word) for word in output(trial, before).split()]
-
-
-def output(trial: Path, before: str) -> str:
-    """Run both kernels in a process of its own, after other statements; returns what it prints."""
-    environment = os.environ | {"PYTHONDONTWRITEBYTECODE": "1", "MAVNAV_CACHE_DIR": str(trial.parent / "cache")}
-    command = [sys.executable, "-c", before + CALL]
-    done = subprocess.run(command, cwd=trial.parent, env=environment, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
-    return done.stdout
-
-
 @pytest.mark.parametrize(
     ("edited", "old", "new"), [("helping", "FACTOR * x", "100.0 * FACTOR * x"), ("constants", "2.0", "200.0")]
 )
 def test_a_kernel_is_compiled_again_where_a_file_that_it_imports_was_edited(
-    compiled_trial: Path, edited: str, old: str, new: str
+    compiled_trial: Path, edited: str, old: str, new: str, called: Called
 ) -> None:
     assert called(compiled_trial) == [42.0, 2.0, 0, 0]
     path = compiled_trial / f"{edited}.py"
@@ -147,7 +182,7 @@ MOVED = {
 
 
 @pytest.mark.parametrize("moved", MOVED)
-def test_a_numba_without_these_parts_still_works(compiled_trial: Path, moved: str) -> None:
+def test_a_numba_without_these_parts_still_works(compiled_trial: Path, moved: str, called: Called) -> None:
     path = compiled_trial / "helping.py"
     path.write_text(path.read_text().replace("FACTOR * x", "FACTOR * x + 1.0"))
     assert called(compiled_trial, MOVED[moved])[:2] == [43.0, 2.0]
@@ -156,22 +191,25 @@ def test_a_numba_without_these_parts_still_works(compiled_trial: Path, moved: st
 
 NOT_LINKED = "from mavnav.kernels.machine import loader\nloader._address = None\n"
 """What it looks like on a system on which a C function that machine code calls is not known."""
-LOADED = "import atexit, sys\natexit.register(lambda: print('numba' in sys.modules))\n"
 
 
-def test_code_that_cannot_be_linked_is_loaded_by_numba(trial: Path) -> None:
+def test_code_that_cannot_be_linked_is_loaded_by_numba(trial: Path, called: Called) -> None:
     assert called(trial, NOT_LINKED) == [42.0, 2.0, 1, 1]
-    assert output(trial, NOT_LINKED + LOADED).splitlines() == ["42.0 2.0 0 0", "True"]
+    command = [sys.executable, "-c", NOT_LINKED + CALL + "\nimport sys\nprint('numba' in sys.modules)"]
+    done = subprocess.run(
+        command, cwd=trial.parent, env=environment_of(trial), capture_output=True, text=True, check=True
+    )
+    assert (done.stdout.splitlines(), done.stderr) == (["42.0 2.0 0 0", "True"], "")
 
 
-def test_code_that_can_no_longer_be_linked_is_compiled_again(compiled_trial: Path) -> None:
+def test_code_that_can_no_longer_be_linked_is_compiled_again(compiled_trial: Path, called: Called) -> None:
     assert called(compiled_trial, NOT_LINKED) == [42.0, 2.0, 1, 1]
     assert called(compiled_trial, NOT_LINKED) == [42.0, 2.0, 0, 0]
     assert called(compiled_trial) == [42.0, 2.0, 0, 0]
 
 
 @pytest.mark.parametrize("damage", [lambda code: code[: len(code) // 2], lambda _: b"", lambda code: code[:-1] + b"x"])
-def test_a_damaged_entry_is_made_anew(compiled_trial: Path, damage: Callable[[bytes], bytes]) -> None:
+def test_a_damaged_entry_is_made_anew(compiled_trial: Path, damage: Callable[[bytes], bytes], called: Called) -> None:
     path = entries(compiled_trial)[-1]
     whole = path.read_bytes()
     path.write_bytes(damage(whole))
@@ -179,7 +217,7 @@ def test_a_damaged_entry_is_made_anew(compiled_trial: Path, damage: Callable[[by
     assert called(compiled_trial)[2:] == [0, 0]
 
 
-def test_an_entry_that_numba_cannot_read_is_made_anew(compiled_trial: Path) -> None:
+def test_an_entry_that_numba_cannot_read_is_made_anew(compiled_trial: Path, called: Called) -> None:
     code = b"not what numba wrote"
     for path in entries(compiled_trial):
         path.write_bytes(sha256(code).digest() + code)
@@ -187,7 +225,9 @@ def test_an_entry_that_numba_cannot_read_is_made_anew(compiled_trial: Path) -> N
     assert called(compiled_trial) == [42.0, 2.0, 0, 0]
 
 
-def test_what_cannot_be_written_goes_to_a_private_directory(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_cannot_be_written_goes_to_a_private_directory(
+    trial: Path, monkeypatch: pytest.MonkeyPatch, called: Called
+) -> None:
     """It ends with the process that made it."""
     (trial.parent / "cache").write_text("a file where the directory should be")
     temporary = trial.parent / "temporary"
@@ -199,7 +239,7 @@ def test_what_cannot_be_written_goes_to_a_private_directory(trial: Path, monkeyp
     assert list(temporary.iterdir()) == []
 
 
-def test_a_cache_that_can_only_be_read_serves(compiled_trial: Path) -> None:
+def test_a_cache_that_can_only_be_read_serves(compiled_trial: Path, called: Called) -> None:
     (folder,) = (compiled_trial.parent / "cache").iterdir()
     folder.chmod(0o555)
     try:
@@ -208,7 +248,7 @@ def test_a_cache_that_can_only_be_read_serves(compiled_trial: Path) -> None:
         folder.chmod(0o755)
 
 
-def test_old_versions_of_a_kernel_are_removed(compiled_trial: Path) -> None:
+def test_old_versions_of_a_kernel_are_removed(compiled_trial: Path, called: Called) -> None:
     (first,) = (entry for entry in entries(compiled_trial) if "calling" in entry.name)
     kernel = first.name.rpartition("-")[0]
     for age in range(1, VERSIONS_KEPT + 1):
@@ -243,7 +283,7 @@ def test_kernels_compile_in_other_processes_and_say_so_once(trial: Path) -> None
     assert built(trial).communicate(timeout=120)[0].splitlines() == ["True 0 0"]
 
 
-def test_two_processes_may_fill_an_empty_cache(trial: Path) -> None:
+def test_two_processes_may_fill_an_empty_cache(trial: Path, called: Called) -> None:
     both = [built(trial) for _ in range(2)]
     assert [process.communicate(timeout=120)[0].splitlines()[-1] for process in both] == ["True 0 0"] * 2
     assert called(trial) == [42.0, 2.0, 0, 0]
