@@ -252,13 +252,12 @@ def test_lego_robot4_lies_on_the_camera_track(judge: ModuleType, real_logs: Path
 
 
 @pytest.mark.parametrize("after", [0, 1, 60, 100, 130, 190, 250])
-def test_a_run_that_is_stopped_keeps_the_longest_track(after: int) -> None:
+def test_a_run_that_is_stopped_keeps_the_longest_track(tour: Recording, after: int) -> None:
     """Wherever the scans run dry: in the first pass, or in a pass without the odometry that contradicts them.
 
     The first pass ends where that is plain.
     """
     first = EARLY_STEPS + 2
-    tour = record(furnished_rooms(), along(TOUR), noise=0.01)
     scans, odom = tour.scans[:120], tour.map_T_laser
     wrong = Trajectory(odom.stamps_ns, odom.xyyaw * [-1.0, -1.0, -1.0])
     given = 0
