@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from pathlib import Path
 
@@ -9,6 +10,15 @@ import pytest
 from hypothesis import settings
 
 ROOT = Path(__file__).parent.parent
+
+gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    """Collect garbage from here on, but never look again at what was made so far: thousands of tests."""
+    gc.freeze()
+    gc.enable()
+
 
 settings.register_profile("untimed", deadline=None)
 settings.load_profile("untimed")
