@@ -15,6 +15,7 @@ import pytest
 from msgspec.structs import replace
 
 import mavnav
+from support.sessions import cut, tour, written
 
 ROOT = Path(__file__).parent.parent
 EXAMPLES = re.findall(r"^```python\n(.*?)^```", (ROOT / "docs/python.md").read_text(), re.MULTILINE | re.DOTALL)
@@ -193,7 +194,8 @@ def test_a_run_is_given_where_a_path_can_be(log: Path, run: mavnav.Run, tmp_path
     assert mavnav.replay(log, end_s=0.5, map=run).metrics["scans"]["total"] > 0
 
 
-def test_one_grid_need_not_be_a_list(log: Path) -> None:
+def test_one_grid_need_not_be_a_list(tmp_path: Path) -> None:
+    log = written(cut(tour("hall"), 3)[0], tmp_path / "drive.mcap")
     single, listed = (
         mavnav.compare(log, grids=grids, methods=methods, workers=1)
         for grids, methods in (("5x5", "robust"), (["5x5"], ["robust"]))

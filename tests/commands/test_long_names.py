@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +10,7 @@ import pytest
 
 from mavnav.atomic_files import beside, short_name
 from mavnav.errors import ExitCode
+from support.sessions import cut, tour, written
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -62,11 +62,10 @@ def test_a_name_that_no_file_can_have_is_a_usage_error(
 
 @pytest.mark.parametrize("letter", ["y", "é"])
 def test_a_log_of_the_longest_name_is_replayed_merged_and_compared(
-    mavnav: Callable, sample: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, letter: str
+    mavnav: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, letter: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    log = Path(letter * (250 // len(letter.encode())) + ".mcap")
-    shutil.copy(sample, log)
+    log = written(cut(tour("hall"), 3)[0], Path(letter * (250 // len(letter.encode())) + ".mcap"))
     assert mavnav("replay", log, *FEW)[0] == 0
     (run,) = Path("runs").iterdir()
     assert (run / "run.json").is_file()

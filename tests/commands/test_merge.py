@@ -25,9 +25,22 @@ def logs(tmp_path_factory) -> dict[str, Path]:
     return found | {"blind": write_mcap(folder / "blind.mcap", drive(0))}
 
 
-def test_logs_and_runs_are_joined(mavnav, logs, tmp_path) -> None:
-    api.replay(logs["back"], directory=tmp_path / "back")
-    code, out, err = mavnav("merge", logs["hall"], tmp_path / "back", "-o", tmp_path / "m", "-q", "--json", "--report")
+@pytest.fixture(scope="module")
+def replayed(logs, tmp_path_factory) -> Path:
+    """Return the run of the way back; for reading."""
+    run = tmp_path_factory.mktemp("runs") / "back"
+    api.replay(logs["back"], directory=run)
+    return run
+
+
+@pytest.fixture
+def back(replayed, tmp_path) -> Path:
+    """Return a copy of the run of the way back."""
+    return Path(shutil.copytree(replayed, tmp_path / "back"))
+
+
+def test_logs_and_runs_are_joined(mavnav, logs, back, tmp_path) -> None:
+    code, out, err = mavnav("merge", logs["hall"], back, "-o", tmp_path / "m", "-q", "--json", "--report")
     assert "2 of 2 sessions" in (tmp_path / "m" / "report.html").read_text()
     assert (code, err) == (0, "")
     document = json.loads(out)
@@ -46,7 +59,7 @@ def test_logs_and_runs_are_joined(mavnav, logs, tmp_path) -> None:
     assert "-0.0" not in map(str, [*first["map_T_session"].values(), *second["map_T_session"].values()])
     assert [first["map_T_session"][key] for key in ("x_m", "yaw_deg")] == pytest.approx([0, 0], abs=0.05)
     assert {row["name"]: row["closures"] for row in [*first["joined_to"], *second["joined_to"]]}
-    diff = api.diff(tmp_path / "m", tmp_path / "back")
+    diff = api.diff(tmp_path / "m", back)
     assert (diff["changed_m2"], diff["changes"]) == (0, [])
 
 
@@ -80,7 +93,7 @@ def test_a_log_without_any_pose_does_not_join(mavnav, logs, tmp_path) -> None:
     assert "cannot be continued: no scan was tracked" in err
 
 
-def test_what_became_of_each_log_is_stated(mavnav, logs, tmp_path) -> None:
+def test_what_became_of_each_log_is_stated(mavnav, logs, back, tmp_path) -> None:
     """A run that was lost for good outweighs a damaged log, and a log that is named twice counts once."""
     data = logs["back"].read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[: int(0.8 * len(data))])
@@ -90,20 +103,18 @@ def test_what_became_of_each_log_is_stated(mavnav, logs, tmp_path) -> None:
     assert (hall["damage"], hall["tracking"]["lost"], hall["tracking"]["tracked_share"]) == ([], False, 1.0)
     assert cut["joined"]
     assert cut["damage"][0]["what"] in err
-    run = tmp_path / "back"
-    api.replay(logs["back"], directory=run)
-    document = json.loads((run / "run.json").read_text())
+    document = json.loads((back / "run.json").read_text())
     document["tracking"]["lost"], document["exit_code"] = True, 5
-    (run / "run.json").write_text(json.dumps(document))
+    (back / "run.json").write_text(json.dumps(document))
     copy = Path(shutil.copy(logs["hall"], tmp_path))
-    code, out, err = mavnav("merge", logs["hall"], copy, run, "-o", tmp_path / "n", "-q")
+    code, out, err = mavnav("merge", logs["hall"], copy, back, "-o", tmp_path / "n", "-q")
     assert code == 5
     assert f"hall-2 ({copy}) did not join: it has the scans of hall-1" in err
     assert [line.split()[:2] for line in out.splitlines()[:2]] == [
         ["hall-1", f"{logs['hall']},"],
         ["hall-2", f"{copy},"],
     ]
-    assert f"back ({run}): tracking was lost for good" in err
+    assert f"back ({back}): tracking was lost for good" in err
     sessions = json.loads((tmp_path / "n" / "merge.json").read_text())["sessions"]
     assert [session["joined"] for session in sessions] == [True, False, True]
 
@@ -133,11 +144,10 @@ def test_what_cannot_be_merged(mavnav, logs, tmp_path) -> None:
         assert word in err, args
 
 
-def test_a_run_that_was_altered_is_not_merged(mavnav, logs, tmp_path) -> None:
-    api.replay(logs["back"], directory=tmp_path / "back")
-    with (tmp_path / "back" / "trajectory.tum").open("a") as file:
+def test_a_run_that_was_altered_is_not_merged(mavnav, logs, back, tmp_path) -> None:
+    with (back / "trajectory.tum").open("a") as file:
         file.write("# mine\n")
-    code, out, err = mavnav("merge", tmp_path / "back", logs["hall"], "-o", tmp_path / "m", "-q")
+    code, out, err = mavnav("merge", back, logs["hall"], "-o", tmp_path / "m", "-q")
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert "back is no whole run: trajectory.tum has been altered since it was written" in err
 
