@@ -227,9 +227,8 @@ def test_ccny_demo_is_crisp_where_it_is_seen_again(judge: ModuleType, real_logs:
 
 @pytest.mark.real_logs
 def test_urg_exp1_keeps_its_heading(judge: ModuleType, real_logs: Path) -> None:
-    _, views, coverage = scored(judge, real_logs, "urg_exp1", 70)
+    log, views, coverage = scored(judge, real_logs, "urg_exp1", 70)
     assert coverage == 1.0
-    log = judge.read_log(real_logs / "urg_exp1" / "urg_exp1.mcap", "/scan", 0.1, None, 70)
     fifths = np.zeros(5, complex)
     for view in views:
         direction, length = judge.wall_chords(log, view)

@@ -6,11 +6,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from mavnav.kernels.walls.scan_pairs import best_alignments, wall_gaps, wall_normals
 from mavnav.pose import Pose
 from support import naive_metrics as naive
-from support.synthetic import LDS_01, URG_04LX, furnished_rooms, room, scan_at
+from support.synthetic import DEG, LDS_01, URG_04LX, furnished_rooms, room, scan_at
 
 LIMITS_M = np.array([0.1, 4.0])
 
@@ -66,10 +67,11 @@ def test_the_best_alignment_is_the_true_pose(poses) -> None:
 
 
 def test_the_search_tries_what_its_twin_tries(poses) -> None:
-    ranges, pairs = scans_of(LDS_01, poses), np.array([(0, 1), (2, 3)])
+    spec = replace(LDS_01, beams=180, angle_step_rad=2 * DEG)
+    ranges, pairs = scans_of(spec, poses), np.array([(0, 1), (2, 3)])
     given = np.array([Pose(*poses[b]).between(Pose(*poses[a])).as_array() for a, b in pairs])
     given += 0.06, -0.04, 0.03
-    arguments = ranges, pairs, given, LDS_01.directions, LIMITS_M, 1
+    arguments = ranges, pairs, given, spec.directions, LIMITS_M, 1
     np.testing.assert_allclose(best_alignments(*arguments), naive.best_alignments(*arguments), atol=1e-9)
 
 

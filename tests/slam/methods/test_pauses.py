@@ -21,7 +21,7 @@ from mavnav.slam.recovery.parts import join_parts
 from mavnav.slam.result import SlamResult
 from mavnav.slam.track import Track
 from mavnav.units import NS
-from support.synthetic import along, box, polyline, record, scan_at
+from support.synthetic import Recording, along, box, polyline, record, scan_at
 
 S = 10**9
 SPEC = LaserSpec(-np.pi * 2 / 3, np.pi / 180, 241, 0.05, 8.0)
@@ -40,9 +40,14 @@ def corridor(seed: int) -> np.ndarray:
 
 
 @cache
+def drive(seed: int) -> Recording:
+    return record(corridor(seed), along([(4.0, 1.0), (30.0, 1.1), (60.0, 1.0)], speed_m_s=1.0), SPEC, 0.002)
+
+
+@cache
 def drive_with_pause(seed: int, first_s: float, last_s: float, *, odometry: bool = False) -> tuple[SlamResult, float]:
     """Return the run of a drive down the corridor, and its largest error, m, with a pause in the scans."""
-    full = record(corridor(seed), along([(4.0, 1.0), (30.0, 1.1), (60.0, 1.0)], speed_m_s=1.0), SPEC, 0.002)
+    full = drive(seed)
     start_ns = full.scans[0].stamp_ns
     kept = [k for k, s in enumerate(full.scans) if not first_s < (s.stamp_ns - start_ns) * NS < last_s]
     truth, scans = full.map_T_laser, [full.scans[k] for k in kept]
