@@ -139,14 +139,14 @@ def test_a_picture_is_drawn_to_bytes() -> None:
 def test_a_file_is_checked_before_the_work(tmp_path: Path) -> None:
     there = tmp_path / "page.html"
     there.write_text("old")
-    check_file(None, ".html", "HTML", force=False)
-    check_file(there, ".html", "HTML", force=True)
+    check_file(None, ".html", force=False)
+    check_file(there, ".html", force=True)
     with pytest.raises(OutputError, match="exists"):
-        check_file(there, ".html", "HTML", force=False)
+        check_file(there, ".html", force=False)
     with pytest.raises(OutputError, match="is a directory"):
-        check_file(tmp_path, ".html", "HTML", force=False)
+        check_file(tmp_path, ".html", force=False)
     with pytest.raises(UsageError, match=r"name it with \.html"):
-        check_file(tmp_path / "page", ".html", "HTML", force=False)
+        check_file(tmp_path / "page", ".html", force=False)
 
 
 def test_a_file_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
