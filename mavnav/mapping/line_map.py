@@ -14,9 +14,9 @@ from msgspec import Struct, field
 
 from mavnav.kernels.maps import cost_floors
 from mavnav.kernels.maps.layout import FAR, LEVELS, NEAR, REACH_CELLS
-from mavnav.kernels.maps.linemap import Geometry, insert_points, rebuild
+from mavnav.kernels.maps.linemap import WINDOW_CELLS, Geometry, insert_points, rebuild
 from mavnav.kernels.scans.correlative_search import pose_costs
-from mavnav.kernels.scans.points import extent
+from mavnav.kernels.scans.points import LONGEST_M, extent, place_points, points_between
 from mavnav.mapping.tiled_arrays import NO_EXTENT, covered_extent, covering, enlarge, within
 from mavnav.profiling import timed
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.mapping.tiled_arrays import Extent
+    from mavnav.pose import Pose
 
     Array = NDArray[np.float64]
 
@@ -152,6 +153,20 @@ class LineMap(Struct):
                 self.lines,
                 self.waiting,
             )
+
+    def insert_between(self, points: Array, step_rad: float, map_T_laser: Pose) -> None:
+        """Insert points on the walls between beams that are too far apart for lines through their end points.
+
+        Without them standing still fits perfectly: each point finds itself, and no wall. ``points`` (n, 2), m, laser
+        frame, are those of a scan in the order of its beams, ``step_rad`` is the angle between two beams.
+        """
+        reach_m, spacing_m = WINDOW_CELLS * self.cell_m, max(self.line_sigma_m, self.cell_m)
+        if not len(points) or abs(step_rad) * np.hypot(*np.abs(points).max(axis=0)) <= reach_m:
+            return
+        out = np.empty((len(points) * int(LONGEST_M / spacing_m), 2))
+        between = out[: points_between(points, abs(step_rad), reach_m, spacing_m, out)]
+        place_points(between, map_T_laser.as_array(), between)
+        self.insert(between)
 
     @timed("field update")
     def remove(self, xy_map_m: Array) -> None:

@@ -168,6 +168,28 @@ def scan_points(ranges_m, directions, twist, time_increment_s, near_m, far_m):
     return np.array(out).reshape(-1, 2)
 
 
+def points_between(points, step_rad, reach_m, spacing_m):
+    """Join neighbouring end points of one wall: one by one, by angles and distances."""
+    joined = []
+    for k in range(len(points) - 1):
+        a, b = points[k], points[k + 1]
+        turned = abs(math.remainder(math.atan2(b[1], b[0]) - math.atan2(a[1], a[0]), math.tau))
+        near, apart = min(np.hypot(*a), np.hypot(*b)), np.hypot(*(b - a))
+        across = near * math.sin(turned)
+        missing = math.sin(turned) > 1.5 * step_rad
+        beside = [(a, points[k - 1])] if k else []
+        beside += [(b, points[k + 2])] if k + 2 < len(points) else []
+        straight = False
+        for at, other in beside:
+            away = (a - b if at is a else b - a) / apart
+            along, off = (other - at) @ away, abs(away[0] * (other - at)[1] - away[1] * (other - at)[0])
+            straight |= along > 0 and off <= 0.02 + 0.2 * min(np.hypot(*(other - at)), apart)
+        if across > reach_m and apart <= 1.0 and not missing and straight:
+            count = int(apart / spacing_m)
+            joined += [a + (b - a) * j / (count + 1) for j in range(1, count + 1)]
+    return np.array(joined).reshape(-1, 2)
+
+
 def voxel_means(points, voxel_m):
     """Return the means in any order."""
     voxels = defaultdict(list)

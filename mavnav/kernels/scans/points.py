@@ -14,6 +14,13 @@ STEEPEST = 2.75
 """Tangent of the angle, 70 degrees, between a beam and the normal of a wall that its neighbors still meet."""
 
 
+LONGEST_M, MISSING = 1.0, 1.5
+"""Distance up to which two neighbouring end points are joined, m, and angle between them, in beams, that is a gap."""
+
+NOISE_M, BEND = 0.02, 0.2
+"""Distance of a point from the line through its two neighbours with which they are one wall, m and as a share."""
+
+
 @helper
 def _end_points(
     ranges_m: F64_1D,
@@ -115,6 +122,53 @@ def scan_points(
     near_m, far_m, voxel_m = limits_m
     n = _end_points(ranges_m, directions, twist, time_increment_s, near_m, far_m, ends)
     return n, voxel_means(ends[:n], voxel_m, means)
+
+
+@helper
+def _is_straight(points: F64_2D, at: int, other: int, dx: float, dy: float) -> bool:
+    """Return whether a point beside another one, ``at``, lies in the direction (dx, dy), m, about as noise allows."""
+    if not 0 <= other < len(points):
+        return False
+    x, y = points[other, 0] - points[at, 0], points[other, 1] - points[at, 1]
+    apart2 = dx * dx + dy * dy
+    along, across = (x * dx + y * dy) / np.sqrt(apart2), abs(x * dy - y * dx) / np.sqrt(apart2)
+    near = np.sqrt(min(x * x + y * y, apart2))
+    return bool(along > 0.0 and across <= NOISE_M + BEND * near)
+
+
+@kernel
+def points_between(points: F64_2D, step_rad: float, reach_m: float, spacing_m: float, out: Out[F64_2D]) -> int:
+    """Write points on the walls between beams that are farther apart than ``reach_m``; return their number.
+
+    Parameters
+    ----------
+    points : (n, 2) end points of a scan in the order of its beams, m, laser frame
+    step_rad : angle between two beams; points with a missing beam between them are not joined
+    reach_m, spacing_m : distance of two beams, across them, above which they are joined, and of the points, m
+    out : (m, 2) output, m, laser frame; with ``LONGEST_M / spacing_m`` rows a point it is never too short
+
+    Two end points are on one wall if they are ``LONGEST_M`` apart at most and the point before or after continues the
+    line through them: neither corners nor the gap behind an edge are bridged.
+    """
+    used = 0
+    for k in range(len(points) - 1):
+        x, y, to_x, to_y = points[k, 0], points[k, 1], points[k + 1, 0], points[k + 1, 1]
+        range_m, next_m = np.sqrt(x * x + y * y), np.sqrt(to_x * to_x + to_y * to_y)
+        sine = abs(x * to_y - y * to_x) / (range_m * next_m)
+        if sine > MISSING * step_rad or min(range_m, next_m) * sine <= reach_m:
+            continue
+        dx, dy = to_x - x, to_y - y
+        apart_m = np.sqrt(dx * dx + dy * dy)
+        if apart_m > LONGEST_M:
+            continue
+        if not (_is_straight(points, k, k - 1, -dx, -dy) or _is_straight(points, k + 1, k + 2, dx, dy)):
+            continue
+        count = int(apart_m / spacing_m)
+        for j in range(1, count + 1):
+            share = j / (count + 1)
+            out[used, 0], out[used, 1] = x + share * dx, y + share * dy
+            used += 1
+    return used
 
 
 @helper

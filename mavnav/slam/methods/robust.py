@@ -288,6 +288,7 @@ class Robust:
         xy_map_m, extent_m = self.placed_points(scan, map_T_laser, motion)
         self.grid.insert(map_T_laser, xy_map_m, extent_m)  # first: it refuses maps that are too large
         self.lines.insert(xy_map_m, extent_m)
+        self.lines.insert_between(self._points(scan, motion)[0], scan.spec.angle_step_rad, map_T_laser)
 
     def placed_points(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> tuple[NDArray[np.float64], Extent]:
         """Return every valid point (n, 2) of the de-skewed scan, m, map frame, and their extent."""
