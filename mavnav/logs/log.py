@@ -16,7 +16,7 @@ from mavnav.logs.read_report import ReadReport
 from mavnav.logs.stamps import KEPT_BYTES, StampSource
 from mavnav.pose import Pose
 from mavnav.profiling import Stage, each
-from mavnav.scan import LaserSpec, Scan
+from mavnav.scan import LONGEST_SWEEP, LaserSpec, Scan
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -126,6 +126,12 @@ class Log(Struct, frozen=True, eq=False, kw_only=True):
     _ranges: list[tuple[LaserSpec, NDArray[np.float64]]] | None = None
     _merged: tuple[Log, ...] = ()
     _kept: list[Scan] = field(default_factory=list)
+
+    @property
+    def mid_sweep_s(self) -> float:
+        """Time from the stamp of a scan to the middle of its sweep, where its pose holds; 0 if it cannot be right."""
+        sweep_s = self.sensor.sweep_s
+        return 0.5 * sweep_s if sweep_s <= LONGEST_SWEEP * self.period_s else 0.0
 
     @property
     def duration_s(self) -> float:

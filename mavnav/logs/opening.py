@@ -20,7 +20,7 @@ from mavnav.logs.records import ScanCounts
 from mavnav.logs.stamps import REPEATED_SHARE, comes_in_bursts, period_and_gaps
 from mavnav.logs.survey import Survey, survey
 from mavnav.logs.trajectories import laser_odometry, laser_truth
-from mavnav.logs.transforms import frame_name, mounting
+from mavnav.logs.transforms import frame_name, mounting, transforms_for
 from mavnav.pose import Pose
 from mavnav.units import NS
 
@@ -277,14 +277,15 @@ def _with_motion(log: Log, survey: Survey, odom: str, extrinsic: Pose | None, *,
     """Add mounting and odometry, and what there is to warn about time."""
     motion, warnings = survey.motion, [*log.warnings, *_scan_warnings(log)]
     laser = frame_name((log._merged or (log,))[0].frame_id)  # noqa: SLF001  the log is made here
+    frames = transforms_for(motion.frames, log.topic)
     track = motion.odometry.choose(
-        odom, warnings.append, lambda base: bool(base) and motion.frames.find(base, laser) is not None
+        odom, warnings.append, lambda base: bool(base) and frames.find(base, laser) is not None, log.topic
     )
-    bases = [track.base_frame] if track and track.base_frame else motion.frames.bases(laser)
+    bases = [track.base_frame] if track and track.base_frame else frames.bases(laser)
     place, of_mounting = len(warnings), list[str]()
-    mounted = mounting(motion.frames, log.frame_id, bases, of_mounting.append)
+    mounted = mounting(frames, log.frame_id, bases, of_mounting.append)
     base_frame, base_T_laser, overhead = mounted or (bases[0] if track else None, None, False)
-    if mounted and not extrinsic and motion.frames.contradicts(mounted.base_frame, laser):
+    if mounted and not extrinsic and frames.contradicts(mounted.base_frame, laser):
         warnings.append(
             f"/tf_static gives several transforms from {base_frame!r} to {log.frame_id!r}; the last is used: see what "
             "publishes them, or give the mounting with --extrinsic x,y,yaw"
@@ -296,14 +297,19 @@ def _with_motion(log: Log, survey: Survey, odom: str, extrinsic: Pose | None, *,
         text = f"the transforms say that the laser ({log.frame_id}) is mounted upside down"
         warnings.append(f"{text}; its scans are {done}")
     base_T_laser = extrinsic or base_T_laser
+    if base_frame and base_T_laser is None and frames.moves(base_frame, laser):
+        warnings.append(
+            f"the transform from {base_frame!r} to {log.frame_id!r} moves; give where the laser mostly is with "
+            "--extrinsic x,y,yaw"
+        )
     odometry = laser_odometry(track, log, base_frame, base_T_laser, warnings.append) if track else None
     log = replace(log, upside_down=upside_down or (overhead and extrinsic is None))
-    attitude = laser_attitude(motion.attitudes, motion.imus, motion.frames, log, warnings.append)
+    attitude = laser_attitude(motion.attitudes, motion.imus, frames, log, warnings.append)
     if attitude is None:  # else a tilted mounting is levelled as well
         warnings[place:place] = of_mounting
     imu = laser_rotation(motion.imus, log, odom, warnings.append)
     known = motion.truth.choose(survey.topics)
-    placing = (log, motion.frames, base_T_laser, extrinsic, warnings.append)
+    placing = (log, frames, base_T_laser, extrinsic, warnings.append)
     log = replace(
         log,
         truth=laser_truth(known, *placing) if known else None,

@@ -9,6 +9,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 if TYPE_CHECKING:
+    from mavnav.logs.odometry_chains import LeftOut
     from mavnav.pose import Rotation, Trajectory
 
 
@@ -111,13 +112,14 @@ class ScanCounts(Struct, frozen=True):
 class Odometry(Struct, frozen=True):
     """Odometry of a log: the base's and the laser's poses in the odometry frame, at the same stamps.
 
-    Without a known mounting the laser is taken to sit on the base's origin.
+    Without a known mounting the laser is taken to sit on the base's origin. ``left_out`` is what was not used of it.
     """
 
     topic: str
     source: Literal["odom", "tf"]
     odom_T_base: Trajectory
     odom_T_laser: Trajectory
+    left_out: LeftOut | None = None
 
 
 class Imu(Struct, frozen=True):

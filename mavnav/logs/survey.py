@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from contextlib import suppress
 from time import monotonic
 from typing import TYPE_CHECKING, Any
@@ -24,7 +24,7 @@ from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel, Damage, RawMessage, Topic
 from mavnav.logs.stamps import TopicScans
 from mavnav.logs.trajectories import OdometryTracks, TruthTracks
-from mavnav.logs.transforms import FrameTree
+from mavnav.logs.transforms import FrameTree, namespace
 from mavnav.profiling import timed
 
 if TYPE_CHECKING:
@@ -54,13 +54,13 @@ class Survey(Struct, frozen=True):
 
 
 class Motion(Struct):
-    """What the messages of a log say about motion and mounting, besides the scans."""
+    """What the messages of a log say about motion and mounting, besides the scans; ``frames`` by their namespace."""
 
     odometry: OdometryTracks
     truth: TruthTracks
     attitudes: AttitudeTracks
     imus: dict[str, ImuTrack] = field(default_factory=dict)
-    frames: FrameTree = field(default_factory=FrameTree)
+    frames: defaultdict[str, FrameTree] = field(default_factory=lambda: defaultdict(FrameTree))
 
     def takes(self, channel: Channel) -> bool:
         """Return whether single poses of a channel are wanted."""
@@ -80,7 +80,7 @@ class Motion(Struct):
             self.odometry.add_odometry(channel.topic, decoded[0], log_ns)
         elif channel.type != POSE:
             static = channel.topic.endswith("tf_static")
-            self.frames.add(decoded, static=static)
+            self.frames[namespace(channel.topic)].add(decoded, static=static)
             if not static:
                 self.odometry.add_transforms(channel.topic, decoded, log_ns)
 

@@ -11,11 +11,11 @@ from msgspec import Struct, field
 
 from mavnav.errors import TopicError
 from mavnav.logs.messages.definitions import ODOMETRY, POSE, TRANSFORM
+from mavnav.logs.odometry_chains import without_jumps
 from mavnav.logs.records import Odometry, RecordedTruth
 from mavnav.logs.stamps import Stamps, in_order
-from mavnav.logs.transforms import frame_name, mounting, planar_pose
-from mavnav.pose import Pose, Trajectory, motions
-from mavnav.units import NS
+from mavnav.logs.transforms import frame_name, mounting, namespace, planar_pose
+from mavnav.pose import Pose, Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -28,10 +28,6 @@ if TYPE_CHECKING:
 
 TF_TOPIC = "/tf"
 _ODOM_FRAME = "odom"
-_JUMP_M, _FASTEST_M_S = 100.0, 100.0
-_RESET_M, _RESET_M_S = 1.0, 20.0
-_FEW_RESETS, _RESET_SHARE = 4, 0.001
-"""Step, m plus m/s, that no wheels make, and the number and share of such steps that are left out."""
 
 TRUTH_TYPES: Final = frozenset({POSE, ODOMETRY, TRANSFORM})
 TRUTH_NAMES: Final = re.compile(
@@ -74,39 +70,6 @@ class OdometryTrack(PoseTrack):
     source: Literal["odom", "tf"] = "odom"
 
 
-def _jump(odom_T_base: Trajectory) -> str:
-    """Return where the odometry moves farther than any vehicle; empty where it does not."""
-    step_m = np.hypot(*np.diff(odom_T_base.xyyaw[:, :2], axis=0).T)
-    (far,) = (step_m > _JUMP_M + _FASTEST_M_S * NS * np.diff(odom_T_base.stamps_ns)).nonzero()
-    if not len(far):
-        return ""
-    since_s = (odom_T_base.stamps_ns[far[0] + 1] - odom_T_base.stamps_ns[0]) * NS
-    return f"jumps by {step_m[far[0]]:.3g} m, {since_s:.3f} s after its start"
-
-
-def _without_resets(odom_T_base: Trajectory, topic: str, warn: Callable[[str], None]) -> Trajectory:
-    """Return the odometry without single steps that no wheels make: it was reset there, or a pose is wrong.
-
-    The step before takes the place of each. Odometry with many such steps stays as it is.
-    """
-    numbers, elapsed_s = np.arange(len(odom_T_base)), np.diff(odom_T_base.stamps_ns) * NS
-    steps = motions(odom_T_base.xyyaw, numbers[:-1], numbers[1:])
-    far = np.hypot(steps[:, 0], steps[:, 1]) > _RESET_M + _RESET_M_S * elapsed_s
-    resets = np.flatnonzero(far)
-    if not len(resets) or len(resets) > max(_FEW_RESETS, _RESET_SHARE * len(far)):
-        return odom_T_base
-    for k in resets.tolist():
-        steps[k] = steps[k - 1] * min(elapsed_s[k] / elapsed_s[k - 1], 1.0) if k else 0.0
-    first = int(resets[0])
-    since_s = float(odom_T_base.stamps_ns[first + 1] - odom_T_base.stamps_ns[0]) * NS
-    poses = [odom_T_base[k] for k in range(first + 1)]
-    for x_m, y_m, yaw_rad in steps[first:].tolist():
-        poses.append(poses[-1] @ Pose(x_m, y_m, yaw_rad))
-    when = f"{since_s:.1f} s after its start" + (f", and {len(resets) - 1} more" if len(resets) > 1 else "")
-    warn(f"{topic}: the odometry jumps ({when}), as after a reset; these steps are left out")
-    return Trajectory.of(odom_T_base.stamps_ns.tolist(), poses)
-
-
 class OdometryTracks(Struct):
     """All odometry of a log: nav_msgs/Odometry by topic, and the edges of /tf that start at an ``odom`` frame.
 
@@ -115,7 +78,7 @@ class OdometryTracks(Struct):
 
     wanted: str = "auto"
     topics: dict[str, OdometryTrack] = field(default_factory=dict)
-    transforms: dict[str, OdometryTrack] = field(default_factory=dict)
+    transforms: dict[tuple[str, str], OdometryTrack] = field(default_factory=dict)
 
     def takes(self, channel: Channel) -> bool:
         """Return whether the poses of a channel are wanted as odometry."""
@@ -133,14 +96,14 @@ class OdometryTracks(Struct):
         """Take in the transforms of a /tf message."""
         for message in messages:
             if frame_name(message.parent).rsplit("/", 1)[-1] == _ODOM_FRAME:
-                child = frame_name(message.child)
-                track = self.transforms.get(child)
+                key = topic, frame_name(message.child)
+                track = self.transforms.get(key)
                 if track is None:
-                    track = self.transforms[child] = OdometryTrack(topic, child, source="tf")
+                    track = self.transforms[key] = OdometryTrack(*key, source="tf")
                 track.add(message, log_ns)
 
     def choose(
-        self, wanted: str, warn: Callable[[str], None], leads_to_laser: Callable[[str], bool] = bool
+        self, wanted: str, warn: Callable[[str], None], leads_to_laser: Callable[[str], bool] = bool, topic: str = ""
     ) -> OdometryTrack | None:
         """Return the track to use.
 
@@ -153,6 +116,8 @@ class OdometryTracks(Struct):
             Takes a line where ``auto`` cannot choose.
         leads_to_laser
             Whether the transforms lead from a frame to the laser; tracks of such frames are preferred.
+        topic
+            That of the scans; odometry of its namespace is preferred.
 
         Raises
         ------
@@ -162,16 +127,22 @@ class OdometryTracks(Struct):
         if wanted == "off":
             return None
         if wanted == "auto":
-            return self._choose_auto(warn, leads_to_laser)
-        track = self.topics.get(wanted) or (self._of_tf(leads_to_laser) if wanted.lstrip("/") == TF_TOPIC[1:] else None)
+            return self._choose_auto(warn, leads_to_laser, topic)
+        track = self.topics.get(wanted) or (
+            self._of_tf(leads_to_laser, topic) if wanted.lstrip("/") == TF_TOPIC[1:] else None
+        )
         if track is None:
             known = ", ".join([*self.topics, *([TF_TOPIC] if self.transforms else [])])
             advice = f"name one that the log holds: {known}" if known else "the log holds none, leave --odom out"
             raise TopicError(f"no odometry on topic {wanted!r}; {advice}")
         return track
 
-    def _choose_auto(self, warn: Callable[[str], None], leads_to_laser: Callable[[str], bool]) -> OdometryTrack | None:
-        fit = {topic: track for topic, track in self.topics.items() if leads_to_laser(track.base_frame)} or self.topics
+    def _choose_auto(
+        self, warn: Callable[[str], None], leads_to_laser: Callable[[str], bool], topic: str
+    ) -> OdometryTrack | None:
+        near = {name: track for name, track in self.topics.items() if namespace(name) == namespace(topic)}
+        near = near or self.topics
+        fit = {name: track for name, track in near.items() if leads_to_laser(track.base_frame)} or near
         if len(fit) == 1:
             return next(iter(fit.values()))
         if "/odom" in fit:
@@ -179,32 +150,35 @@ class OdometryTracks(Struct):
         if fit:
             warn(f"several odometry topics, none is used: {', '.join(fit)}; choose with --odom TOPIC")
             return None
-        return self._of_tf(leads_to_laser)
+        return self._of_tf(leads_to_laser, topic)
 
-    def _of_tf(self, leads_to_laser: Callable[[str], bool]) -> OdometryTrack | None:
+    def _of_tf(self, leads_to_laser: Callable[[str], bool], topic: str) -> OdometryTrack | None:
         """Return the track of the laser's vehicle, of several the one with the most poses."""
-        rank = {child: (leads_to_laser(child), len(track.stamps)) for child, track in self.transforms.items()}
-        return self.transforms[max(rank, key=rank.__getitem__)] if rank else None
+
+        def rank(track: OdometryTrack) -> tuple[bool, bool, int]:
+            near = namespace(track.topic) == namespace(topic)
+            return near, leads_to_laser(track.base_frame), len(track.stamps)
+
+        return max(self.transforms.values(), key=rank, default=None)
 
 
 def laser_odometry(
     track: OdometryTrack, log: Log, base_frame: str | None, base_T_laser: Pose | None, warn: Callable[[str], None]
 ) -> Odometry | None:
-    """Return the odometry of a track, without resets; None, with a warning, where it does not fit the scans."""
+    """Return the odometry of a track, without jumps; None, with a warning, where it does not fit the scans."""
     odom_T_base = track.trajectory(log.stamp_source, warn)
     if not len(odom_T_base):
         return None
     if not log.shares_time(odom_T_base.stamps_ns):
         warn(f"{track.topic}: odometry and scans share no time; it is not used, check its clock")
         return None
-    if text := _jump(odom_T_base):
-        warn(f"{track.topic}: the odometry {text}; it is not used, check it or write --odom off")
-        return None
     if base_T_laser is None:
         text = f"no transform from {base_frame!r} to {log.frame_id!r}; the odometry is taken as the laser's own"
         warn(f"{text} (give the mounting with --extrinsic x,y,yaw)")
-    odom_T_base = _without_resets(odom_T_base, track.topic, warn)
-    return Odometry(track.topic, track.source, odom_T_base, odom_T_base.compose(base_T_laser or Pose()))
+    odom_T_base, left_out = without_jumps(odom_T_base)
+    if left_out:
+        warn(f"{track.topic}: {left_out.text}")
+    return Odometry(track.topic, track.source, odom_T_base, odom_T_base.compose(base_T_laser or Pose()), left_out)
 
 
 class TruthTracks(Struct):

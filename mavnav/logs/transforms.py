@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 BASE_FRAMES = ("base_link", "base_footprint")
 
 _SAME = 1e-6
+_WOBBLE_M, _WOBBLE = 0.005, 0.01
+"""Differences of a mounting that is measured again and again, as by the encoder of a locked joint: m, and of axes."""
+
+_LIMITS = np.pad(np.full((3, 3), _WOBBLE), ((0, 1), (0, 1)), constant_values=_WOBBLE_M)
 _UPRIGHT = cos(radians(10.0))
 
 
@@ -78,7 +82,7 @@ class FrameTree(Struct):
             if static:
                 self.static[edge] = matrix
                 self.first_static.setdefault(edge, matrix)
-            elif not np.allclose(self.moving.setdefault(edge, matrix), matrix, atol=_SAME, rtol=0.0):
+            elif (np.abs(self.moving.setdefault(edge, matrix) - matrix) > _LIMITS).any():
                 self.changed.add(edge)
 
     def find(self, base: str, laser: str) -> NDArray[np.floating] | None:
@@ -87,6 +91,10 @@ class FrameTree(Struct):
         direct = _chain(self.static, base, laser)
         return direct if direct is not None else _chain({**constant, **self.static}, base, laser)
 
+    def moves(self, base: str, laser: str) -> bool:
+        """Return whether transforms lead from the base to the laser, but change."""
+        return self.find(base, laser) is None and _chain({**self.moving, **self.static}, base, laser) is not None
+
     def contradicts(self, base: str, laser: str) -> bool:
         """Return whether the static transforms as they were first give another ``base_T_laser`` than the last."""
         first, last = (_chain(edges, base, laser) for edges in (self.first_static, self.static))
@@ -94,14 +102,32 @@ class FrameTree(Struct):
 
     def bases(self, laser: str) -> list[str]:
         """Return the frames that a base may have: ``BASE_FRAMES``, and those in namespaces, the laser's first."""
-        space = _namespace(frame_name(laser))
+        space = namespace(frame_name(laser))
         frames = {frame for edge in (*self.static, *self.moving) for frame in edge}
         named = [frame for frame in frames if "/" in frame and frame.rsplit("/", 1)[-1] in BASE_FRAMES]
-        return [*BASE_FRAMES, *sorted(named, key=lambda f: (_namespace(f) != space, not f.endswith(BASE_FRAMES[0]), f))]
+        return [*BASE_FRAMES, *sorted(named, key=lambda f: (namespace(f) != space, not f.endswith(BASE_FRAMES[0]), f))]
+
+    def including(self, other: FrameTree) -> FrameTree:
+        """Return the transforms of both; those of the other count where they differ."""
+        pairs = ((getattr(self, name), getattr(other, name)) for name in self.__struct_fields__)
+        return FrameTree(*(a | b for a, b in pairs))
 
 
-def _namespace(frame: str) -> str:
-    return frame.rpartition("/")[0]
+def namespace(name: str) -> str:
+    """Return the namespace of a frame or a topic, empty for none: all before its last slash."""
+    return name.rpartition("/")[0]
+
+
+def transforms_for(trees: dict[str, FrameTree], topic: str) -> FrameTree:
+    """Return the transforms for the laser of a topic, of the trees by the namespace of their topics.
+
+    They are those of its robot: of its own namespace or one around it. Without a namespace of its own, all count.
+    """
+    own = {space: tree for space, tree in trees.items() if topic.startswith(f"{space}/")}
+    tree = FrameTree()
+    for each in (own if any(own) else trees).values():
+        tree = tree.including(each)
+    return tree
 
 
 def _chain(edges: dict[tuple[str, str], NDArray[np.float64]], base: str, laser: str) -> NDArray[np.floating] | None:
