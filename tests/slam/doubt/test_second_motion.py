@@ -28,7 +28,7 @@ MIDDLE = len(SPEEDS_M_S) // 2
 def behind_a_cart(width_m: float, ahead_m: float = 1.0) -> tuple[SlamResult, float]:
     """Return the run of a laser behind a cart, and how long its path truly is, m."""
     cart = box(ahead_m + 0.5, 0.0, 1.0, width_m) if width_m else NOTHING
-    path = along([(2.0, 0.0), (14.0, 0.05)], speed_m_s=0.7)
+    path = along([(2.0, 0.0), (10.0, 0.05)], speed_m_s=0.7)
     drive = record(corridor_with_rooms(), path, SPEC, noise=0.004, seed=1, carried=cart)
     return run_slam(lambda: drive.scans, Config(), 0.1), path[0].gap(path[len(path) - 1])[0]
 
