@@ -197,6 +197,25 @@ class Trajectory(Struct, frozen=True):
         return total_m + (piece_m if piece_m <= JITTER_RATIO * STEP_M else 0.0)
 
 
+def correct_path(
+    a_T_b: Trajectory, offset_ns: int, distance_scale: float = 1.0, turn_scale: float = 1.0, veer_rad_m: float = 0.0
+) -> Trajectory:
+    """Return a path with a time added to its stamps, its distances and turns multiplied, and a turn for each meter.
+
+    It begins at the same pose.
+    """
+    stamps_ns = a_T_b.stamps_ns + offset_ns
+    if not len(a_T_b) or (distance_scale, turn_scale, veer_rad_m) == (1.0, 1.0, 0.0):
+        return Trajectory(stamps_ns, a_T_b.xyyaw)
+    where, heading_rad = a_T_b.xyyaw[:, 0] + 1j * a_T_b.xyyaw[:, 1], np.unwrap(a_T_b.xyyaw[:, 2])
+    moved = np.diff(where) * np.exp(-0.5j * (heading_rad[:-1] + heading_rad[1:]))
+    turned = turn_scale * np.diff(heading_rad) + veer_rad_m * moved.real
+    yaw_rad = np.cumsum(np.append(heading_rad[0], turned))
+    steps = distance_scale * moved * np.exp(1j * (yaw_rad[:-1] + 0.5 * turned))
+    xy = np.cumsum(np.append(where[0], steps))
+    return Trajectory(stamps_ns, np.column_stack((xy.real, xy.imag, yaw_rad)))
+
+
 class Rotation(Struct, frozen=True):
     """How a body turned, as an inertial sensor measured it: at stamps (n,), ns, strictly ascending.
 

@@ -164,6 +164,8 @@ def _summary(document: dict[str, Any], directory: Path) -> Rows:
     if text := left_out_text(tracking.get("parts", [])):
         yield "left out", text
     yield "path", f"{tracking['path_length_m']:.2f} m"
+    if "odometry" in tracking:
+        yield "odometry", _odometry_text(tracking["odometry"])
     yield from doubt_rows(tracking["doubt"])
     if "continued" in document and document["continued"]["joined"]:
         yield "continued", _continuation_text(document["continued"])
@@ -180,6 +182,19 @@ def left_out_text(parts: list[dict[str, Any]]) -> str:
     """Name the parts of the log that are not in the map, by their times."""
     times = [f"{part['scans']} at {part['from_s']:.1f} to {part['to_s']:.1f} s" for part in parts if not part["joined"]]
     return f"scans tracked on other maps: {', '.join(times)}" if times else ""
+
+
+def _odometry_text(odometry: dict[str, Any]) -> str:
+    """Describe what was corrected of the odometry, and its errors."""
+    if not odometry["used"]:
+        return "not used: it contradicts the scans"
+    changes = [f"{odometry['offset_s']:+.2f} s"] if odometry["offset_s"] else []
+    for name in ("distance", "turn"):
+        scale = odometry[f"{name}_scale"]
+        changes += [f"{name}s x {scale:.3g}"] if round(scale, 2) != 1.0 else []
+    noise = odometry["noise"]["m_per_m"]
+    text = f"used, corrected by {', '.join(changes)}" if changes else "used as recorded"
+    return text + (f"; wrong by {100 * noise:.0f} % of the distance" if noise is not None else "")
 
 
 def _continuation_text(continued: dict[str, Any]) -> str:

@@ -21,7 +21,6 @@ from mavnav.outputs.directory import check_apart, check_file, write_file
 from mavnav.outputs.files.document import to_json
 from mavnav.outputs.pictures import calibration_picture
 from mavnav.outputs.report.summary_page import calibration_summary, draw_png, write_summary
-from mavnav.scan import LONGEST_SWEEP
 from mavnav.slam.methods.registry import load_kernels
 from mavnav.slam.pipeline import MEASURING, run_slam
 from mavnav.slam.retries import beam_order
@@ -124,9 +123,7 @@ def _open(request: CalibrationRequest, progress: Progress) -> Log:
 
 def _motions(log: Log, outcome: SlamResult) -> Motions:
     assert log.odometry  # noqa: S101  checked by `_open`
-    sweep_s = log.sensor.sweep_s
-    sweep_s = sweep_s if sweep_s <= LONGEST_SWEEP * log.period_s else 0.0
-    return motions_of(outcome.trajectory, log.odometry.odom_T_base, sweep_s)
+    return motions_of(outcome.trajectory, log.odometry.odom_T_base, 2.0 * log.mid_sweep_s)
 
 
 def _doubtful(outcome: SlamResult) -> str:

@@ -28,11 +28,11 @@ from mavnav.outputs.run import RunResult, Timing
 from mavnav.outputs.writers import check_groups, write_run
 from mavnav.pipelines.again import replay_words
 from mavnav.pipelines.maps import check_references, known_map, localisation, measured_map, references_in_map, slices_of
-from mavnav.pose import Pose
+from mavnav.pose import Pose, correct_path
 from mavnav.profiling import Progress, Stage, new_profile, timed
 from mavnav.slam.methods.registry import load_kernels, uses_odometry
 from mavnav.slam.pipeline import run_slam
-from mavnav.units import DEG
+from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -253,21 +253,21 @@ def with_corrected_odometry(log: Log, config: Config) -> Log:
     given, odometry = config.odometry, log.odometry
     if odometry is None or given == OdometryConfig():
         return log
-    from mavnav.metrics.calibration.motion import Wheels, apply_calibration  # noqa: PLC0415  few runs need it
-
-    wheels = Wheels(given.distance_scale, given.turn_scale, given.veer_deg_per_m * DEG)
-    odom_T_base = apply_calibration(odometry.odom_T_base, given.offset_s, wheels)
+    scales = given.distance_scale, given.turn_scale, given.veer_deg_per_m * DEG
+    odom_T_base = correct_path(odometry.odom_T_base, round(given.offset_s / NS), *scales)
     odom_T_laser = odom_T_base.compose(log.base_T_laser or Pose())
     return changed(log, odometry=changed(odometry, odom_T_base=odom_T_base, odom_T_laser=odom_T_laser))
 
 
 def _track(log: Log, config: Config, known: PriorMap | None, progress: Progress, stop: Stop) -> SlamResult:
+    """Run the method; odometry is taken at the middle of the sweeps, where the poses hold."""
     return run_slam(
         lambda: takewhile(lambda _: stop() is None, log.scans()),
         config,
         log.period_s,
-        log.odometry.odom_T_laser if log.odometry else None,
+        correct_path(log.odometry.odom_T_laser, -round(log.mid_sweep_s / NS)) if log.odometry else None,
         rotation=log.imu.rotation if log.imu else None,
         on_step=lambda phase, done: progress(phase, done, log.counts.usable),
         prior_map=known,
+        base_T_laser=log.base_T_laser or Pose(),
     )

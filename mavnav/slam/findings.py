@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from msgspec import Struct, field
 
+from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, OdometryFit
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -122,7 +124,7 @@ class Findings(Struct, frozen=True):
     map. ``by_odometry_m`` (n,) is the error to be expected of the steps that are placed by odometry alone, 0 for the
     others; empty without parts. ``observed`` and ``conflicts`` (n,) are the observability and the visibility conflicts
     of the steps in the finished map, ``hessians`` (n, 6) their Hessians, from which covariances are computed; empty
-    before the final pass. ``doubt`` is None where it was not judged.
+    before the final pass. ``doubt`` is None where it was not judged. ``odometry`` is what corrects the odometry.
     """
 
     warnings: tuple[str, ...] = ()
@@ -134,3 +136,4 @@ class Findings(Struct, frozen=True):
     conflicts: NDArray[np.float64] = field(default_factory=partial(np.zeros, 0))
     hessians: NDArray[np.float64] = field(default_factory=partial(np.zeros, (0, 6)))
     doubt: Doubt | None = None
+    odometry: OdometryFit = GOOD_ODOMETRY

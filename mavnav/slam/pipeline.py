@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING, Final
 
+from mavnav.pose import Pose
 from mavnav.slam.doubt.judge import judge_track
 from mavnav.slam.loop_closure.detection import close_loops
 from mavnav.slam.matching.motion_model import Motion
+from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, LogOdometry, in_meters
 from mavnav.slam.methods.registry import make_method
 from mavnav.slam.recovery.parts import drop_late_poses, join_lost_parts
 from mavnav.slam.recovery.rematch import rematch_beginning, rematch_rejected
@@ -23,7 +24,7 @@ from mavnav.slam.result import summarize
 from mavnav.slam.retries.attempt import COARSER_VOXELS, try_again
 from mavnav.slam.retries.beam_order import REVERSED_BEAMS
 from mavnav.slam.retries.beginning import track_from_good_beginning
-from mavnav.slam.retries.odometry import ODOMETRY_AFTER_GAPS, WITHOUT_ODOMETRY
+from mavnav.slam.retries.odometry import FITTING_ODOMETRY
 from mavnav.slam.track import Track
 
 if TYPE_CHECKING:
@@ -33,13 +34,10 @@ if TYPE_CHECKING:
     from mavnav.slam.result import SlamResult
     from mavnav.slam.track import LogScans, OnStep, Pass
 
-ODOMETRY_GAP_NS = 500_000_000
-"""Longest gap in the odometry over which it is interpolated, ns."""
-
 SHORTEST_PERIOD_S = 1e-3
 """Minimum scan period, s, also that of a log of one scan, whose period is unknown."""
 
-ATTEMPTS: Final = (WITHOUT_ODOMETRY, ODOMETRY_AFTER_GAPS, REVERSED_BEAMS, COARSER_VOXELS)
+ATTEMPTS: Final = (*FITTING_ODOMETRY, REVERSED_BEAMS, COARSER_VOXELS)
 """Attempts to track the log again, where an input check fails ("Input checks") or scans are sparse (step 10)."""
 
 RECOVERING: Final[tuple[Pass, ...]] = (rematch_beginning, drop_late_poses, rematch_rejected, join_lost_parts)
@@ -70,6 +68,7 @@ def run_slam(
     prior_map: PriorMap | None = None,
     rotation: Rotation | None = None,
     last: tuple[Pass, ...] = DRAWING,
+    base_T_laser: Pose | None = None,
 ) -> SlamResult:
     """Run the configured method over a recorded log.
 
@@ -84,11 +83,19 @@ def run_slam(
     rotation : measurements of an inertial sensor: its yaw rate predicts turns where odometry does not, its tilt is
         evidence of motion that is not planar
     last : the passes that end the run
+    base_T_laser : the mounting of the laser, for which odometry is scaled where it should be
     """
-    odometry = None if odom_T_laser is None else partial(odom_T_laser.at, max_gap_ns=ODOMETRY_GAP_NS)
     method = make_method(config, prior_map)
-    motion = Motion(max(period_s, SHORTEST_PERIOD_S), odometry, method.expects_rest, rotation=rotation)
-    start = Track(log_scans, config, motion, method, prior_map=prior_map, on_step=on_step, log_odometry=odometry)
+    given: LogOdometry | None = None
+    if odom_T_laser is not None and len(odom_T_laser):
+        mounting = base_T_laser or Pose()
+        given = LogOdometry(odom_T_laser.compose(mounting.inverse()), mounting)
+    fastest = config.robust.max_speed_m_s, config.robust.max_turn_rad_s
+    fit = in_meters(given, config.robust.max_speed_m_s) if given else GOOD_ODOMETRY
+    odometry = given.corrected(fit) if given else None
+    motion = Motion(max(period_s, SHORTEST_PERIOD_S), odometry, method.expects_rest, rotation=rotation, fastest=fastest)
+    start = Track(log_scans, config, motion, method, prior_map=prior_map, on_step=on_step, log_odometry=given)
+    start = start.with_findings(odometry=fit)
     track = try_again(track_from_good_beginning(start), ATTEMPTS)  # steps 1 to 8 first
     return summarize(after(track, (*RECOVERING, *CHECKING, *last)))
 

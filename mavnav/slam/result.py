@@ -9,6 +9,7 @@ from msgspec import Struct, field
 
 from mavnav.slam.findings import NOT_PLANAR, Loops
 from mavnav.slam.matching.observability import covariances_of
+from mavnav.slam.matching.odometry_fit import with_noise
 from mavnav.slam.matching.steps import LostInterval, Steps, jumps, lost_intervals, tracked_trajectory
 from mavnav.slam.methods.pauses import pause_warnings
 from mavnav.slam.recovery.parts import Part, lost_for_good, part_warnings, parts_of
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.pose import Trajectory
     from mavnav.slam.findings import Doubt, TrackedAgain
+    from mavnav.slam.matching.odometry_fit import OdometryFit
     from mavnav.slam.track import Track
 
 MOST_SCATTERED = 0.2
@@ -41,7 +43,7 @@ class SlamResult(Struct, frozen=True):
     used as recorded. ``attempts`` to track the log again, in order. ``parts`` are the stretches of a log that was not
     tracked as a whole, each on a separate map at first; else empty. ``doubt`` is None where it
     was not judged. ``begin_ns`` is the stamp of the scan that begins the map and defines the map frame; None where
-    nothing was tracked.
+    nothing was tracked. ``odometry`` is what corrects the odometry that is used; None if none is.
     """
 
     steps: Steps
@@ -55,6 +57,7 @@ class SlamResult(Struct, frozen=True):
     doubt: Doubt | None = None
     covariances: NDArray[np.float64] | None = None
     begin_ns: int | None = None
+    odometry: OdometryFit | None = None
 
     @property
     def tracks_compared(self) -> int:
@@ -96,7 +99,15 @@ def summarize(track: Track) -> SlamResult:
         findings.doubt,
         covariances_of(steps, findings.hessians) if len(findings.hessians) else None,
         beginning_ns(steps, track.begin),
+        used_odometry(track),
     )
+
+
+def used_odometry(track: Track) -> OdometryFit | None:
+    """Return what corrects the odometry that is used, with its noise; None if none is."""
+    if track.log_odometry is None or track.motion.odometry is None:
+        return None
+    return with_noise(track.log_odometry, tracked_trajectory(track.steps), track.findings.odometry)
 
 
 def _late_warnings(track: Track, parts: Sequence[Part], lost: Sequence[LostInterval]) -> Iterator[str]:

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
     from mavnav.config.models import Config
     from mavnav.scan import Scan
-    from mavnav.slam.matching.motion_model import Motion, Odometry
+    from mavnav.slam.matching.motion_model import Motion
+    from mavnav.slam.matching.odometry_fit import LogOdometry
     from mavnav.slam.matching.prior_map import PriorMap
     from mavnav.slam.methods.registry import Method, Refiner
 
@@ -49,7 +50,7 @@ class Track(Struct, frozen=True):
     steps: Steps = field(default_factory=Steps)
     prior_map: PriorMap | None = None
     on_step: OnStep | None = None
-    log_odometry: Odometry | None = None
+    log_odometry: LogOdometry | None = None
     begin: int = 0
     findings: Findings = Findings()
 

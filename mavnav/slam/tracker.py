@@ -50,11 +50,6 @@ class TrackState(NamedTuple):
         """Motion from which the next scan is predicted."""
         return self.trial or self.motion
 
-    def before(self, stamp_ns: int) -> TrackState:
-        """Return the state with the odometry that is used for a scan."""
-        motion, trial = self.motion.before(stamp_ns), self.trial and self.trial.before(stamp_ns)
-        return self if motion is self.motion else self._replace(motion=motion, trial=trial)
-
     def after(self, verdict: MatchVerdict, map_T_laser: Pose, stamp_ns: int) -> TrackState:
         """Return the state after a scan; the scan was accepted if ``missed`` is 0."""
         if self.trial is None and verdict is MatchVerdict.SURE:
@@ -81,7 +76,6 @@ def track(scans: Iterable[Scan], method: Method, motion: Motion, first: int = 0)
             here, tracked = motion, match.converged
             state = TrackState(motion.started_at(match.map_T_laser, scan.stamp_ns)) if tracked else None
         else:
-            state = state.before(scan.stamp_ns)
             here = state.here
             match = method.match(scan, here.predict(scan.stamp_ns), here)
             verdict = method.gate(match, scan, here)

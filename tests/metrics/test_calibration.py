@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from mavnav.metrics.calibration.motion import Wheels, apply_calibration, motions_of
+from mavnav.metrics.calibration.motion import motions_of
 from mavnav.metrics.calibration.noise import Noise
 from mavnav.metrics.calibration.quantities import (
     BETTER,
@@ -17,7 +17,8 @@ from mavnav.metrics.calibration.quantities import (
     _advice,
     calibration_of,
 )
-from mavnav.pose import Pose, Trajectory
+from mavnav.pose import Pose, Trajectory, correct_path
+from mavnav.units import NS
 from support.robots import Robot, odometry_of, path_of, perfect_track
 from support.synthetic import DEG
 
@@ -164,14 +165,15 @@ def test_gaps_part_the_steps() -> None:
 def test_corrected_odometry_is_that_of_a_good_robot() -> None:
     silent = replace(CROOKED, length_noise=0.0, yaw_noise=0.0, jitter_s=0.0)
     path = path_of(silent)
-    wheels = Wheels(CROOKED.distance_scale, CROOKED.turn_scale, CROOKED.veer_rad_m)
-    found = apply_calibration(odometry_of(silent, path, np.random.default_rng(0)), CROOKED.offset_s, wheels)
+    wheels = CROOKED.distance_scale, CROOKED.turn_scale, CROOKED.veer_rad_m
+    offset_ns = round(CROOKED.offset_s / NS)
+    found = correct_path(odometry_of(silent, path, np.random.default_rng(0)), offset_ns, *wheels)
     good = odometry_of(
         replace(silent, offset_s=0, distance_scale=1, turn_scale=1, veer_rad_m=0), path, np.random.default_rng(0)
     )
     assert np.abs(found.xyyaw[:, :2] - good.xyyaw[:, :2]).max() < 5e-3
     assert np.abs(found.stamps_ns - good.stamps_ns).max() <= 1
-    assert len(apply_calibration(Trajectory.of([], []), 0.1, wheels)) == 0
+    assert len(correct_path(Trajectory.of([], []), offset_ns, *wheels)) == 0
 
 
 def test_noise_is_that_of_its_covariance() -> None:

@@ -23,7 +23,7 @@ from mavnav.slam.methods import registry
 from mavnav.slam.methods.registry import METHODS, RARE_KERNELS
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.result import SlamResult, jump_warnings
-from mavnav.slam.retries.odometry import EARLY_STEPS
+from mavnav.slam.retries.odometry import FIRST_CHECK
 from support.synthetic import LDS_01, TOUR, Recording, along, drifting_odometry, furnished_rooms, record, room, scan_at
 
 PERIOD_S = 0.1
@@ -256,7 +256,7 @@ def test_a_run_that_is_stopped_keeps_the_longest_track(tour: Recording, after: i
 
     The first pass ends where that is plain.
     """
-    first = EARLY_STEPS + 2
+    first = FIRST_CHECK
     scans, odom = tour.scans[:120], tour.map_T_laser
     wrong = Trajectory(odom.stamps_ns, odom.xyyaw * [-1.0, -1.0, -1.0])
     given = 0

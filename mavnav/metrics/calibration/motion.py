@@ -13,11 +13,12 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from mavnav.pose import Trajectory
 from mavnav.units import NS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from mavnav.pose import Trajectory
 
     Array = NDArray[np.float64]
     Complex = NDArray[np.complex128]
@@ -127,15 +128,3 @@ def motions_of(map_T_laser: Trajectory, odom_T_base: Trajectory, sweep_s: float)
 
 def _plane(xyyaw: Array) -> tuple[Complex, Array]:
     return xyyaw[:, 0] + 1j * xyyaw[:, 1], np.unwrap(xyyaw[:, 2])
-
-
-def apply_calibration(odom_T_base: Trajectory, offset_s: float, wheels: Wheels) -> Trajectory:
-    """Return odometry with a calibration applied; it begins at the same pose."""
-    if not len(odom_T_base):
-        return odom_T_base
-    where, heading_rad = PlaneSteps.between(*_plane(odom_T_base.xyyaw)).path(wheels)
-    x_m, y_m, yaw_rad = odom_T_base[0]
-    where = complex(x_m, y_m) + where * np.exp(1j * yaw_rad)
-    return Trajectory(
-        odom_T_base.stamps_ns + round(offset_s / NS), np.column_stack((where.real, where.imag, heading_rad + yaw_rad))
-    )

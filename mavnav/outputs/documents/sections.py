@@ -81,6 +81,32 @@ class TrackedPart(Struct, frozen=True):
     joined: Annotated[bool, text("whether its scans are in the map and in the trajectory")]
 
 
+class OdometryNoise(Struct, frozen=True):
+    """RMS errors of odometry over motions of a second, those of the fifth that fits worst left out."""
+
+    m_per_m: Annotated[Measured, number("error of the distance, as a share of it")]
+    rad_per_rad: Annotated[Measured, number("error of the turn, as a share of it")]
+
+
+class OdometryLeftOut(Struct, frozen=True):
+    """What was left out of the odometry as no vehicle moves so: jumps that were bridged, and poses."""
+
+    jumps: Annotated[int, number("jumps that were bridged")]
+    poses: Annotated[int, number("poses that do not continue the others")]
+    first_s: Annotated[float, number("time of the first of them after the first pose", unit="s")]
+
+
+class OdometryUse(Struct, frozen=True):
+    """How the odometry of the log was used: as recorded where offset and scales are 0 and 1."""
+
+    used: Annotated[bool, text("false where it contradicts the scans")]
+    offset_s: Annotated[float, number("time that was added to its stamps")]
+    distance_scale: Annotated[float, number("factor on its distances")]
+    turn_scale: Annotated[float, number("factor on its turns")]
+    noise: Annotated[OdometryNoise, text("its errors, null where too little moves")]
+    left_out: Annotated[list[OdometryLeftOut], text("what was left out of it")]
+
+
 class Tracking(Struct, frozen=True):
     """Where the track was lost; ``lost`` means for good. ``frames`` are parent and child of each trajectory file.
 
@@ -97,6 +123,7 @@ class Tracking(Struct, frozen=True):
     frames: Annotated[dict[str, list[str]], text("parent and child frame of each trajectory file")]
     parts: Annotated[list[TrackedPart], text("stretches with maps of their own, joined or not")] = OPTIONAL
     attempts: Annotated[list[OtherTrack], text("other tracks of the log, each with one thing changed")] = OPTIONAL
+    odometry: Annotated[OdometryUse, text("how the odometry of the log was used, absent without odometry")] = OPTIONAL
 
 
 class EarlierSession(Struct, frozen=True):

@@ -18,6 +18,7 @@ from mavnav.outputs.documents import run_json as model
 from mavnav.outputs.documents import sections
 from mavnav.outputs.documents.addresses import public_address
 from mavnav.outputs.run import base_frame
+from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY
 from mavnav.units import DEG, MM, NS
 from mavnav.version import __version__, installed_version
 
@@ -27,8 +28,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from mavnav.config.models import OdometryConfig
+    from mavnav.logs.records import Odometry
     from mavnav.outputs.run import RunResult
     from mavnav.slam.findings import Doubt, Reason
+    from mavnav.slam.matching.odometry_fit import OdometryFit
     from mavnav.slam.matching.steps import LostInterval
     from mavnav.slam.recovery.parts import Part
 
@@ -191,6 +195,21 @@ def _tracking(run: RunResult) -> sections.Tracking:
         | ({} if run.log.base_T_laser is None else {"trajectory_base.tum": ["map", base_frame(run)]}),
         parts=[sections.TrackedPart(*_span_s(p, first_ns), p.scans, p.joined) for p in slam.parts] or ABSENT,
         attempts=[sections.OtherTrack(*attempt) for attempt in slam.attempts] or ABSENT,
+        odometry=_odometry_use(run.log.odometry, slam.odometry, run.config.odometry) if run.log.odometry else ABSENT,
+    )
+
+
+def _odometry_use(odometry: Odometry, fit: OdometryFit | None, given: OdometryConfig) -> sections.OdometryUse:
+    """Describe how odometry was used: what corrects it includes what the configuration ``given`` corrects."""
+    best, left_out = fit or GOOD_ODOMETRY, odometry.left_out
+    known = fit is not None and isfinite(fit.error)
+    return sections.OdometryUse(
+        fit is not None,
+        round(given.offset_s + best.offset_s, 3),
+        given.distance_scale * best.distance_scale,
+        given.turn_scale * best.turn_scale,
+        sections.OdometryNoise(*((best.noise_m_per_m, best.noise_rad_per_rad) if known else (np.nan, np.nan))),
+        [sections.OdometryLeftOut(left_out.jumps, left_out.poses, left_out.since_s)] if left_out else [],
     )
 
 

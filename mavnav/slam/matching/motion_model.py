@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import copysign, pi
+from math import copysign, inf, pi
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 USUAL_PERIOD_S = 0.1  # scan period where the stamps do not show it
 LONGEST_S = 1.2  # longest extrapolation of a velocity
-GAP_S = 0.5  # time without an accepted pose from which odometry is used that fits only long motions
 NEW_SHARE = 0.7  # weight of a new velocity in the running average
 
 LEAST_FIT_STEPS, FIT_DECAY = 10, 0.98
@@ -70,8 +69,8 @@ class Motion(NamedTuple):
     ``twist`` is the velocity in the laser frame, m/s, m/s, rad/s. ``period_s`` is the sensor's scan period: time steps
     are rounded to whole periods, because many drivers stamp a scan at its arrival, tens of ms early or late. With
     ``expects_rest`` and without odometry the last pose is the prediction. ``rotation`` holds the yaw rates of an
-    inertial sensor, which replace the constant yaw rate while ``yaw_rate_fit`` shows that they fit. ``gap_odometry``
-    is odometry that fits the scans only over long motions; it is the ``odometry`` of a scan after a gap.
+    inertial sensor, which replace the constant yaw rate while ``yaw_rate_fit`` shows that they fit. Odometry that moves
+    faster than ``fastest``, m/s and rad/s, predicts nothing.
     """
 
     period_s: float
@@ -82,18 +81,7 @@ class Motion(NamedTuple):
     twist: Twist = (0.0, 0.0, 0.0)
     rotation: Rotation | None = None
     yaw_rate_fit: YawRateFit = YawRateFit()
-    gap_odometry: Odometry | None = None
-
-    @property
-    def has_odometry(self) -> bool:
-        """Whether there is odometry at least after gaps."""
-        return self.odometry is not None or self.gap_odometry is not None
-
-    def before(self, stamp_ns: int) -> Motion:
-        """Return the motion with the odometry that is used for a scan."""
-        if self.gap_odometry is None:
-            return self
-        return self._replace(odometry=self.gap_odometry if self.elapsed_s(stamp_ns) > GAP_S else None)
+    fastest: tuple[float, float] = (inf, inf)
 
     def elapsed_s(self, stamp_ns: int) -> float:
         """Return the time from or to the last accepted pose, s, in whole periods, at least one."""
@@ -115,9 +103,13 @@ class Motion(NamedTuple):
         return None if self.rotation is None else self.rotation.turned_rad(self.stamp_ns, stamp_ns, ROTATION_GAP_NS)
 
     def by_odometry(self, stamp_ns: int) -> Pose | None:
-        """Return the last pose moved by the odometry; None where odometry does not cover both times."""
+        """Return the last pose moved by the odometry; None where it does not cover both times, or is too fast."""
         moved = self.odometry and motion_by(self.odometry, self.stamp_ns, stamp_ns)
-        return moved and self.map_T_laser @ moved
+        if moved is None:
+            return None
+        (most_m_s, most_rad_s), elapsed_s = self.fastest, self.elapsed_s(stamp_ns)
+        possible = moved.distance_m <= most_m_s * elapsed_s and abs(moved.yaw_rad) <= most_rad_s * elapsed_s
+        return self.map_T_laser @ moved if possible else None
 
     def odometry_at(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Return at which stamps (n,) the odometry is known."""

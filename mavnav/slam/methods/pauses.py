@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.slam.matching.motion_model import GAP_S
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -21,8 +20,8 @@ if TYPE_CHECKING:
     from mavnav.slam.matching.motion_model import Motion
     from mavnav.slam.matching.steps import Step, Steps
 
-PAUSE_S, PAUSE_PERIODS = 2.5, 2.5
-"""Time between two scans from which it is a pause, and in periods; with odometry it is one from ``GAP_S`` on."""
+PAUSE_S, GAP_S, PAUSE_PERIODS = 2.5, 0.5, 2.5
+"""Time between two scans from which it is a pause, s, that with odometry, s, and that in periods."""
 
 LEAST_SPEED_M_S, FASTER, SLACK_M = 0.3, 1.2, 0.5
 """Speed that every vehicle reaches, largest ratio of the mean speed in a pause to the highest before, and slack."""
@@ -108,7 +107,7 @@ def pause_warnings(steps: Steps, motion: Motion) -> Iterator[str]:
     before = np.array(pauses(steps, motion.period_s), np.intp)
     earlier = np.searchsorted(tracked, before, side="right")
     between = before[(earlier > 0) & (earlier < len(tracked))]
-    if len(between) and not motion.has_odometry:
+    if len(between) and motion.odometry is None:
         yield (
             f"the scans pause for {_longest_gap(stamps_ns, between, between + 1)}: without odometry, "
             "where the laser is afterwards is known from the scans alone; check the map there"

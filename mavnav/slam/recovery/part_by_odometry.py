@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.slam.loop_closure.key_frames import drift_bound
+from mavnav.slam.matching.odometry_fit import with_noise
 from mavnav.slam.matching.scan_matching import no_match
 from mavnav.slam.matching.steps import tracked_trajectory
-from mavnav.slam.retries.odometry import errors_m, most_moving, size
 from mavnav.units import NS, pluralize
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from mavnav.pose import Pose, Trajectory
+    from mavnav.pose import Pose
     from mavnav.scan import Scan
     from mavnav.slam.matching.motion_model import Odometry
     from mavnav.slam.matching.steps import Step, Steps
@@ -42,15 +42,16 @@ def pose_by_odometry(
     than the drift for which loop closure allows after such a path, or if the ``scans`` of the part, with their steps,
     conflict with the map.
     """
-    odometry, beside = track.motion.odometry or track.motion.gap_odometry, list(neighbours(part, steps))
-    if odometry is None or not beside:
+    odometry, beside = track.motion.odometry, list(neighbours(part, steps))
+    if odometry is None or track.log_odometry is None or not beside:
         return None
     here, there = min(beside, key=lambda pair: abs(pair[1].stamp_ns - pair[0].stamp_ns))
     across = odometry_path(odometry, there.stamp_ns, here.stamp_ns)
     if across is None:
         return None
     path_m = sum(size(a.between(b)) for a, b in pairwise(across))
-    error_m = error_share(odometry, tracked_trajectory(steps)) * path_m
+    used = with_noise(track.log_odometry, tracked_trajectory(steps), track.findings.odometry)
+    error_m = used.error * path_m
     if error_m > drift_bound(path_m)[0]:
         return None
     pose = there.match.map_T_laser @ across[0].between(across[-1])
@@ -74,13 +75,9 @@ def odometry_path(odometry: Odometry, start_ns: int, end_ns: int) -> list[Pose] 
     return [pose for pose in poses if pose is not None] if covered else None
 
 
-def error_share(odometry: Odometry, map_T_laser: Trajectory) -> float:
-    """Return the median error of odometry over a second of a tracked path, as a share of the median motion."""
-    windows = most_moving(map_T_laser)
-    errors = errors_m(odometry, windows)
-    if not errors:
-        return np.inf
-    return float(np.median(errors) / max(np.median([size(window.moved) for window in windows]), 1e-6))
+def size(moved: Pose) -> float:
+    """Return the size of a motion, m; a radian counts as a metre."""
+    return float(np.hypot(moved.distance_m, moved.yaw_rad))
 
 
 def median_conflicts(map_T_part: Pose, scans: Iterable[tuple[Step, Scan]], track: Track) -> float:

@@ -96,7 +96,7 @@ def drop_late_poses(track: Track, refiner: Refiner) -> Track:
     Only the scans before it are tracked again; `join_lost_parts` tracks the others, and joins them if several agree. A
     log that is lost for good is left as it is: that is said anyway.
     """
-    if not refiner.builds_map or track.motion.has_odometry:
+    if not refiner.builds_map or track.motion.odometry is not None:
         return track
     lost = lost_for_good(track.steps, list(lost_intervals(track.steps)))
     first = None if lost else first_found_late(track.steps, track.motion.period_s)
@@ -180,7 +180,7 @@ def join_parts(track: Track, others: list[tuple[Step, ...]]) -> Track:
 
 def is_reached(part: Sequence[Step], map_T_part: Pose, steps: Steps, track: Track) -> bool:
     """Return whether the laser can have moved between a part and the poses next to it where the scans pause there."""
-    before_pauses = [] if track.motion.has_odometry else pauses(steps, track.motion.period_s)
+    before_pauses = [] if track.motion.odometry is not None else pauses(steps, track.motion.period_s)
     for end, other in neighbours(part, steps):
         if not any(min(end.index, other.index) <= k < max(end.index, other.index) for k in before_pauses):
             continue

@@ -9,9 +9,6 @@ import pytest
 
 from mavnav.pose import Pose, Rotation, Trajectory
 from mavnav.slam.matching.motion_model import Motion
-from mavnav.slam.matching.scan_matching import first_match
-from mavnav.slam.matching.steps import Step, Steps, tracked_trajectory
-from mavnav.slam.retries.odometry import EARLY_STEPS, misleads, until_misled
 
 MS = 1_000_000
 STEP = Pose(0.1, 0.02, 0.05)
@@ -81,56 +78,6 @@ def test_without_odometry_at_the_time_velocity_takes_over(stamp_ms: int) -> None
 
 
 # ---- odometry that contradicts the scans ---------------------------------------------------------------------------
-
-
-def swerving(steps: int = 60) -> Trajectory:
-    """Return a way whose speed and turns change all the time, so that constant velocity predicts it badly."""
-    poses = [Pose()]
-    for k in range(steps):
-        poses.append(poses[-1] @ Pose(0.05 + 0.04 * np.sin(0.5 * k), 0.0, 0.1 * np.cos(0.8 * k)))
-    return Trajectory.of([100 * MS * k for k in range(steps + 1)], poses)
-
-
-def seen_by_wheels(way: Trajectory, scale: float = 1.0, side: float = 1.0, late_ns: int = 0) -> Trajectory:
-    xyyaw = way.xyyaw * np.array([scale, scale * side, side])
-    return Trajectory(way.stamps_ns + late_ns, xyyaw)
-
-
-@pytest.mark.parametrize(
-    ("fault", "expected"),
-    [
-        ({}, False),
-        ({"scale": 1.05}, False),
-        ({"scale": 0.0, "side": 0.0}, True),
-        ({"side": -1.0}, True),
-        ({"scale": 4.0}, True),
-        ({"late_ns": 250 * MS}, True),
-    ],
-    ids=str,
-)
-def test_odometry_that_contradicts_the_track_misleads(fault: dict[str, float], *, expected: bool) -> None:
-    odometry = seen_by_wheels(swerving(), **fault)  # type: ignore[arg-type]
-    assert misleads(partial(odometry.at, max_gap_ns=500 * MS), swerving()) is expected
-
-
-def test_few_steps_do_not_convict_odometry() -> None:
-    way = swerving()
-    short = Trajectory(way.stamps_ns[:15].copy(), way.xyyaw[:15].copy())
-    assert not misleads(lambda _: Pose(), short)
-
-
-def steps_of(way: Trajectory) -> list[Step]:
-    matches = [first_match(300)._replace(map_T_laser=way[k]) for k in range(len(way))]
-    return [Step(k, int(way.stamps_ns[k]), match, tracked=True) for k, match in enumerate(matches)]
-
-
-@pytest.mark.parametrize(("side", "ends"), [(1.0, False), (-1.0, True)])
-def test_a_track_ends_early_once_its_odometry_plainly_misleads_it(side: float, *, ends: bool) -> None:
-    way = swerving(240)
-    odometry = partial(seen_by_wheels(way, side=side).at, max_gap_ns=500 * MS)
-    passed = list(until_misled(steps_of(way), odometry))
-    assert len(passed) == (EARLY_STEPS + 2 if ends else len(way))
-    assert misleads(odometry, tracked_trajectory(Steps(passed))) is ends
 
 
 def swaying(sign: float, steps: int = 30) -> tuple[Motion, Pose]:

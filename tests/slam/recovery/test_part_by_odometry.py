@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from functools import cache, partial
+from functools import cache
 
 import numpy as np
-import pytest
 
 from mavnav.config.models import Config
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import LaserSpec, Scan
 from mavnav.slam.pipeline import run_slam
-from mavnav.slam.recovery.part_by_odometry import error_share, odometry_path
+from mavnav.slam.recovery.part_by_odometry import odometry_path
 from mavnav.slam.result import SlamResult
 from mavnav.units import NS
 from support.synthetic import Recording, along, box, drifting_odometry, polyline, record
@@ -80,13 +79,6 @@ def test_a_laser_that_was_carried_is_not_where_its_odometry_stayed() -> None:
     assert run.lost_for_good
     assert later.all() or not later.any()
     assert not any(PLACED in text for text in run.warnings)
-
-
-@pytest.mark.parametrize("share", [0.0, 0.05, 0.2])
-def test_error_of_odometry_is_a_share_of_the_motion(share: float) -> None:
-    truth = drive().world_T_laser
-    scaled = Trajectory(truth.stamps_ns, truth.xyyaw * (1.0 + share, 1.0 + share, 1.0))
-    assert error_share(partial(scaled.at, max_gap_ns=10**9), truth) == pytest.approx(share, abs=0.01)
 
 
 def test_the_path_of_odometry_needs_both_ends() -> None:

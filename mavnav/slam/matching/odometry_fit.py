@@ -1,0 +1,212 @@
+"""How well odometry predicts a tracked path: time offset, scales and noise, by least squares over motions of a second.
+
+Single steps show quantization and jitter of stamps; a second of motion shows what odometry is good for. The fifth of
+the motions that fits worst does not count: slips, wrong matches, the laser carried.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+from msgspec import Struct
+
+from mavnav.pose import Pose, Trajectory, between, correct_path
+from mavnav.units import NS
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mavnav.slam.matching.motion_model import Odometry
+
+    Array = NDArray[np.float64]
+    Complex = NDArray[np.complex128]
+
+GAP_NS: Final = 500_000_000
+"""Longest gap in the odometry over which it is interpolated, ns."""
+
+WINDOW_S: Final = 1.0
+"""Time over which motions are compared, s."""
+
+LEAST_WINDOWS, MOST_WINDOWS = 20, 1000
+"""Numbers of motions: fewer show nothing; of more, some at even distances are enough."""
+
+KEPT: Final = 0.8
+"""Share of the motions that counts, those that fit best."""
+
+LEAST_MOTION: Final = 0.05
+"""RMS motion in a second that shows anything, m; a radian counts as a meter."""
+
+LEAST_ERROR: Final = 0.03
+"""Share of the motion that is wrong at least: of the track, too. Smaller differences between fits show nothing."""
+
+UNITS: Final = (1.0, 0.01, 0.001)
+"""Meters of what odometry may count in."""
+
+STEP_S: Final = 0.02
+COARSE_S, FINE_S = 0.1 * np.arange(-10, 11), STEP_S * np.arange(-4, 5)
+"""Offsets that are tried, s, and those tried around the best of them."""
+
+OTHER_S, DISTINCT = 0.25, 1.1
+"""Offsets that are farther away than that are others; their least error must be so many times that of the best."""
+
+SCALE_SIGMA, CORRELATED = 0.1, 10.0
+"""Standard deviation of a scale before anything is measured, and number of motions that are about one measurement."""
+
+
+class OdometryFit(NamedTuple):
+    """What corrects odometry, and how well it then fits.
+
+    ``offset_s`` is added to its stamps, the scales are factors on its distances and turns. ``noise_m_per_m`` and
+    ``noise_rad_per_rad`` are RMS errors over a second as shares of the motion; ``error`` is that of both together, and
+    ``LEAST_ERROR``.
+    """
+
+    offset_s: float = 0.0
+    distance_scale: float = 1.0
+    turn_scale: float = 1.0
+    noise_m_per_m: float = 0.0
+    noise_rad_per_rad: float = 0.0
+    error: float = 0.0
+
+
+GOOD_ODOMETRY: Final = OdometryFit()
+"""Odometry that needs no correction."""
+
+
+class LogOdometry(Struct, frozen=True):
+    """Odometry of a log: the path of the base, and where the laser sits on it."""
+
+    odom_T_base: Trajectory
+    base_T_laser: Pose = Pose()
+
+    def corrected(self, fit: OdometryFit) -> Odometry:
+        """Return the corrected pose of the laser by stamp, ns; None outside, or in a gap of over ``GAP_NS``."""
+        odom_T_base = correct_path(self.odom_T_base, round(fit.offset_s / NS), fit.distance_scale, fit.turn_scale)
+        return partial(odom_T_base.compose(self.base_T_laser).at, max_gap_ns=GAP_NS)
+
+
+def in_meters(odometry: LogOdometry, fastest_m_s: float) -> OdometryFit:
+    """Return the correction of odometry in centimeters or millimeters, which is faster than any vehicle; else none."""
+    path = odometry.odom_T_base
+    if len(path) < LEAST_WINDOWS:
+        return GOOD_ODOMETRY
+    moved_m, elapsed_s = np.hypot(*np.diff(path.xyyaw[:, :2], axis=0).T), np.diff(path.stamps_ns) * NS
+    usual_m_s = float(np.quantile(moved_m / elapsed_s, 0.75))
+    units = (unit for unit in UNITS if usual_m_s * unit <= fastest_m_s)
+    return OdometryFit(distance_scale=next(units, 1.0))
+
+
+class _Motions(NamedTuple):
+    """Motions of the laser (n,): when they begin and end, s, distances in the base's axes, m, and turns, rad."""
+
+    start_s: Array
+    end_s: Array
+    moved: Complex
+    turned: Array
+
+
+def fit_odometry(odometry: LogOdometry, map_T_laser: Trajectory, used: OdometryFit) -> OdometryFit | None:
+    """Return what makes odometry fit a tracked path best; None where too little moves, or is covered.
+
+    The offset stays the one that is ``used`` where others fit about as well, as at constant speed.
+    """
+    motions = _motions(map_T_laser, odometry)
+    fits = {offset_s: _fit(odometry, motions, offset_s) for offset_s in COARSE_S.tolist()}
+    best_s = min(fits, key=lambda offset_s: fits[offset_s].error)
+    fits |= {offset_s: _fit(odometry, motions, offset_s) for offset_s in (best_s + FINE_S).tolist()}
+    best_s = min(fits, key=lambda offset_s: fits[offset_s].error)
+    others = [fit.error for offset_s, fit in fits.items() if abs(offset_s - best_s) > OTHER_S]
+    distinct = min(others) > DISTINCT * fits[best_s].error
+    best = _fit(odometry, motions, _vertex_s(odometry, motions, best_s) if distinct else used.offset_s)
+    return best if np.isfinite(best.error) else None
+
+
+def _vertex_s(odometry: LogOdometry, motions: _Motions, best_s: float) -> float:
+    """Return where the parabola through the squared errors at the best offset and ``STEP_S`` beside it is least, s."""
+    before, at, after = (_fit(odometry, motions, best_s + k * STEP_S).error ** 2 for k in (-1, 0, 1))
+    bend = before - 2.0 * at + after
+    return (
+        round(best_s + 0.5 * STEP_S * float(np.clip((before - after) / bend, -1.0, 1.0)), 3) if bend > 0.0 else best_s
+    )
+
+
+def with_noise(odometry: LogOdometry, map_T_laser: Trajectory, used: OdometryFit) -> OdometryFit:
+    """Return a correction with the noise of the odometry beside a path; its error is infinite if nothing shows it."""
+    return _fit(odometry, _motions(map_T_laser, odometry), used.offset_s, used)
+
+
+def _motions(map_T_laser: Trajectory, odometry: LogOdometry) -> _Motions:
+    """Return the motions of a path over a second."""
+    stamps_ns = map_T_laser.stamps_ns
+    ends = np.searchsorted(stamps_ns, stamps_ns + round(WINDOW_S / NS))
+    starts = np.flatnonzero(ends < len(stamps_ns))
+    starts = starts[(stamps_ns[ends[starts]] - stamps_ns[starts]) * NS < 2.0 * WINDOW_S]
+    if len(starts) > MOST_WINDOWS:
+        starts = starts[np.linspace(0, len(starts) - 1, MOST_WINDOWS).astype(np.intp)]
+    ends = ends[starts]
+    moved = between(map_T_laser.xyyaw[starts], map_T_laser.xyyaw[ends])
+    in_base = (moved[:, 0] + 1j * moved[:, 1]) * np.exp(1j * odometry.base_T_laser.yaw_rad)
+    first_ns = odometry.odom_T_base.stamps_ns[0]
+    return _Motions((stamps_ns[starts] - first_ns) * NS, (stamps_ns[ends] - first_ns) * NS, in_base, moved[:, 2])
+
+
+def _fit(odometry: LogOdometry, motions: _Motions, offset_s: float, scales: OdometryFit | None = None) -> OdometryFit:
+    """Return the scales that fit best at an offset, or the error of given ones; infinite where too little is covered.
+
+    A scale that the motions hardly show stays near 1.
+    """
+    base, covered = _by_odometry(odometry.odom_T_base, motions, offset_s)
+    moved, turned = motions.moved[covered], motions.turned[covered]
+    _, distance, turn, *_ = scales or GOOD_ODOMETRY
+    if len(turned) < LEAST_WINDOWS:
+        return OdometryFit(offset_s, distance, turn, error=np.inf)
+    driven, turns, arm = base[:, 0] + 1j * base[:, 1], base[:, 2], complex(*odometry.base_T_laser[:2])
+    if scales is None:  # other units are too far from 1 for least squares with a prior
+        beside = np.abs(moved - (np.exp(1j * turns) - 1.0) * arm)
+        distance = float(np.median(beside) / max(np.median(np.abs(driven)), 1e-9))
+    for again in (*(3 * (scales is None,)), False):
+        ahead = driven * np.exp(0.5j * (turn - 1.0) * turns)
+        wanted = moved - (np.exp(1j * turn * turns) - 1.0) * arm
+        off, off_rad = (
+            np.abs(distance * ahead - wanted),
+            np.abs((turn * turns - turned + np.pi) % (2.0 * np.pi) - np.pi),
+        )
+        total = np.hypot(off, off_rad)
+        kept = total <= np.quantile(total, KEPT)
+        if again:
+            distance = _scale(ahead[kept], wanted[kept], _mean2(off[kept]))
+            turn = _scale(turns[kept], turned[kept], _mean2(off_rad[kept]))
+    errors = np.sqrt((_mean2(off[kept]), _mean2(off_rad[kept])))
+    sizes = np.sqrt((_mean2(moved[kept]), _mean2(turned[kept])))
+    if np.hypot(*sizes) < LEAST_MOTION:
+        return OdometryFit(offset_s, distance, turn, error=np.inf)
+    of_path, of_turns = (errors / np.maximum(sizes, 1e-9)).tolist()
+    return OdometryFit(
+        offset_s, distance, turn, of_path, of_turns, float(np.hypot(np.hypot(*errors) / np.hypot(*sizes), LEAST_ERROR))
+    )
+
+
+def _scale(driven: NDArray[Any], wanted: NDArray[Any], error2: float) -> float:
+    """Return the factor on some motions that leads to others, by least squares with 1 as the prior."""
+    weight = CORRELATED * error2 / SCALE_SIGMA**2
+    return float((np.vdot(driven, wanted).real + weight) / (np.vdot(driven, driven).real + weight + 1e-12))
+
+
+def _mean2(values: NDArray[Any]) -> float:
+    return float(np.square(np.abs(values)).mean())
+
+
+def _by_odometry(path: Trajectory, motions: _Motions, offset_s: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the motions of the base (m, 3) by the odometry, m, m, rad, and which (n,) it covers without a gap."""
+    at_s = (path.stamps_ns - path.stamps_ns[0]) * NS
+    times = np.array((motions.start_s, motions.end_s)) - offset_s
+    after = np.searchsorted(at_s, times)
+    inside = (after > 0) & (after < len(at_s))
+    row = np.clip(after, 1, max(len(at_s) - 1, 1))
+    gapless = (path.stamps_ns[row] - path.stamps_ns[row - 1] <= GAP_NS) if len(at_s) > 1 else inside
+    covered: NDArray[np.bool_] = np.asarray((inside & gapless).all(axis=0))
+    columns = (path.xyyaw[:, 0], path.xyyaw[:, 1], np.unwrap(path.xyyaw[:, 2]))
+    start, end = (np.column_stack([np.interp(some[covered], at_s, c) for c in columns]) for some in times)
+    return between(start, end), covered

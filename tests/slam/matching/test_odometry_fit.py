@@ -1,0 +1,149 @@
+"""Time offset, scales and noise of odometry, estimated beside a tracked path."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mavnav.pose import Pose, Trajectory
+from mavnav.slam.matching.odometry_fit import (
+    GAP_NS,
+    GOOD_ODOMETRY,
+    LEAST_ERROR,
+    LogOdometry,
+    OdometryFit,
+    fit_odometry,
+    in_meters,
+    with_noise,
+)
+from mavnav.units import NS
+
+MS, S = 10**6, 10**9
+CENTRED, MOUNTING = Pose(), Pose(0.2, -0.1, 0.3)
+
+
+def swerving(steps: int = 300) -> Trajectory:
+    """Return a path of 10 poses a second whose speed and turns change all the time."""
+    poses = [Pose()]
+    for k in range(steps):
+        poses.append(poses[-1] @ Pose(0.05 + 0.04 * np.sin(0.5 * k), 0.0, 0.1 * np.cos(0.08 * k)))
+    return Trajectory.of([S + 100 * MS * k for k in range(steps + 1)], poses)
+
+
+def steady(steps: int = 300) -> Trajectory:
+    return Trajectory.of([S + 100 * MS * k for k in range(steps + 1)], [Pose(0.05 * k) for k in range(steps + 1)])
+
+
+def wheels(
+    path: Trajectory,
+    offset_s: float = 0.0,
+    scale: float = 1.0,
+    turn: float = 1.0,
+    jitter_s: float = 0.0,
+    mounting: Pose = CENTRED,
+) -> LogOdometry:
+    """Return the odometry of a laser on a base: adding ``offset_s`` and dividing by the scales makes it right."""
+    base = path.compose(mounting.inverse())
+    poses = [base[0]]
+    for k in range(len(base) - 1):
+        moved = base[k].between(base[k + 1])
+        step = scale * complex(moved.x_m, moved.y_m) * np.exp(0.5j * (turn - 1.0) * moved.yaw_rad)
+        poses.append(poses[-1] @ Pose(float(step.real), float(step.imag), turn * moved.yaw_rad))
+    jitter = np.random.default_rng(1).uniform(-jitter_s, jitter_s, len(path))
+    stamps_ns = np.sort(path.stamps_ns + np.round((jitter - offset_s) / NS).astype(np.int64))
+    return LogOdometry(Trajectory.of(stamps_ns.tolist(), poses), mounting)
+
+
+@pytest.mark.parametrize("mounting", [CENTRED, MOUNTING], ids=["centred", "mounted"])
+@pytest.mark.parametrize("scales", [(1.0, 1.0), (1.08, 0.93), (100.0, 1.0)], ids=str)
+@pytest.mark.parametrize("offset_s", [-0.62, 0.0, 0.44])
+def test_offset_and_scales_are_those_planted(offset_s: float, scales: tuple[float, float], mounting: Pose) -> None:
+    path = swerving()
+    fit = fit_odometry(wheels(path, offset_s, *scales, mounting=mounting), path, GOOD_ODOMETRY)
+    assert fit is not None
+    assert fit.offset_s == pytest.approx(offset_s, abs=0.01)
+    assert fit.distance_scale == pytest.approx(1.0 / scales[0], rel=0.02)
+    assert fit.turn_scale == pytest.approx(1.0 / scales[1], rel=0.02)
+    assert LEAST_ERROR <= fit.error < 0.05
+
+
+@pytest.mark.parametrize("offset_s", [-0.1, 0.16])
+def test_jitter_of_the_stamps_hides_no_offset(offset_s: float) -> None:
+    path = swerving()
+    fit = fit_odometry(wheels(path, offset_s, jitter_s=0.04), path, GOOD_ODOMETRY)
+    assert fit is not None
+    assert fit.offset_s == pytest.approx(offset_s, abs=0.02)
+    assert fit.error < 0.15
+
+
+def test_a_fifth_of_wrong_motions_changes_nothing() -> None:
+    path = swerving()
+    wrong = path.xyyaw.copy()
+    wrong[200:, 0] += 3.0
+    odometry = wheels(path, 0.3)
+    clean, spoilt = (
+        fit_odometry(odometry, Trajectory(path.stamps_ns, xyyaw), GOOD_ODOMETRY) for xyyaw in (path.xyyaw, wrong)
+    )
+    assert clean is not None
+    assert spoilt is not None
+    assert spoilt.offset_s == pytest.approx(clean.offset_s, abs=0.01)
+    assert spoilt.error < 0.05
+
+
+@pytest.mark.parametrize("fault", [{"turn": -1.0}, {"scale": 0.0, "turn": 0.0}, {"offset_s": 3.0}], ids=str)
+def test_nothing_makes_wrong_odometry_fit(fault: dict[str, float]) -> None:
+    path = swerving()
+    fit = fit_odometry(wheels(path, **fault), path, GOOD_ODOMETRY)
+    assert fit is None or fit.error > 0.3
+
+
+def test_at_constant_speed_the_offset_stays() -> None:
+    path = steady()
+    fit = fit_odometry(wheels(path, 0.5), path, OdometryFit(0.2))
+    assert fit is not None
+    assert fit.offset_s == 0.2
+    assert fit.error == pytest.approx(LEAST_ERROR, abs=1e-3)
+
+
+def test_too_little_shows_nothing() -> None:
+    path = swerving(25)
+    rest = Trajectory.of((S + 100 * MS * np.arange(300)).tolist(), 300 * [Pose()])
+    assert fit_odometry(wheels(path), path, GOOD_ODOMETRY) is None
+    assert fit_odometry(wheels(rest), rest, GOOD_ODOMETRY) is None
+    assert fit_odometry(wheels(swerving()), Trajectory.of([], []), GOOD_ODOMETRY) is None
+    assert with_noise(wheels(path), path, OdometryFit(0.1, 1.2, 0.9)) == OdometryFit(0.1, 1.2, 0.9, error=np.inf)
+
+
+def test_noise_is_a_share_of_distance_and_turn() -> None:
+    path = swerving()
+    known = with_noise(wheels(path, scale=1.1, turn=1.2), path, GOOD_ODOMETRY)
+    assert known.noise_m_per_m == pytest.approx(0.1, abs=0.03)
+    assert known.noise_rad_per_rad == pytest.approx(0.2, abs=0.03)
+    assert known[:3] == GOOD_ODOMETRY[:3]
+
+
+@pytest.mark.parametrize(("scale", "unit"), [(1.0, 1.0), (0.01, 1.0), (3.0, 1.0), (100.0, 0.01), (1000.0, 0.001)])
+def test_units_are_those_in_which_a_vehicle_is_possible(scale: float, unit: float) -> None:
+    odometry = wheels(swerving(), scale=scale)
+    assert in_meters(odometry, 3.0) == OdometryFit(distance_scale=unit)
+    assert in_meters(wheels(swerving(5), scale=scale), 3.0) == GOOD_ODOMETRY
+
+
+def test_corrected_odometry_leads_where_the_laser_was() -> None:
+    path = swerving()
+    pose_at = wheels(path, 0.3, 1.1, 0.9, mounting=MOUNTING).corrected(OdometryFit(0.3, 1 / 1.1, 1 / 0.9))
+    for k in (0, 100, 290):
+        now, later = (pose_at(int(path.stamps_ns[m])) for m in (k, k + 10))
+        assert now is not None
+        assert later is not None
+        assert now.between(later).gap(path[k].between(path[k + 10]))[0] < 1e-6
+
+
+def test_odometry_is_unknown_outside_and_in_a_gap() -> None:
+    path = swerving()
+    kept = np.r_[0:100, 107:301]
+    pose_at = LogOdometry(Trajectory(path.stamps_ns[kept], path.xyyaw[kept])).corrected(GOOD_ODOMETRY)
+    assert pose_at(int(path.stamps_ns[0]) - 1) is None
+    assert pose_at(int(path.stamps_ns[103])) is None
+    assert int(path.stamps_ns[107] - path.stamps_ns[99]) > GAP_NS
+    assert pose_at(int(path.stamps_ns[50]) + 30 * MS) is not None
