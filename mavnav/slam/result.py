@@ -105,8 +105,10 @@ def summarize(track: Track) -> SlamResult:
 
 def used_odometry(track: Track) -> OdometryFit | None:
     """Return what corrects the odometry that is used, with its noise; None if none is."""
-    if track.log_odometry is None or track.motion.odometry is None:
+    if track.motion.odometry is None:
         return None
+    if track.log_odometry is None:  # the commands of a mission
+        return track.findings.odometry
     return with_noise(track.log_odometry, tracked_trajectory(track.steps), track.findings.odometry)
 
 

@@ -202,7 +202,7 @@ def _tracking(run: RunResult) -> sections.Tracking:
 def _odometry_use(odometry: Odometry, fit: OdometryFit | None, given: OdometryConfig) -> sections.OdometryUse:
     """Describe how odometry was used: what corrects it includes what the configuration ``given`` corrects."""
     best, left_out = fit or GOOD_ODOMETRY, odometry.left_out
-    known = fit is not None and isfinite(fit.error)
+    known = fit is not None and 0.0 < fit.error < np.inf
     return sections.OdometryUse(
         fit is not None,
         round(given.offset_s + best.offset_s, 3),
