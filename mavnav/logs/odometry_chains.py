@@ -38,6 +38,9 @@ BEFORE_S: Final = 0.1
 CLOSED_S: Final = 1.0
 """Time without a pose after which nothing continues a chain, s."""
 
+MOST_OPEN: Final = 4
+"""Number of chains, those that were continued last, that a pose may continue: odometry may jump at every pose."""
+
 MOST_LEFT_OUT: Final = 0.6
 """Largest share of poses that are left out: beyond, the odometry is not what it seems, and stays as it is."""
 
@@ -76,19 +79,18 @@ def without_jumps(odom_T_base: Trajectory) -> tuple[Trajectory, LeftOut | None]:
         return odom_T_base, None
     firsts = [*dropped[:1].tolist(), *(chain[0] for chain in chains[1:2])]
     since_s = float(odom_T_base.stamps_ns[min(firsts)] - odom_T_base.stamps_ns[0]) * NS
-    return _joined(odom_T_base, chains), LeftOut(len(dropped), len(chains) - 1, since_s)
+    return _join(odom_T_base, chains), LeftOut(len(dropped), len(chains) - 1, since_s)
 
 
 def _sizes(odom_T_base: Trajectory, start: NDArray[np.intp], end: NDArray[np.intp]) -> tuple[Steps, Steps]:
     """Return distance and turn (n, 2) between poses, m, rad, and the time between them (n, 1), s."""
     moved = motions(odom_T_base.xyyaw, start, end)
     elapsed_s = (odom_T_base.stamps_ns[end] - odom_T_base.stamps_ns[start]) * NS
-    return np.column_stack((np.hypot(moved[:, 0], moved[:, 1]), np.abs(moved[:, 2]))), np.asarray(
-        elapsed_s[:, None], np.float64
-    )
+    sizes = np.column_stack((np.hypot(moved[:, 0], moved[:, 1]), np.abs(moved[:, 2])))
+    return sizes, np.asarray(elapsed_s)[:, None]
 
 
-def _reached(sizes: Steps, elapsed_s: Steps | float, speeds: Steps) -> NDArray[np.bool_]:
+def _is_reachable(sizes: Steps, elapsed_s: Steps | float, speeds: Steps) -> NDArray[np.bool_]:
     """Return which steps, (n, 2) m and rad, a vehicle of some speeds before them can make."""
     return np.asarray((sizes <= SLACK + FASTER * np.maximum(speeds, USUAL) * elapsed_s).all(axis=-1))
 
@@ -107,29 +109,29 @@ def _breaks(odom_T_base: Trajectory) -> NDArray[np.bool_]:
     earlier = np.clip(np.searchsorted(stamps_ns, stamps_ns - round(BEFORE_S / NS)), 0, numbers - 1)[1:-1]
     moved, before_s = _sizes(odom_T_base, earlier, numbers[1:-1])
     speeds = np.vstack((_usual_speeds(odom_T_base), moved / before_s))
-    return np.asarray(~_reached(sizes, elapsed_s, speeds))
+    return np.asarray(~_is_reachable(sizes, elapsed_s, speeds))
 
 
 def _chains(odom_T_base: Trajectory) -> Iterator[list[int]]:
     """Yield the chains, as numbers of poses: each pose continues the chain whose end is nearest, if it can."""
-    stamps_s, poses = (
-        ((odom_T_base.stamps_ns - odom_T_base.stamps_ns[0]) * NS).tolist(),
-        [odom_T_base[k] for k in range(len(odom_T_base))],
-    )
+    stamps_s = ((odom_T_base.stamps_ns - odom_T_base.stamps_ns[0]) * NS).tolist()
+    poses = [odom_T_base[k] for k in range(len(odom_T_base))]
     usual, chains = _usual_speeds(odom_T_base), []
     ends: list[list[int]] = []
     for k, pose in enumerate(poses):
-        ends = [chain for chain in ends if stamps_s[k] - stamps_s[chain[-1]] <= CLOSED_S]
+        ends = [chain for chain in ends[-MOST_OPEN:] if stamps_s[k] - stamps_s[chain[-1]] <= CLOSED_S]
         steps = [(poses[chain[-1]].gap(pose), chain) for chain in ends]
         fit = [
             (away_m, chain)
             for (away_m, turned_rad), chain in steps
-            if _reached(
+            if _is_reachable(
                 np.array((away_m, turned_rad)), stamps_s[k] - stamps_s[chain[-1]], _speed(poses, stamps_s, chain, usual)
             )
         ]
         if fit:
-            min(fit, key=lambda pair: pair[0])[1].append(k)
+            nearest = min(fit, key=lambda pair: pair[0])[1]
+            nearest.append(k)
+            ends = [*(chain for chain in ends if chain is not nearest), nearest]
         else:
             ends.append([k])
             chains.append(ends[-1])
@@ -154,7 +156,7 @@ def _longest_apart(chains: list[list[int]]) -> Iterator[list[int]]:
             yield chain
 
 
-def _joined(odom_T_base: Trajectory, chains: list[list[int]]) -> Trajectory:
+def _join(odom_T_base: Trajectory, chains: list[list[int]]) -> Trajectory:
     """Return chains in one frame: across each jump the vehicle moved as before it."""
     joined = [Trajectory(odom_T_base.stamps_ns[chains[0]], odom_T_base.xyyaw[chains[0]])]
     for before, chain in pairwise(chains):

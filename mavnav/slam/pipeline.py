@@ -92,7 +92,7 @@ def run_slam(
         given = LogOdometry(odom_T_laser.compose(mounting.inverse()), mounting)
     fastest = config.robust.max_speed_m_s, config.robust.max_turn_rad_s
     fit = in_meters(given, config.robust.max_speed_m_s) if given else GOOD_ODOMETRY
-    odometry = given.corrected(fit) if given else None
+    odometry = given.lookup(fit) if given else None
     motion = Motion(max(period_s, SHORTEST_PERIOD_S), odometry, method.expects_rest, rotation=rotation, fastest=fastest)
     start = Track(log_scans, config, motion, method, prior_map=prior_map, on_step=on_step, log_odometry=given)
     start = start.with_findings(odometry=fit)

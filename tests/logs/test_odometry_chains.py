@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mavnav.logs import odometry_chains
 from mavnav.logs.odometry_chains import LeftOut, without_jumps
 from mavnav.pose import Pose, Trajectory
 
@@ -78,6 +79,21 @@ def test_odometry_that_always_jumps_stays() -> None:
     rng = np.random.default_rng(0)
     path = Trajectory.of([k * 50 * MS for k in range(60)], [Pose(*p) for p in rng.uniform(-50, 50, (60, 3)).tolist()])
     assert without_jumps(path) == (path, None)
+
+
+def test_a_pose_is_compared_with_few_chains_however_often_odometry_jumps(monkeypatch: pytest.MonkeyPatch) -> None:
+    compared, n = [0], 2000
+    speed = odometry_chains._speed
+
+    def counted(*args: object) -> np.ndarray:
+        compared[0] += 1
+        return speed(*args)
+
+    monkeypatch.setattr(odometry_chains, "_speed", counted)
+    rng = np.random.default_rng(0)
+    path = Trajectory.of([k * MS for k in range(n)], [Pose(*p) for p in rng.uniform(-50, 50, (n, 3)).tolist()])
+    assert without_jumps(path) == (path, None)
+    assert n < compared[0] <= odometry_chains.MOST_OPEN * n
 
 
 def test_what_was_left_out_is_said() -> None:

@@ -31,7 +31,7 @@ _SECOND_NS = 1_000_000_000
 def laser_of(data: bytes, encoding: str, *, any_stamp: bool = False) -> LaserMessage | None:
     """Decode a sensor_msgs/LaserScan in ``cdr`` or ``ros1``; None if the bytes are none.
 
-    A stamp of a second of nanoseconds or more speaks against a LaserScan, unless the type is known: ``any_stamp``.
+    A stamp of a second of nanoseconds or more contradicts a LaserScan, unless the type is known: ``any_stamp``.
     """
     try:
         if encoding == "ros1":

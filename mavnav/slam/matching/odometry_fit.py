@@ -81,7 +81,7 @@ class LogOdometry(Struct, frozen=True):
     odom_T_base: Trajectory
     base_T_laser: Pose = Pose()
 
-    def corrected(self, fit: OdometryFit) -> Odometry:
+    def lookup(self, fit: OdometryFit) -> Odometry:
         """Return the corrected pose of the laser by stamp, ns; None outside, or in a gap of over ``GAP_NS``."""
         odom_T_base = correct_path(self.odom_T_base, round(fit.offset_s / NS), fit.distance_scale, fit.turn_scale)
         return partial(odom_T_base.compose(self.base_T_laser).at, max_gap_ns=GAP_NS)
@@ -127,9 +127,8 @@ def _vertex_s(odometry: LogOdometry, motions: _Motions, best_s: float) -> float:
     """Return where the parabola through the squared errors at the best offset and ``STEP_S`` beside it is least, s."""
     before, at, after = (_fit(odometry, motions, best_s + k * STEP_S).error ** 2 for k in (-1, 0, 1))
     bend = before - 2.0 * at + after
-    return (
-        round(best_s + 0.5 * STEP_S * float(np.clip((before - after) / bend, -1.0, 1.0)), 3) if bend > 0.0 else best_s
-    )
+    beside = float(np.clip(0.5 * (before - after) / bend, -0.5, 0.5)) if bend > 0.0 else 0.0
+    return round(best_s + STEP_S * beside, 3)
 
 
 def with_noise(odometry: LogOdometry, map_T_laser: Trajectory, used: OdometryFit) -> OdometryFit:
@@ -169,10 +168,8 @@ def _fit(odometry: LogOdometry, motions: _Motions, offset_s: float, scales: Odom
     for again in (*(3 * (scales is None,)), False):
         ahead = driven * np.exp(0.5j * (turn - 1.0) * turns)
         wanted = moved - (np.exp(1j * turn * turns) - 1.0) * arm
-        off, off_rad = (
-            np.abs(distance * ahead - wanted),
-            np.abs((turn * turns - turned + np.pi) % (2.0 * np.pi) - np.pi),
-        )
+        off = np.abs(distance * ahead - wanted)
+        off_rad = np.abs((turn * turns - turned + np.pi) % (2.0 * np.pi) - np.pi)
         total = np.hypot(off, off_rad)
         kept = total <= np.quantile(total, KEPT)
         if again:

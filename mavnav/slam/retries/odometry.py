@@ -99,7 +99,7 @@ def correct_odometry(track: Track) -> Track | None:
     fit = correction(track, track.steps)
     if fit is None or track.log_odometry is None:
         return None
-    motion = track.motion._replace(odometry=track.log_odometry.corrected(fit))
+    motion = track.motion._replace(odometry=track.log_odometry.lookup(fit))
     return replace(track, motion=motion).with_findings(odometry=fit)
 
 

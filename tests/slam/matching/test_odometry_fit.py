@@ -131,7 +131,7 @@ def test_units_are_those_in_which_a_vehicle_is_possible(scale: float, unit: floa
 
 def test_corrected_odometry_leads_where_the_laser_was() -> None:
     path = swerving()
-    pose_at = wheels(path, 0.3, 1.1, 0.9, mounting=MOUNTING).corrected(OdometryFit(0.3, 1 / 1.1, 1 / 0.9))
+    pose_at = wheels(path, 0.3, 1.1, 0.9, mounting=MOUNTING).lookup(OdometryFit(0.3, 1 / 1.1, 1 / 0.9))
     for k in (0, 100, 290):
         now, later = (pose_at(int(path.stamps_ns[m])) for m in (k, k + 10))
         assert now is not None
@@ -142,7 +142,7 @@ def test_corrected_odometry_leads_where_the_laser_was() -> None:
 def test_odometry_is_unknown_outside_and_in_a_gap() -> None:
     path = swerving()
     kept = np.r_[0:100, 107:301]
-    pose_at = LogOdometry(Trajectory(path.stamps_ns[kept], path.xyyaw[kept])).corrected(GOOD_ODOMETRY)
+    pose_at = LogOdometry(Trajectory(path.stamps_ns[kept], path.xyyaw[kept])).lookup(GOOD_ODOMETRY)
     assert pose_at(int(path.stamps_ns[0]) - 1) is None
     assert pose_at(int(path.stamps_ns[103])) is None
     assert int(path.stamps_ns[107] - path.stamps_ns[99]) > GAP_NS

@@ -38,7 +38,7 @@ def track_with(odometry: Trajectory, path: Trajectory) -> Track:
     matches = [first_match(300)._replace(map_T_laser=path[k]) for k in range(len(path))]
     steps = Steps(Step(k, int(path.stamps_ns[k]), match, tracked=True) for k, match in enumerate(matches))
     given = LogOdometry(odometry)
-    motion = Motion(0.1, given.corrected(GOOD_ODOMETRY))
+    motion = Motion(0.1, given.lookup(GOOD_ODOMETRY))
     return Track(lambda: (), Config(), motion, make_method(Config()), steps, log_odometry=given)
 
 
