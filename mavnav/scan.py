@@ -25,8 +25,11 @@ NEAR_M, NEAR_SHARE = 0.1, 0.02
 """Returns of tilted beams no farther from floor or ceiling, in m and as a share of the range, are taken as its own."""
 
 
-LONGEST_SWEEP: Final = 1.2
-"""Largest number of scan periods of a sweep; if it takes more, the recorded time between the beams is wrong."""
+LONGEST_SWEEP: Final = 1.4
+"""Largest number of scan periods of a sweep; if it takes more, the recorded time between the beams is wrong.
+
+As far from 1, of stamps that jitter, as from 2, of times that are twice too long.
+"""
 
 
 class Attitude(NamedTuple):

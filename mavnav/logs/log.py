@@ -92,6 +92,8 @@ class Log(Struct, frozen=True, eq=False, kw_only=True):
         What is odd about the log, a line each.
     strict
         Whether scans from where a checksum does not match are left out.
+    stamps_ns
+        Stamps (n,) of the usable scans, in ns.
     """
 
     path: Path
@@ -122,7 +124,7 @@ class Log(Struct, frozen=True, eq=False, kw_only=True):
     warnings: tuple[str, ...]
     strict: bool
     _order: NDArray[np.int64]
-    _stamps_ns: NDArray[np.int64]
+    stamps_ns: NDArray[np.int64]
     _ranges: list[tuple[LaserSpec, NDArray[np.float64]]] | None = None
     _merged: tuple[Log, ...] = ()
     _kept: list[Scan] = field(default_factory=list)
@@ -142,7 +144,7 @@ class Log(Struct, frozen=True, eq=False, kw_only=True):
     def mounting(self) -> Mounted:
         """The laser as it is merged with others."""
         spec = self.sensor.turned_over() if self.upside_down else self.sensor
-        return Mounted(spec, self.base_T_laser or Pose(), self._stamps_ns)
+        return Mounted(spec, self.base_T_laser or Pose(), self.stamps_ns)
 
     @property
     def is_short(self) -> bool:
@@ -195,7 +197,7 @@ class Log(Struct, frozen=True, eq=False, kw_only=True):
             for number, (spec, ranges_m) in enumerate(self._admitted_scans()):
                 rank = int(ranks[number]) if number < len(ranks) else -1
                 if due <= rank < due + most:
-                    waiting[rank] = Scan(int(self._stamps_ns[rank]), ranges_m, spec)
+                    waiting[rank] = Scan(int(self.stamps_ns[rank]), ranges_m, spec)
                 while due in waiting:
                     yield waiting.pop(due)
                     due += 1

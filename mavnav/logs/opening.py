@@ -134,7 +134,7 @@ def choose(
         gaps=gaps,
         stamp_source=timeline.source,
         _order=timeline.order,
-        _stamps_ns=timeline.stamps_ns,
+        stamps_ns=timeline.stamps_ns,
         _ranges=scans.ranges,
         **{name: getattr(survey, name) for name in Survey.__struct_fields__ if name in Log.__struct_fields__},
     )
@@ -266,7 +266,7 @@ def _scan_warnings(log: Log) -> Iterator[str]:
             f"{log.topic}: {counts.repeated} of {counts.usable} scans repeat the one before; where the laser moved "
             "meanwhile the track is wrong: check the driver, or cut the log with --start and --end"
         )
-    if comes_in_bursts(log._stamps_ns):  # noqa: SLF001  the log is made here
+    if comes_in_bursts(log.stamps_ns):
         yield (
             f"{log.topic}: the stamps come in bursts, less than 5 ms apart, of scans that were taken every "
             f"{log.period_s * 1e3:.0f} ms: velocities are uncertain; stamp scans by the laser's clock"

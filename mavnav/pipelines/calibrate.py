@@ -21,6 +21,8 @@ from mavnav.outputs.directory import check_apart, check_file, write_file
 from mavnav.outputs.files.document import to_json
 from mavnav.outputs.pictures import calibration_picture
 from mavnav.outputs.report.summary_page import calibration_summary, draw_png, write_summary
+from mavnav.pose import Pose
+from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, LogOdometry, fit_odometry
 from mavnav.slam.methods.registry import load_kernels
 from mavnav.slam.pipeline import MEASURING, run_slam
 from mavnav.slam.retries import beam_order
@@ -122,8 +124,12 @@ def _open(request: CalibrationRequest, progress: Progress) -> Log:
 
 
 def _motions(log: Log, outcome: SlamResult) -> Motions:
+    """Return the motions of the track, at the stamps that fit the odometry better: recorded, or averaged."""
     assert log.odometry  # noqa: S101  checked by `_open`
-    return motions_of(outcome.trajectory, log.odometry.odom_T_base, 2.0 * log.mid_sweep_s)
+    odometry = LogOdometry(log.odometry.odom_T_base, log.base_T_laser or Pose(), log.stamps_ns)
+    fit = fit_odometry(odometry, outcome.trajectory, GOOD_ODOMETRY)
+    track = odometry.averaged(outcome.trajectory) if fit and fit.averaged else None
+    return motions_of(track or outcome.trajectory, log.odometry.odom_T_base, 2.0 * log.mid_sweep_s)
 
 
 def _doubtful(outcome: SlamResult) -> str:

@@ -270,4 +270,5 @@ def _track(log: Log, config: Config, known: PriorMap | None, progress: Progress,
         on_step=lambda phase, done: progress(phase, done, log.counts.usable),
         prior_map=known,
         base_T_laser=log.base_T_laser or Pose(),
+        scans_ns=log.stamps_ns,
     )

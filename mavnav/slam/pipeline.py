@@ -28,6 +28,9 @@ from mavnav.slam.retries.odometry import FITTING_ODOMETRY
 from mavnav.slam.track import Track
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from mavnav.config.models import Config
     from mavnav.pose import Rotation, Trajectory
     from mavnav.slam.matching.prior_map import PriorMap
@@ -69,6 +72,7 @@ def run_slam(
     rotation: Rotation | None = None,
     last: tuple[Pass, ...] = DRAWING,
     base_T_laser: Pose | None = None,
+    scans_ns: NDArray[np.int64] | None = None,
 ) -> SlamResult:
     """Run the configured method over a recorded log.
 
@@ -84,12 +88,15 @@ def run_slam(
         evidence of motion that is not planar
     last : the passes that end the run
     base_T_laser : the mounting of the laser, for which odometry is scaled where it should be
+    scans_ns : the stamps (n,) of all scans, which are averaged where odometry then fits better
     """
     method = make_method(config, prior_map)
     given: LogOdometry | None = None
     if odom_T_laser is not None and len(odom_T_laser):
         mounting = base_T_laser or Pose()
-        given = LogOdometry(odom_T_laser.compose(mounting.inverse()), mounting)
+        given = LogOdometry(
+            odom_T_laser.compose(mounting.inverse()), mounting, *(() if scans_ns is None else (scans_ns,))
+        )
     fastest = config.robust.max_speed_m_s, config.robust.max_turn_rad_s
     fit = in_meters(given, config.robust.max_speed_m_s) if given else GOOD_ODOMETRY
     odometry = given.lookup(fit) if given else None

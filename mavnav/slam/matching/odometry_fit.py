@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from mavnav.pose import Pose, Trajectory, between, correct_path
 from mavnav.units import NS
@@ -41,6 +42,9 @@ LEAST_MOTION: Final = 0.05
 LEAST_ERROR: Final = 0.03
 """Share of the motion that is wrong at least: of the track, too. Smaller differences between fits show nothing."""
 
+NEIGHBOURS, LONGEST_STEP = 10, 3.0
+"""Scans on either side over which stamps are averaged, and step in median steps that is a gap between them."""
+
 UNITS: Final = (1.0, 0.01, 0.001)
 """Meters of what odometry may count in."""
 
@@ -51,8 +55,8 @@ COARSE_S, FINE_S = 0.1 * np.arange(-10, 11), STEP_S * np.arange(-4, 5)
 OTHER_S, DISTINCT = 0.25, 1.1
 """Offsets that are farther away than that are others; their least error must be so many times that of the best."""
 
-SCALE_SIGMA, CORRELATED = 0.1, 10.0
-"""Standard deviation of a scale before anything is measured, and number of motions that are about one measurement."""
+SURE: Final = 2.0
+"""Standard deviations by which a scale differs from 1, else it is 1."""
 
 
 class OdometryFit(NamedTuple):
@@ -60,7 +64,7 @@ class OdometryFit(NamedTuple):
 
     ``offset_s`` is added to its stamps, the scales are factors on its distances and turns. ``noise_m_per_m`` and
     ``noise_rad_per_rad`` are RMS errors over a second as shares of the motion; ``error`` is that of both together, and
-    ``LEAST_ERROR``.
+    ``LEAST_ERROR``. ``averaged`` says that it fits at the averaged stamps of the scans.
     """
 
     offset_s: float = 0.0
@@ -69,6 +73,7 @@ class OdometryFit(NamedTuple):
     noise_m_per_m: float = 0.0
     noise_rad_per_rad: float = 0.0
     error: float = 0.0
+    averaged: bool = False
 
 
 GOOD_ODOMETRY: Final = OdometryFit()
@@ -76,15 +81,44 @@ GOOD_ODOMETRY: Final = OdometryFit()
 
 
 class LogOdometry(Struct, frozen=True):
-    """Odometry of a log: the path of the base, and where the laser sits on it."""
+    """Odometry of a log: the path of the base, where the laser sits on it; stamps (n,) of all scans, if known."""
 
     odom_T_base: Trajectory
     base_T_laser: Pose = Pose()
+    scans_ns: NDArray[np.int64] | None = None
 
     def lookup(self, fit: OdometryFit) -> Odometry:
         """Return the corrected pose of the laser by stamp, ns; None outside, or in a gap of over ``GAP_NS``."""
         odom_T_base = correct_path(self.odom_T_base, round(fit.offset_s / NS), fit.distance_scale, fit.turn_scale)
-        return partial(odom_T_base.compose(self.base_T_laser).at, max_gap_ns=GAP_NS)
+        pose_at = partial(odom_T_base.compose(self.base_T_laser).at, max_gap_ns=GAP_NS)
+        if not fit.averaged or self.scans_ns is None:
+            return pose_at
+        averaged_ns = partial(np.interp, xp=self.scans_ns, fp=average_stamps(self.scans_ns))
+        return lambda stamp_ns: pose_at(round(float(averaged_ns(stamp_ns))))
+
+    def averaged(self, map_T_laser: Trajectory) -> Trajectory | None:
+        """Return a path at the averaged stamps of its scans; None if the scans are unknown."""
+        if self.scans_ns is None:
+            return None
+        averaged_ns = np.interp(map_T_laser.stamps_ns, self.scans_ns, average_stamps(self.scans_ns))
+        return replace(map_T_laser, stamps_ns=np.round(averaged_ns).astype(np.int64))
+
+
+def average_stamps(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the mean of every stamp (n,) and its neighbours, ns: when scans were taken that are stamped on arrival.
+
+    So many neighbours count on both sides, at most ``NEIGHBOURS`` and none across a gap.
+    """
+    steps_ns = np.diff(stamps_ns)
+    parted = np.flatnonzero(steps_ns > LONGEST_STEP * np.median(steps_ns)) + 1 if len(steps_ns) else steps_ns
+    first = np.concatenate(((0,), parted, (len(stamps_ns),)))
+    k = np.arange(len(stamps_ns))
+    run = np.searchsorted(first, k, side="right")
+    beside = np.minimum(np.minimum(k - first[run - 1], first[run] - 1 - k), NEIGHBOURS)
+    sums = np.concatenate(((0,), np.cumsum(stamps_ns - stamps_ns[:1])))
+    mean_ns = (sums[k + beside + 1] - sums[k - beside]) / (2 * beside + 1)
+    averaged: NDArray[np.int64] = stamps_ns[:1] + np.round(mean_ns).astype(np.int64)
+    return averaged
 
 
 def in_meters(odometry: LogOdometry, fastest_m_s: float) -> OdometryFit:
@@ -112,15 +146,23 @@ def fit_odometry(odometry: LogOdometry, map_T_laser: Trajectory, used: OdometryF
 
     The offset stays the one that is ``used`` where others fit about as well, as at constant speed.
     """
-    motions = _motions(map_T_laser, odometry)
+    averaged = odometry.averaged(map_T_laser)
+    fits = [_fit_offset(odometry, _motions(map_T_laser, odometry), used.offset_s)]
+    if averaged:
+        fits.append(_fit_offset(odometry, _motions(averaged, odometry), used.offset_s)._replace(averaged=True))
+    best = min(fits, key=lambda fit: fit.error)
+    return best if np.isfinite(best.error) else None
+
+
+def _fit_offset(odometry: LogOdometry, motions: _Motions, used_s: float) -> OdometryFit:
+    """Return the best fit at any offset; at the one that is used where others fit about as well."""
     fits = {offset_s: _fit(odometry, motions, offset_s) for offset_s in COARSE_S.tolist()}
     best_s = min(fits, key=lambda offset_s: fits[offset_s].error)
     fits |= {offset_s: _fit(odometry, motions, offset_s) for offset_s in (best_s + FINE_S).tolist()}
     best_s = min(fits, key=lambda offset_s: fits[offset_s].error)
     others = [fit.error for offset_s, fit in fits.items() if abs(offset_s - best_s) > OTHER_S]
     distinct = min(others) > DISTINCT * fits[best_s].error
-    best = _fit(odometry, motions, _vertex_s(odometry, motions, best_s) if distinct else used.offset_s)
-    return best if np.isfinite(best.error) else None
+    return _fit(odometry, motions, _vertex_s(odometry, motions, best_s) if distinct else used_s)
 
 
 def _vertex_s(odometry: LogOdometry, motions: _Motions, best_s: float) -> float:
@@ -133,7 +175,8 @@ def _vertex_s(odometry: LogOdometry, motions: _Motions, best_s: float) -> float:
 
 def with_noise(odometry: LogOdometry, map_T_laser: Trajectory, used: OdometryFit) -> OdometryFit:
     """Return a correction with the noise of the odometry beside a path; its error is infinite if nothing shows it."""
-    return _fit(odometry, _motions(map_T_laser, odometry), used.offset_s, used)
+    path = (odometry.averaged(map_T_laser) if used.averaged else None) or map_T_laser
+    return _fit(odometry, _motions(path, odometry), used.offset_s, used)._replace(averaged=used.averaged)
 
 
 def _motions(map_T_laser: Trajectory, odometry: LogOdometry) -> _Motions:
@@ -154,7 +197,7 @@ def _motions(map_T_laser: Trajectory, odometry: LogOdometry) -> _Motions:
 def _fit(odometry: LogOdometry, motions: _Motions, offset_s: float, scales: OdometryFit | None = None) -> OdometryFit:
     """Return the scales that fit best at an offset, or the error of given ones; infinite where too little is covered.
 
-    A scale that the motions hardly show stays near 1.
+    A scale that the motions do not show to differ from 1 is 1.
     """
     base, covered = _by_odometry(odometry.odom_T_base, motions, offset_s)
     moved, turned = motions.moved[covered], motions.turned[covered]
@@ -165,6 +208,7 @@ def _fit(odometry: LogOdometry, motions: _Motions, offset_s: float, scales: Odom
     if scales is None:  # other units are too far from 1 for least squares with a prior
         beside = np.abs(moved - (np.exp(1j * turns) - 1.0) * arm)
         distance = float(np.median(beside) / max(np.median(np.abs(driven)), 1e-9))
+    overlapping = max(1.0, len(motions.start_s) * WINDOW_S / np.ptp(motions.start_s))
     for again in (*(3 * (scales is None,)), False):
         ahead = driven * np.exp(0.5j * (turn - 1.0) * turns)
         wanted = moved - (np.exp(1j * turn * turns) - 1.0) * arm
@@ -173,8 +217,8 @@ def _fit(odometry: LogOdometry, motions: _Motions, offset_s: float, scales: Odom
         total = np.hypot(off, off_rad)
         kept = total <= np.quantile(total, KEPT)
         if again:
-            distance = _scale(ahead[kept], wanted[kept], _mean2(off[kept]))
-            turn = _scale(turns[kept], turned[kept], _mean2(off_rad[kept]))
+            distance = _scale(ahead[kept], wanted[kept], _mean2(off[kept]) * overlapping)
+            turn = _scale(turns[kept], turned[kept], _mean2(off_rad[kept]) * overlapping)
     errors = np.sqrt((_mean2(off[kept]), _mean2(off_rad[kept])))
     sizes = np.sqrt((_mean2(moved[kept]), _mean2(turned[kept])))
     if np.hypot(*sizes) < LEAST_MOTION:
@@ -186,9 +230,13 @@ def _fit(odometry: LogOdometry, motions: _Motions, offset_s: float, scales: Odom
 
 
 def _scale(driven: NDArray[Any], wanted: NDArray[Any], error2: float) -> float:
-    """Return the factor on some motions that leads to others, by least squares with 1 as the prior."""
-    weight = CORRELATED * error2 / SCALE_SIGMA**2
-    return float((np.vdot(driven, wanted).real + weight) / (np.vdot(driven, driven).real + weight + 1e-12))
+    """Return the factor on some motions that leads to others, by least squares; 1 if it may be 1, or is not positive.
+
+    ``error2`` is the squared error of a motion times the number of motions that overlap.
+    """
+    driven2 = float(np.vdot(driven, driven).real) + 1e-12
+    scale = float(np.vdot(driven, wanted).real) / driven2
+    return scale if scale > 0.0 and (scale - 1.0) ** 2 * driven2 > SURE**2 * error2 else 1.0
 
 
 def _mean2(values: NDArray[Any]) -> float:

@@ -32,7 +32,7 @@ SCALES: Final = ((0.4, 2.5), (0.0095, 0.0105), (0.00095, 0.00105))
 TURNS: Final = (0.5, 2.0)
 """Factors on turns of wheels that are wrongly calibrated."""
 
-FIRST_CHECK, CHECK_RATIO = 100, 3
+FIRST_CHECK, CHECK_RATIO = 200, 3
 """Number of poses at which a track is first compared with its odometry, and ratio of those of one check to the next."""
 
 LEAST_COVERED = 0.9
@@ -76,7 +76,7 @@ def correction(track: Track, steps: Steps) -> OdometryFit | None:
     if best is None or best.error > MOST_ERROR or not is_plausible(best):
         return None
     differs = any(abs(a - b) >= least for a, b, least in zip(best[:3], used[:3], LEAST_CHANGE[:3], strict=True))
-    unused = track.motion.odometry is None
+    differs, unused = differs or best.averaged != used.averaged, track.motion.odometry is None
     return best if unused or (differs and best.error < IMPROVED * with_noise(odometry, path, used).error) else None
 
 

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from mavnav.pose import Pose, Trajectory
 from mavnav.slam.matching.odometry_fit import (
     GAP_NS,
     GOOD_ODOMETRY,
     LEAST_ERROR,
+    NEIGHBOURS,
     LogOdometry,
     OdometryFit,
+    average_stamps,
     fit_odometry,
     in_meters,
     with_noise,
@@ -74,6 +77,42 @@ def test_jitter_of_the_stamps_hides_no_offset(offset_s: float) -> None:
     assert fit is not None
     assert fit.offset_s == pytest.approx(offset_s, abs=0.02)
     assert fit.error < 0.15
+
+
+def test_stamps_of_arrival_are_averaged_where_odometry_then_fits_better() -> None:
+    path = swerving()
+    late_ns = np.round(np.random.default_rng(2).uniform(0.0, 0.09, len(path)) / NS).astype(np.int64)
+    arrived = Trajectory(path.stamps_ns + late_ns, path.xyyaw)
+    odometry = replace(wheels(path), scans_ns=arrived.stamps_ns)
+    fit, as_recorded = fit_odometry(odometry, arrived, GOOD_ODOMETRY), fit_odometry(odometry, path, GOOD_ODOMETRY)
+    assert fit is not None
+    assert fit.averaged
+    assert fit.offset_s == pytest.approx(0.045, abs=0.01)
+    recorded = with_noise(odometry, arrived, fit._replace(averaged=False))
+    assert fit.noise_m_per_m < 0.3 * recorded.noise_m_per_m
+    assert as_recorded is not None
+    assert not as_recorded.averaged
+    pose = odometry.lookup(fit)(int(arrived.stamps_ns[50]))
+    assert pose is not None
+    assert pose.gap(path[50])[0] < 0.01
+
+
+def test_averaged_stamps_are_means_of_as_many_on_both_sides_and_across_no_gap() -> None:
+    steps_ns = np.random.default_rng(3).integers(50, 150, 60) * MS
+    steps_ns[30] = S
+    stamps_ns = np.cumsum(steps_ns)
+    for k, averaged_ns in enumerate(average_stamps(stamps_ns).tolist()):
+        run = range(30) if k < 30 else range(30, 60)
+        beside = min(k - run.start, run.stop - 1 - k, NEIGHBOURS)
+        assert averaged_ns == pytest.approx(stamps_ns[k - beside : k + beside + 1].mean(), abs=1)
+    assert average_stamps(stamps_ns[:1]).tolist() == stamps_ns[:1].tolist()
+
+
+def test_a_scale_that_may_be_one_is_one() -> None:
+    path = swerving()
+    jittery = fit_odometry(wheels(path, scale=1.005, turn=0.995, jitter_s=0.04), path, GOOD_ODOMETRY)
+    assert jittery is not None
+    assert jittery[1:3] == (1.0, 1.0)
 
 
 def test_a_fifth_of_wrong_motions_changes_nothing() -> None:
