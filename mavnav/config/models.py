@@ -215,7 +215,7 @@ class RobustConfig(Strict, frozen=True):
 class OdometryConfig(Strict, frozen=True):
     """What corrects odometry before it is used, as ``mavnav calibrate`` finds it (docs/calibrate.md)."""
 
-    offset_s: Annotated[float, setting("time to add to the stamps of the odometry", ge=-10, le=10)] = 0.0
+    offset_s: Annotated[float, setting("time to add to the stamps of the odometry", ge=-100, le=100)] = 0.0
     distance_scale: Annotated[float, setting("factor on the distances of the odometry", gt=0, le=1000)] = 1.0
     turn_scale: Annotated[float, setting("factor on the turns of the odometry", gt=0, le=1000)] = 1.0
     veer_deg_per_m: Annotated[float, setting("turn to add to the odometry for every meter driven", ge=-90, le=90)] = 0.0

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from mavnav.logs.clocks import Clock
     from mavnav.logs.levelling import RecordedAttitude
     from mavnav.logs.messages.records import LaserMessage
     from mavnav.logs.records import Channel, Damage, Gap, Imu, Odometry, RecordedTruth, ScanCounts, Topic
@@ -68,6 +69,8 @@ class Log(Struct, frozen=True, eq=False, kw_only=True):
         Pauses much longer than the period: start in ns, duration in s.
     stamp_source
         ``header``, or ``log`` if the stamps of the scans are unusable and the times of recording are taken.
+    clock
+        The stamps of the scans beside their times of recording; None where these are used.
     window_s
         Start and end of the window in s from the first usable scan; None where it is open.
     base_T_laser
@@ -111,6 +114,7 @@ class Log(Struct, frozen=True, eq=False, kw_only=True):
     period_s: float
     gaps: tuple[Gap, ...]
     stamp_source: StampSource
+    clock: Clock | None = None
     window_s: tuple[float | None, float | None]
     base_T_laser: Pose | None = None
     mounting_source: Literal["tf_static", "option"] | None = None

@@ -15,9 +15,10 @@ from mavnav.logs.log import Log
 from mavnav.logs.merging import FRAME, partners, virtual_laser
 from mavnav.logs.messages.decode import LASER_TYPES, scan_topics
 from mavnav.logs.messages.other_scans import OTHER_TYPES
+from mavnav.logs.periods import comes_in_bursts, period_and_gaps
 from mavnav.logs.preprocessing import KINDS
 from mavnav.logs.records import ScanCounts
-from mavnav.logs.stamps import REPEATED_SHARE, comes_in_bursts, period_and_gaps
+from mavnav.logs.stamps import REPEATED_SHARE
 from mavnav.logs.survey import Survey, survey
 from mavnav.logs.trajectories import laser_odometry, laser_truth
 from mavnav.logs.transforms import frame_name, mounting, transforms_for
@@ -133,11 +134,15 @@ def choose(
         period_s=period_s,
         gaps=gaps,
         stamp_source=timeline.source,
+        clock=timeline.clock,
         _order=timeline.order,
         stamps_ns=timeline.stamps_ns,
         _ranges=scans.ranges,
         **{name: getattr(survey, name) for name in Survey.__struct_fields__ if name in Log.__struct_fields__},
     )
+    if timeline.distrust:
+        text = f"{name}: the scans' own stamps are unusable ({timeline.distrust}); the times of recording are used"
+        log = replace(log, warnings=(*log.warnings, text))
     return _with_motion(log, survey, odom, extrinsic, upside_down=upside_down)
 
 
@@ -256,8 +261,6 @@ def _unpaired_warnings(lasers: Sequence[Log]) -> list[str]:
 def _scan_warnings(log: Log) -> Iterator[str]:
     """Say what there is to warn about the scans and their time."""
     counts = log.counts
-    if log.stamp_source == "log":
-        yield f"{log.topic}: the scans' own stamps are unusable; the times of recording are used"
     for reason, count in counts.skipped.items():
         if reason != "outside_window":
             yield f"{log.topic}: {count} of {counts.total} scans skipped: {reason.replace('_', ' ')}"

@@ -112,7 +112,8 @@ class ScanCounts(Struct, frozen=True):
 class Odometry(Struct, frozen=True):
     """Odometry of a log: the base's and the laser's poses in the odometry frame, at the same stamps.
 
-    Without a known mounting the laser is taken to sit on the base's origin. ``left_out`` is what was not used of it.
+    Without a known mounting the laser is taken to sit on the base's origin. ``left_out`` is what was not used of it,
+    ``clock_s`` the time that was added to its stamps, s, because its clock is another than that of the scans.
     """
 
     topic: str
@@ -120,6 +121,7 @@ class Odometry(Struct, frozen=True):
     odom_T_base: Trajectory
     odom_T_laser: Trajectory
     left_out: LeftOut | None = None
+    clock_s: float = 0.0
 
 
 class Imu(Struct, frozen=True):

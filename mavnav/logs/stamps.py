@@ -11,8 +11,8 @@ import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
 
+from mavnav.logs.clocks import Clock, clock_of, set_back_text, set_forward_text
 from mavnav.logs.preprocessing import KINDS
-from mavnav.logs.records import Gap
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -37,15 +37,9 @@ _LATEST_NS: Final = 1 << 62
 _CALENDAR_NS: Final = 1_000_000_000_000_000_000
 """September 2001: stamps of a clock with a date are later, those that count from a start before."""
 
-_GAP_PERIODS: Final = 3.0
-
 _MOST_BACKWARD, _FEW_BACKWARD = 0.1, 10
 """Share and number of the scans that may have stamps before those of earlier ones, if the times of recording ascend."""
 
-_SHORTEST_NS, _BURST_SHARE, _LEAST_BURST_SCANS = 5_000_000, 0.3, 10
-"""Time between two scans that is too short for a laser, and share and number of such scans of a log with bursts."""
-_MANY_SCANS, _BURST_QUANTILE = 64, 0.95
-"""Number of scans over which their mean period is taken, and quantile of the steps that is one between bursts."""
 _SUSPECT_OFFSET_NS: Final = 10_000_000_000
 """A suspect scan whose stamp is farther from its time of recording than usual, by this, is not plausible."""
 
@@ -150,7 +144,8 @@ class Timeline(Struct, frozen=True):
 
     ``order`` (m,) holds their numbers in the file, ``stamps_ns`` (m,) ascends strictly, ``cleaning`` (8,) counts their
     beams by ``preprocessing.KINDS``; ``repeated`` counts the scans with the ranges of the one before in the file;
-    ``first`` is geometry and frame of the first.
+    ``first`` is geometry and frame of the first. ``clock`` compares the stamps with the times of recording;
+    ``distrust`` is why the scans' own are not used, empty where they are.
     """
 
     source: StampSource
@@ -161,6 +156,8 @@ class Timeline(Struct, frozen=True):
     suspect: int
     repeated: int
     first: tuple[LaserSpec, str] | None
+    clock: Clock | None
+    distrust: str
 
 
 class TopicScans(Struct):
@@ -177,8 +174,7 @@ class TopicScans(Struct):
     _stamps: Stamps = field(default_factory=Stamps)
     _kind: array[int] = field(default_factory=lambda: array("I"))
     _suspect: bytearray = field(default_factory=bytearray)
-    _repeated: bytearray = field(default_factory=bytearray)
-    _last_m: NDArray[np.float64] | None = None
+    _content: array[int] = field(default_factory=lambda: array("q"))
     _cleaning: array[int] = field(default_factory=lambda: array("I"))
     _kinds: list[tuple[LaserSpec, str]] = field(default_factory=list)
 
@@ -195,8 +191,7 @@ class TopicScans(Struct):
             return
         self.total += 1
         spec, ranges_m, counts = admitted
-        last_m, self._last_m = self._last_m, ranges_m
-        self._repeated.append(last_m is not None and ranges_m.tobytes() == last_m.tobytes())  # NaN too
+        self._content.append(hash(ranges_m.tobytes()))  # NaN too
         if self.ranges is not None:
             self.ranges.append((spec, ranges_m))
             if ranges_m.nbytes * len(self.ranges) > KEPT_BYTES:
@@ -219,17 +214,31 @@ class TopicScans(Struct):
 
         So stamps that are all zero or constant are not trusted. A constant stamp above zero keeps one scan, which is
         half of two: two scans count as constant as well. Nor are those of a clock that is set back, where that costs
-        ``_MOST_BACKWARD`` of the scans; scans recorded twice are not such. The window's ends are in seconds from the
-        first usable scan, both inclusive.
+        ``_MOST_BACKWARD`` of the scans (scans recorded twice are not such), or forward. The window's ends are in
+        seconds from the first usable scan, both inclusive.
         """
         header, log = self._choose("header"), self._choose("log")
-        zero = len(header) > 0 and self._stamps.header_ns[header[-1]] == 0
-        constant = len(header) == 1 and len(log) > 1
+        distrust = self._distrust(header, log)
+        if distrust:
+            return self._timeline("log", log, window_s, distrust)
+        return self._timeline("header", header, window_s)
+
+    def _distrust(self, header: NDArray[np.int64], log: NDArray[np.int64]) -> str:
+        """Return why the scans that are chosen by their own stamps are not used, but those by recording; else ""."""
+        stamps_ns, log_ns = self._stamps.by("header")
+        if not len(log):
+            return ""
+        if not len(header):
+            return "they are no times"
+        if stamps_ns[header[-1]] == 0:
+            return "they are zero"
+        if len(header) == 1 < len(log):
+            return "they never change"
         backward = self._count_skipped("header", header)["backward_stamp"] if len(header) < len(log) else 0
         set_back = min(backward, len(log) - len(header)) > max(_MOST_BACKWARD * len(log), _FEW_BACKWARD)
-        if len(log) and (zero or constant or set_back or 2 * len(header) < len(log)):
-            return self._timeline("log", log, window_s)
-        return self._timeline("header", header, window_s)
+        if set_back or 2 * len(header) < len(log):
+            return set_back_text(stamps_ns[log], log_ns[log])
+        return set_forward_text(stamps_ns[header], log_ns[header])
 
     def _choose(self, source: StampSource) -> NDArray[np.int64]:
         """Return the numbers of the scans to use, in the order of the file, or of recording where that keeps more."""
@@ -266,8 +275,10 @@ class TopicScans(Struct):
         plausible: NDArray[np.bool_] = like[kinds] & (np.abs(offsets - usual) < _SUSPECT_OFFSET_NS)
         return plausible | ~suspect
 
-    def _timeline(self, source: StampSource, chosen: NDArray[np.int64], window_s: Window) -> Timeline:
-        stamps_ns = self._stamps.by(source)[0][chosen]
+    def _timeline(
+        self, source: StampSource, chosen: NDArray[np.int64], window_s: Window, distrust: str = ""
+    ) -> Timeline:
+        stamps_ns, log_ns = (each[chosen] for each in self._stamps.by(source))
         inside = _inside(stamps_ns, window_s)
         order = chosen[inside]
         skipped = self._count_skipped(source, chosen)
@@ -279,9 +290,16 @@ class TopicScans(Struct):
             skipped=+skipped,
             cleaning=np.array(self._cleaning, np.int64).reshape(-1, len(KINDS))[order].sum(axis=0),
             suspect=sum(self._suspect[k] for k in order.tolist()),
-            repeated=sum(self._repeated[k] for k in order.tolist()),
+            repeated=int(self._repeats()[order].sum()),
             first=self._kinds[self._kind[order[0]]] if len(order) else None,
+            clock=clock_of(stamps_ns, log_ns) if source == "header" else None,
+            distrust=distrust,
         )
+
+    def _repeats(self) -> NDArray[np.bool_]:
+        """Return which scans have the ranges of the one before in the file."""
+        content = np.array(self._content, np.int64)
+        return np.concatenate((np.zeros(min(len(content), 1), np.bool_), content[1:] == content[:-1]))
 
     def _count_skipped(self, source: StampSource, chosen: NDArray[np.int64]) -> Counter[str]:
         """Count the scans that are not chosen by reason."""
@@ -290,11 +308,21 @@ class TopicScans(Struct):
         left[chosen] = False
         impossible = left & _impossible(stamps_ns)
         implausible = left & ~impossible & ~self._plausible()
-        rest = stamps_ns[left & ~impossible & ~implausible]
-        twice = int(np.isin(rest, stamps_ns[chosen]).sum())
+        rest = np.flatnonzero(left & ~impossible & ~implausible)
+        twice = self._recorded_twice(source, rest, chosen)
         counts = (impossible.sum(), implausible.sum(), twice, len(rest) - twice)
         reasons = ("impossible_stamp", "implausible", "duplicate_stamp", "backward_stamp")
         return Counter(dict(zip(reasons, map(int, counts), strict=True)))
+
+    def _recorded_twice(self, source: StampSource, rest: NDArray[np.int64], chosen: NDArray[np.int64]) -> int:
+        """Count the scans of the rest that have the stamp of a chosen one, and its ranges or its time of recording."""
+        if not len(chosen):
+            return 0
+        (stamps_ns, log_ns), content = self._stamps.by(source), np.array(self._content, np.int64)
+        nearest = chosen[np.minimum(np.searchsorted(stamps_ns[chosen], stamps_ns[rest]), len(chosen) - 1)]
+        together = np.abs(log_ns[nearest] - log_ns[rest]) <= 0.5 * np.ptp(log_ns) / len(log_ns)
+        alike = together | (content[nearest] == content[rest])
+        return int((alike & (stamps_ns[nearest] == stamps_ns[rest])).sum())
 
 
 def _geometry(kind: tuple[LaserSpec, str]) -> tuple[LaserSpec, str]:
@@ -316,32 +344,3 @@ def _inside(stamps_ns: NDArray[np.int64], window_s: Window) -> NDArray[np.bool_]
     since_ns = stamps_ns - stamps_ns[:1]
     late_enough = np.ones(len(stamps_ns), np.bool_) if start_s is None else since_ns >= np.rint(start_s / NS)
     return late_enough if end_s is None else late_enough & (since_ns <= np.rint(end_s / NS))
-
-
-def period_and_gaps(stamps_ns: NDArray[np.int64]) -> tuple[float, tuple[Gap, ...]]:
-    """Return the median period (s, 0 for a single scan) and the pauses longer than three of it.
-
-    Where scans come in bursts, the period is the median over many scans, and a pause is longer than three bursts.
-    """
-    if len(stamps_ns) < 2:
-        return 0.0, ()
-    steps = np.diff(stamps_ns)
-    period_ns = burst_ns = float(np.median(steps))
-    if comes_in_bursts(stamps_ns):
-        period_ns, burst_ns = _mean_step_ns(stamps_ns), float(np.quantile(steps, _BURST_QUANTILE))
-    return period_ns * NS, tuple(
-        Gap(int(stamps_ns[k]), float(steps[k]) * NS) for k in np.flatnonzero(steps > _GAP_PERIODS * burst_ns)
-    )
-
-
-def comes_in_bursts(stamps_ns: NDArray[np.int64]) -> bool:
-    """Return whether many scans follow the one before faster than any laser turns: a buffer delivered them at once."""
-    if len(stamps_ns) < _LEAST_BURST_SCANS or _mean_step_ns(stamps_ns) < 2 * _SHORTEST_NS:
-        return False
-    return bool(np.mean(np.diff(stamps_ns) < _SHORTEST_NS) > _BURST_SHARE)
-
-
-def _mean_step_ns(stamps_ns: NDArray[np.int64]) -> float:
-    """Return the median of the mean steps over many scans, which pauses do not change."""
-    n = min(_MANY_SCANS, len(stamps_ns) - 1)
-    return float(np.median(stamps_ns[n:] - stamps_ns[:-n])) / n

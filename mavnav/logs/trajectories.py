@@ -10,12 +10,14 @@ import numpy as np
 from msgspec import Struct, field
 
 from mavnav.errors import TopicError
+from mavnav.logs.clocks import clock_of, shift_s
 from mavnav.logs.messages.definitions import ODOMETRY, POSE, TRANSFORM
 from mavnav.logs.odometry_chains import without_jumps
 from mavnav.logs.records import Odometry, RecordedTruth
 from mavnav.logs.stamps import Stamps, in_order
 from mavnav.logs.transforms import frame_name, mounting, namespace, planar_pose
 from mavnav.pose import Pose, Trajectory
+from mavnav.units import NS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -23,7 +25,6 @@ if TYPE_CHECKING:
     from mavnav.logs.log import Log
     from mavnav.logs.messages.records import TransformMessage
     from mavnav.logs.records import Channel, Topic
-    from mavnav.logs.stamps import StampSource
     from mavnav.logs.transforms import FrameTree
 
 TF_TOPIC = "/tf"
@@ -53,15 +54,26 @@ class PoseTrack(Struct):
             self.stamps.add(message.stamp_ns, log_ns)
             self.xyyaw.extend((pose.x_m, pose.y_m, pose.yaw_rad))
 
-    def trajectory(self, stamp_source: StampSource, warn: Callable[[str], None]) -> Trajectory:
-        """Return ``fixed_T_base`` with the stamps of a source; poses whose stamps do not ascend are left out."""
-        stamps, recorded = self.stamps.by(stamp_source)
+    def trajectory(self, log: Log, warn: Callable[[str], None]) -> tuple[Trajectory, float]:
+        """Return ``fixed_T_base`` by the clock of the scans, and the time that was added to its stamps for it, s.
+
+        Poses whose stamps do not ascend are left out. Stamps that are no times give way to those of recording.
+        """
+        stamps, recorded = self.stamps.by(log.stamp_source)
         poses = np.array(self.xyyaw, dtype=np.float64).reshape(-1, 3)
         if self.unusable:
             text = f"{self.unusable} of {self.unusable + len(stamps)} poses are left out"
             warn(f"{self.topic}: {text}, not finite or with a quaternion of zeros; see what publishes them")
+        if log.clock and len(stamps) > 1 and not np.ptp(stamps):
+            warn(f"{self.topic}: its stamps never change; the times of recording are used: see what publishes it")
+            stamps = recorded + round(log.clock.ahead_s / NS)
         keep = in_order(stamps, recorded, self.topic, warn)
-        return Trajectory(stamps[keep], poses[keep])
+        added_s = shift_s(clock_of(stamps[keep], recorded[keep]), log.clock)
+        if added_s:
+            ahead = "ahead of" if added_s < 0.0 else "behind"
+            text = f"{abs(added_s):.2f} s {ahead} those of the scans, by the times of recording, and corrected by that"
+            warn(f"{self.topic}: its stamps are {text}: synchronize the clocks")
+        return Trajectory(stamps[keep] + round(added_s / NS), poses[keep]), added_s
 
 
 class OdometryTrack(PoseTrack):
@@ -166,7 +178,7 @@ def laser_odometry(
     track: OdometryTrack, log: Log, base_frame: str | None, base_T_laser: Pose | None, warn: Callable[[str], None]
 ) -> Odometry | None:
     """Return the odometry of a track, without jumps; None, with a warning, where it does not fit the scans."""
-    odom_T_base = track.trajectory(log.stamp_source, warn)
+    odom_T_base, added_s = track.trajectory(log, warn)
     if not len(odom_T_base):
         return None
     if not log.shares_time(odom_T_base.stamps_ns):
@@ -178,7 +190,8 @@ def laser_odometry(
     odom_T_base, left_out = without_jumps(odom_T_base)
     if left_out:
         warn(f"{track.topic}: {left_out.text}")
-    return Odometry(track.topic, track.source, odom_T_base, odom_T_base.compose(base_T_laser or Pose()), left_out)
+    odom_T_laser = odom_T_base.compose(base_T_laser or Pose())
+    return Odometry(track.topic, track.source, odom_T_base, odom_T_laser, left_out, added_s)
 
 
 class TruthTracks(Struct):
@@ -246,5 +259,5 @@ def laser_truth(
     if body_T_laser is None:
         text = f"no mounting of {log.frame_id!r} is known; the ground truth is taken as the laser's own"
         warn(f"{track.topic}: {text} (give the mounting with --extrinsic x,y,yaw)")
-    world_T_laser = track.trajectory(log.stamp_source, warn).compose(body_T_laser or Pose())
-    return RecordedTruth(track.topic, track.base_frame or None, world_T_laser)
+    world_T_body, _ = track.trajectory(log, warn)
+    return RecordedTruth(track.topic, track.base_frame or None, world_T_body.compose(body_T_laser or Pose()))

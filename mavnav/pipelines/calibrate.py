@@ -206,6 +206,8 @@ def _row(quantity: QuantityValue, log: Log) -> dict[str, Any]:
     """Describe a quantity: what was found, what the log says now, and whether they agree."""
     kind, value, ci95 = quantity.kind, quantity.value, quantity.ci95
     in_log = _in_log(kind, log)
+    if value is not None and kind.name == "offset_s" and log.odometry:
+        value += log.odometry.clock_s
     difference = None if value is None or in_log is None else value - in_log
     if difference is not None and kind.name == "yaw_deg":
         difference = (difference + 180.0) % 360.0 - 180.0

@@ -254,7 +254,8 @@ def with_corrected_odometry(log: Log, config: Config) -> Log:
     if odometry is None or given == OdometryConfig():
         return log
     scales = given.distance_scale, given.turn_scale, given.veer_deg_per_m * DEG
-    odom_T_base = correct_path(odometry.odom_T_base, round(given.offset_s / NS), *scales)
+    offset_s = given.offset_s - odometry.clock_s if given.offset_s else 0.0  # it replaces what the log adds
+    odom_T_base = correct_path(odometry.odom_T_base, round(offset_s / NS), *scales)
     odom_T_laser = odom_T_base.compose(log.base_T_laser or Pose())
     return changed(log, odometry=changed(odometry, odom_T_base=odom_T_base, odom_T_laser=odom_T_laser))
 

@@ -7,8 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from mavnav.cli import run
+from support.field_logs import drive_log
+from support.log_files import ODOM, write_mcap
 
 LOG = Path(__file__).parents[2] / "sample_logs" / "complex.bag"
 
@@ -45,3 +48,20 @@ def test_the_odometry_of_a_mission_is_its_commands(tmp_path: Path) -> None:
     used = json.loads((tmp_path / "a" / "run.json").read_text())["tracking"]["odometry"]
     assert used["used"]
     assert used["noise"] == {"m_per_m": None, "rad_per_rad": None}
+
+
+@pytest.mark.parametrize("off_s", [-40.0, 20.0])
+def test_odometry_of_another_clock_is_used_and_its_offset_stated(off_s: float, tmp_path: Path) -> None:
+    off_ns = round(off_s * 1e9)
+    messages = [
+        replace(m, stamp_ns=m.stamp_ns + off_ns, log_ns=m.stamp_ns) if m.type == ODOM else m
+        for m in drive_log(8.0, odometry=True)
+    ]
+    log = write_mcap(tmp_path / "log.mcap", sorted(messages, key=lambda m: m.time_ns))
+    words = ["replay", str(log), "-q", "--outputs", "trajectory"]
+    assert run([*words, "-o", str(tmp_path / "a")]) == 0
+    assert run([*words, "-o", str(tmp_path / "b"), "--set", f"odometry.offset_s={-off_s}"]) == 0
+    for name in "ab":
+        used = json.loads((tmp_path / name / "run.json").read_text())["tracking"]["odometry"]
+        assert used["used"]
+        assert used["offset_s"] == pytest.approx(-off_s, abs=0.06)

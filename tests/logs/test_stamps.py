@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 
 from mavnav.errors import NoScansError, UsageError
 from mavnav.logs import open_log
-from mavnav.logs.stamps import ascending, comes_in_bursts, period_and_gaps
-from support.log_files import PERIOD_NS, START_NS, Message, laser, write_mcap
+from mavnav.logs.periods import comes_in_bursts, period_and_gaps
+from mavnav.logs.stamps import ascending
+from support.log_files import ODOM, PERIOD_NS, START_NS, Message, laser, write_mcap
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -36,7 +37,7 @@ def test_the_most_that_ascend_are_chosen(stamps: list[int]) -> None:
 
 def test_duplicate_and_backward_stamps_are_skipped_and_counted(tmp_path: Path) -> None:
     order = [0, 1, 1, 3, 2, 4, 5]
-    messages = [at(k, START_NS + n * PERIOD_NS, START_NS + k * PERIOD_NS) for k, n in enumerate(order)]
+    messages = [at(n, START_NS + n * PERIOD_NS, START_NS + k * PERIOD_NS) for k, n in enumerate(order)]
     log = open_log(write_mcap(tmp_path / "a", messages))
     assert (log.counts.total, log.counts.usable) == (7, 5)
     assert log.counts.skipped == {"backward_stamp": 1, "duplicate_stamp": 1}
@@ -97,6 +98,82 @@ def test_a_clock_that_is_set_back_costs_no_scans(first: int, tmp_path: Path) -> 
     log = open_log(write_mcap(tmp_path / "a", messages))
     assert (log.counts.usable, log.stamp_source) == (100, "log")
     assert any("times of recording" in text for text in log.warnings)
+
+
+@pytest.mark.parametrize("again", [100, 60, 12], ids=["whole", "half", "little"])
+def test_a_clock_that_is_set_back_onto_its_own_grid_costs_no_scans(again: int, tmp_path: Path) -> None:
+    stamps_ns = [START_NS + (k % 100) * PERIOD_NS for k in range(100 + again)]
+    messages = [at(k, stamp_ns, START_NS + k * PERIOD_NS) for k, stamp_ns in enumerate(stamps_ns)]
+    log = open_log(write_mcap(tmp_path / "a", messages))
+    assert (log.counts.usable, log.counts.skipped, log.stamp_source) == (100 + again, {}, "log")
+    assert any("the clock was set back once 10.0 s after the first scan" in text for text in log.warnings)
+
+
+@pytest.mark.parametrize("grid_ms", [150, 200, 1000])
+def test_stamps_truncated_to_a_grid_give_way_to_the_times_of_recording(grid_ms: int, tmp_path: Path) -> None:
+    grid_ns = grid_ms * 10**6
+    times_ns = [START_NS + k * PERIOD_NS for k in range(100)]
+    log = open_log(write_mcap(tmp_path / "a", [at(k, t // grid_ns * grid_ns, t) for k, t in enumerate(times_ns)]))
+    assert (log.counts.usable, log.stamp_source) == (100, "log")
+    assert any("several share one stamp" in text for text in log.warnings)
+
+
+def test_scans_of_two_drivers_with_the_same_stamps_are_not_used_together(tmp_path: Path) -> None:
+    messages = [at(k, t := START_NS + k // 2 * PERIOD_NS, t + k % 2 * 1_000_000) for k in range(100)]
+    log = open_log(write_mcap(tmp_path / "a", messages))
+    assert (log.counts.usable, log.counts.skipped) == (50, {"duplicate_stamp": 50})
+    assert any("50 of 100 scans skipped: duplicate stamp" in text for text in log.warnings)
+
+
+@pytest.mark.parametrize(("rate", "source"), [(1, "log"), (10, "header")], ids=["as recorded", "played at ten times"])
+def test_a_clock_that_is_set_forward_is_told_from_a_pause_by_the_times_of_recording(
+    rate: int, source: str, tmp_path: Path
+) -> None:
+    hour_ns = 3600 * 10**9
+    messages = [
+        at(k, START_NS + k * PERIOD_NS + hour_ns * (k >= 20), START_NS + k * PERIOD_NS // rate) for k in range(60)
+    ]
+    log = open_log(write_mcap(tmp_path / "a", messages))
+    assert (log.counts.usable, log.stamp_source, len(log.gaps)) == (60, source, int(source == "header"))
+    assert any("set forward 1 time, by 3600 s at 1.9 s" in text for text in log.warnings) == (source == "log")
+
+
+@pytest.mark.parametrize("off_s", [-60.0, -16.0, 1.5, 20.0])
+def test_odometry_of_another_clock_is_brought_to_that_of_the_scans(off_s: float, tmp_path: Path) -> None:
+    times_ns = [START_NS + k * PERIOD_NS for k in range(100)]
+    off_ns = round(off_s * 1e9)
+    messages = [at(k, t, t + 30_000_000) for k, t in enumerate(times_ns)]
+    drive = [
+        Message("/odom", ODOM, t + off_ns, {"x": 0.01 * k, "y": 0.0, "yaw": 0.0}, t) for k, t in enumerate(times_ns)
+    ]
+    log = open_log(write_mcap(tmp_path / "a", [*messages, *drive]))
+    assert log.odometry is not None
+    assert log.odometry.clock_s == pytest.approx(-off_s - 0.03)
+    assert log.odometry.odom_T_base.stamps_ns[0] == pytest.approx(START_NS, abs=31e6)
+    side = "ahead of" if off_s > 0 else "behind"
+    assert any(f"{side} those of the scans, by the times of recording" in text for text in log.warnings)
+
+
+def test_odometry_that_is_late_but_stamped_right_keeps_its_stamps(tmp_path: Path) -> None:
+    times_ns = [START_NS + k * PERIOD_NS for k in range(100)]
+    drive = [
+        Message("/odom", ODOM, t, {"x": 0.01 * k, "y": 0.0, "yaw": 0.0}, t + k // 50 * 5 * 10**9)
+        for k, t in enumerate(times_ns)
+    ]
+    log = open_log(write_mcap(tmp_path / "a", [*(at(k, t) for k, t in enumerate(times_ns)), *drive]))
+    assert log.odometry is not None
+    assert log.odometry.clock_s == 0.0
+    assert np.array_equal(log.odometry.odom_T_base.stamps_ns, times_ns)
+
+
+@pytest.mark.parametrize("stamp_ns", [0, START_NS])
+def test_odometry_whose_stamps_never_change_is_dated_by_its_recording(stamp_ns: int, tmp_path: Path) -> None:
+    times_ns = [START_NS + k * PERIOD_NS for k in range(30)]
+    drive = [Message("/odom", ODOM, stamp_ns, {"x": 0.01 * k, "y": 0.0, "yaw": 0.0}, t) for k, t in enumerate(times_ns)]
+    log = open_log(write_mcap(tmp_path / "a", [*(at(k, t, t + 7) for k, t in enumerate(times_ns)), *drive]))
+    assert log.odometry is not None
+    assert log.odometry.odom_T_base.stamps_ns.tolist() == pytest.approx(times_ns, abs=10)
+    assert any("/odom: its stamps never change" in text for text in log.warnings)
 
 
 def test_scans_of_one_time_are_no_log(tmp_path: Path) -> None:
@@ -196,7 +273,7 @@ def test_a_step_back_of_the_clock_is_no_disorder(tmp_path: Path) -> None:
     stamps = [*range(10), *range(7, 15)]
     messages = [at(k, START_NS + s * PERIOD_NS, START_NS + k * PERIOD_NS) for k, s in enumerate(stamps)]
     log = open_log(write_mcap(tmp_path / "a", messages))
-    assert log.counts.skipped == {"duplicate_stamp": 3}
+    assert log.counts.skipped == {"backward_stamp": 3}
     assert [s.stamp_ns for s in log.scans()] == [START_NS + k * PERIOD_NS for k in range(15)]
 
 

@@ -34,8 +34,8 @@ STEP_S: Final = 0.3
 LONGEST_STEP_S: Final = 1.5
 """A longer gap of the scans or of the odometry parts two chains of steps."""
 
-LONGEST_OFFSET_S: Final = 1.0
-"""Offsets are searched up to this, either way."""
+LONGEST_OFFSET_S: Final = 1.2
+"""Offsets are searched up to this, either way: beyond the longest that a replay corrects."""
 
 
 class Wheels(NamedTuple):

@@ -43,7 +43,7 @@ FLOOR: Final = np.array((1e-3, 1e-3, 0.05 * DEG, 1e-3, 2.5e-3, 5e-4, 0.01 * DEG)
 """Standard deviations of what is wrong with all steps alike: of the track, measured with odometry without noise; and of
 the distances, as wheels that slip turn too far."""
 
-OFFSETS_S: Final = np.linspace(-LONGEST_OFFSET_S, LONGEST_OFFSET_S, 101)
+OFFSETS_S: Final = np.linspace(-LONGEST_OFFSET_S, LONGEST_OFFSET_S, 121)
 
 ANOTHER_S: Final = 0.25
 """Offsets farther apart are different ones."""

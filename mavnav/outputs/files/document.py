@@ -205,7 +205,7 @@ def _odometry_use(odometry: Odometry, fit: OdometryFit | None, given: OdometryCo
     known = fit is not None and 0.0 < fit.error < np.inf
     return sections.OdometryUse(
         fit is not None,
-        round(given.offset_s + best.offset_s, 3),
+        round((given.offset_s or odometry.clock_s) + best.offset_s, 3),
         given.distance_scale * best.distance_scale,
         given.turn_scale * best.turn_scale,
         sections.OdometryNoise(*((best.noise_m_per_m, best.noise_rad_per_rad) if known else (np.nan, np.nan))),

@@ -1,0 +1,71 @@
+"""Clocks of a log: the times of recording show where a clock was set, and by how much two of them differ."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from mavnav.units import NS, pluralize
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Stamps = NDArray[np.int64]
+
+APART_S: Final = 1.0
+"""Clocks that are closer, s, are compared by the motion that they date; recording may be late by as much."""
+
+SPREAD: Final = 2.0
+"""Difference between two clocks in spreads of both, from which it is one."""
+
+SET_FORWARD_S: Final = 10.0
+"""A step of the stamps beyond that of the times of recording, s, that is no pause of the recorder."""
+
+SAME_RATE: Final = (0.9, 1.1)
+"""Ratios of the stamps' time to that of recording where both are of real time."""
+
+
+class Clock(NamedTuple):
+    """How far the stamps of a topic are ahead of the times of recording, s: the median, and the range of most."""
+
+    ahead_s: float
+    spread_s: float
+
+
+def clock_of(stamps_ns: Stamps, log_ns: Stamps) -> Clock | None:
+    """Return the clock of messages by their stamps and their times of recording, (n,) each; None without any."""
+    if not len(stamps_ns):
+        return None
+    low, middle, high = np.quantile((stamps_ns - log_ns) * NS, (0.05, 0.5, 0.95)).tolist()
+    return Clock(middle, high - low)
+
+
+def shift_s(clock: Clock | None, scans: Clock | None) -> float:
+    """Return what to add to stamps of a clock to have those of the scans', s; 0 where no recording shows it."""
+    if clock is None or scans is None:
+        return 0.0
+    shift = scans.ahead_s - clock.ahead_s
+    return shift if abs(shift) > max(APART_S, SPREAD * (clock.spread_s + scans.spread_s)) else 0.0
+
+
+def set_back_text(stamps_ns: Stamps, log_ns: Stamps) -> str:
+    """Say why stamps (n,) do not ascend, of messages in the order of recording at ``log_ns``."""
+    backward = np.flatnonzero(np.diff(stamps_ns) < -APART_S / NS)
+    if not len(backward):
+        return "several share one stamp, or they do not ascend"
+    since_s = (log_ns[backward[0] + 1] - log_ns[0]) * NS
+    times = "once" if len(backward) == 1 else f"{len(backward)} times, first"
+    return f"the clock was set back {times} {since_s:.1f} s after the first scan"
+
+
+def set_forward_text(stamps_ns: Stamps, log_ns: Stamps) -> str:
+    """Say that ascending stamps (n,) were set forward, if their times of recording show it; else nothing."""
+    steps_s, recorded_s = np.diff(stamps_ns) * NS, np.diff(log_ns) * NS
+    forward = steps_s - recorded_s > SET_FORWARD_S
+    rate = steps_s[~forward].sum() / max(recorded_s[~forward].sum(), NS)
+    if not forward.any() or not SAME_RATE[0] < rate < SAME_RATE[1]:
+        return ""
+    first = int(np.argmax(forward))
+    times = pluralize(int(forward.sum()), "time")
+    return f"the clock was set forward {times}, by {steps_s[first]:.0f} s at {recorded_s[:first].sum():.1f} s"
