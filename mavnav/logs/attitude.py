@@ -13,6 +13,7 @@ from mavnav.errors import TopicError
 from mavnav.logs.imu import usual_topic
 from mavnav.logs.levelling import MOST_RAD, RecordedAttitude
 from mavnav.logs.messages.definitions import IMU, ODOMETRY, POSE
+from mavnav.logs.namespaces import laser_topics, of_same_robot
 from mavnav.logs.stamps import Stamps, in_order
 from mavnav.logs.transforms import frame_name
 from mavnav.pose import ups_of_quaternions
@@ -75,7 +76,7 @@ class AttitudeTracks(Struct):
         """Return whether the poses of a channel are of use."""
         if self.wanted == "off" or channel.type not in (POSE, ODOMETRY):
             return False
-        named = frame_name(channel.topic) == frame_name(self.wanted if self.is_named else NAME)
+        named = frame_name(channel.topic) == frame_name(self.wanted) if self.is_named else is_usual(channel.topic)
         return named or (channel.type == ODOMETRY and not self.is_named)
 
     def add(self, topic: str, message: TransformMessage, log_ns: int) -> None:
@@ -86,18 +87,24 @@ class AttitudeTracks(Struct):
         track.stamps.add(message.stamp_ns, log_ns)
         track.numbers.extend((*message.xyzw, message.xyz[2]))
 
-    def sources(self, imus: dict[str, ImuTrack], topics: Iterable[Topic]) -> list[TopicAttitude]:
+    def sources(self, imus: dict[str, ImuTrack], log: Log) -> list[TopicAttitude]:
         """Return what can be used, the best first; raises TopicError where the named topic holds no attitude."""
         if self.wanted == "off":
             return []
-        wanted = frame_name(self.wanted if self.is_named else NAME)
-        poses = sorted(self.topics.values(), key=lambda track: frame_name(track.topic) != wanted)
-        sources = [_of_poses(track) for track in poses]
-        imu = usual_topic([name for name in imus if not self.is_named or frame_name(name) == wanted])
+        lasers, topics = laser_topics(log.topics), log.topics
+        names = self.topics if self.is_named else of_same_robot(self.topics, log.topic, lasers)
+        sources = [_of_poses(self.topics[name]) for name in sorted(names, key=lambda name: not is_usual(name))]
+        named = [name for name in imus if frame_name(name) == frame_name(self.wanted)]
+        imu = next(iter(named), None) if self.is_named else usual_topic([*imus], log.topic, lasers)
         sources += [] if imu is None else [_of_imu(imus[imu])]
         if self.is_named and not sources:
             raise TopicError(_no_attitude(self.wanted, topics))
         return sources
+
+
+def is_usual(topic: str) -> bool:
+    """Return whether a topic, of any robot, is named as attitudes are."""
+    return topic.rsplit("/", 1)[-1] == NAME
 
 
 def _no_attitude(wanted: str, topics: Iterable[Topic]) -> str:
@@ -137,12 +144,12 @@ def laser_attitude(
         The named topic holds nothing that can be used.
     """
     stamps_ns, laser_frame = log.mounting.stamps_ns, frame_name(log.frame_id)
-    for source in tracks.sources(imus, log.topics):
+    for source in tracks.sources(imus, log):
         body_T_laser = _mounting(source, frames, laser_frame)
         left_out: list[str] = []
         mounted = np.eye(4) if body_T_laser is None else body_T_laser
         attitude = _recorded_attitude(source, mounted, log, left_out.append)
-        wanted = tracks.is_named or frame_name(source.topic) == NAME
+        wanted = tracks.is_named or is_usual(source.topic)
         if not wanted and not _tilts(attitude):
             continue
         if body_T_laser is None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from msgspec import Struct
 
-from mavnav.logs.stamps import REPEATED_SHARE
+from mavnav.logs.topic_scans import REPEATED_SHARE
 from mavnav.units import DEG, NS, pluralize
 
 if TYPE_CHECKING:

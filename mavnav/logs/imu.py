@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from msgspec import Struct, field
 
+from mavnav.logs.namespaces import laser_topics, of_same_robot
 from mavnav.logs.records import Imu
 from mavnav.logs.stamps import Stamps, in_order
 from mavnav.pose import Rotation, ups_of_quaternions
 from mavnav.units import NS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from numpy.typing import NDArray
 
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 USUAL_NAMES: Final = ("/imu/data", "/imu", "/imu/data_raw")
-"""Of several topics the first of these is used."""
+"""Of several topics of a robot the first of these is used."""
 
 STANDARD_GRAVITY_M_S2: Final = 9.81
 GRAVITY_SHARE: Final = 0.2
@@ -97,22 +98,33 @@ def _unit(vectors: Floats) -> Floats:
     return vectors / np.maximum(lengths, 1e-9)
 
 
-def usual_topic(names: list[str]) -> str | None:
-    """Return which of several topics to use: the first of the usual names, or the only one; None if neither."""
-    return next((name for name in USUAL_NAMES if name in names), names[0] if len(names) == 1 else None)
+def usual_topic(names: list[str], scan_topic: str, scan_topics: Iterable[str]) -> str | None:
+    """Return which of several topics to use for a scan topic, of all that the log has; None if that is not clear.
+
+    Of those of its robot it is the first of the usual names, or the only one.
+    """
+    own = of_same_robot(names, scan_topic, scan_topics)
+    usual = (
+        name
+        for end in USUAL_NAMES
+        for name in own
+        if name.endswith(end) and scan_topic.startswith(f"{name.removesuffix(end)}/")
+    )
+    return next(usual, own[0] if len(own) == 1 else None)
 
 
 def laser_rotation(tracks: dict[str, ImuTrack], log: Log, odom: str, warn: Callable[[str], None]) -> Imu | None:
     """Return the sensor to use of those of a log, by topic, at mid-sweep; None without one, or with ``odom`` off.
 
-    Of several without a usual name none is used, with a warning.
+    Of several of the robot without a usual name none is used, with a warning.
     """
     names = [name for name, track in tracks.items() if len(track.stamps)]
     if odom == "off" or not names:
         return None
-    usual = usual_topic(names)
+    usual = usual_topic(names, log.topic, laser_topics(log.topics))
     if usual is None:
-        warn(f"several Imu topics, none is used: {', '.join(names)}")
+        if own := of_same_robot(names, log.topic, laser_topics(log.topics)):
+            warn(f"several Imu topics, none is used: {', '.join(own)}")
         return None
     rotation = tracks[usual].rotation(log.stamp_source, round(0.5 * log.sensor.sweep_s / NS), warn)
     if rotation and not log.shares_time(rotation.stamps_ns):

@@ -11,9 +11,10 @@ from mavnav.logs.formats import detect
 from mavnav.logs.merging import Mounted, virtual_scans
 from mavnav.logs.messages.decode import decoder, scan_topic
 from mavnav.logs.messages.records import DecodeError
+from mavnav.logs.namespaces import topic_and_frame
 from mavnav.logs.preprocessing import ScanFilter
 from mavnav.logs.read_report import ReadReport
-from mavnav.logs.stamps import KEPT_BYTES, StampSource
+from mavnav.logs.topic_scans import KEPT_BYTES
 from mavnav.pose import Pose
 from mavnav.profiling import Stage, each
 from mavnav.scan import LONGEST_SWEEP, LaserSpec, Scan
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from mavnav.logs.levelling import RecordedAttitude
     from mavnav.logs.messages.records import LaserMessage
     from mavnav.logs.records import Channel, Damage, Gap, Imu, Odometry, RecordedTruth, ScanCounts, Topic
+    from mavnav.logs.stamps import StampSource
 
 _MOST_WAITING: Final = 64
 _WAITING_BYTES: Final = 64 << 20
@@ -213,7 +215,7 @@ class Log(Struct, frozen=True, eq=False, kw_only=True):
 
     def _reread(self) -> Iterator[tuple[LaserSpec, NDArray[np.float64]]]:
         report = ReadReport()  # the survey reported everything already
-        scan_filter = ScanFilter(self.topic, report.warn)
+        scan_filter, frame = ScanFilter(self.topic, report.warn), topic_and_frame(self.topic)[1]
         decoders: dict[Channel, Callable[[bytes], LaserMessage] | None] = {}
         for message in detect.read(self.path, report):
             channel = message.channel
@@ -224,8 +226,11 @@ class Log(Struct, frozen=True, eq=False, kw_only=True):
                     decoders[channel] = None
                     decoders[channel] = decoder(channel, topic=self.topic)
                 decode = decoders[channel]
-                admitted = scan_filter.admit(decode(message.data)) if decode else ""
+                scan = decode(message.data) if decode else None
             except DecodeError:
                 continue
+            if scan is None or frame not in {None, scan.frame_id}:
+                continue
+            admitted = scan_filter.admit(scan)
             if not isinstance(admitted, str):
                 yield admitted[:2]

@@ -15,11 +15,12 @@ from mavnav.logs.log import Log
 from mavnav.logs.merging import FRAME, partners, virtual_laser
 from mavnav.logs.messages.decode import LASER_TYPES, scan_topics
 from mavnav.logs.messages.other_scans import OTHER_TYPES
+from mavnav.logs.namespaces import laser_topics, topic_and_frame
 from mavnav.logs.periods import comes_in_bursts, period_and_gaps
 from mavnav.logs.preprocessing import KINDS
 from mavnav.logs.records import ScanCounts
-from mavnav.logs.stamps import REPEATED_SHARE
 from mavnav.logs.survey import Survey, survey
+from mavnav.logs.topic_scans import REPEATED_SHARE
 from mavnav.logs.trajectories import laser_odometry, laser_truth
 from mavnav.logs.transforms import frame_name, mounting, transforms_for
 from mavnav.pose import Pose
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
-    from mavnav.logs.stamps import Timeline, TopicScans
+    from mavnav.logs.topic_scans import Timeline, TopicScans
 
 LEAST_CONSTANT: Final = 10
 """Number of scans of one stamp, besides the first, that make no log."""
@@ -148,6 +149,9 @@ def choose(
 
 def _chosen_topic(survey: Survey, topic: str | None) -> str:
     """Return the scan topic to use; several to choose from are listed."""
+    if topic is not None and any(topic_and_frame(name)[0] == topic != name for name in survey.scans):
+        text = f"several lasers on {topic}: {_counts(survey)}; choose one with --topic NAME"
+        raise SeveralTopicsError(f"{survey.path}: {text}, or merge them with both names, joined by a comma")
     if topic is not None and topic not in survey.scans:
         named = [t for t in survey.topics if t.name == topic]
         lasers = {t.name for t in survey.topics if t.type in LASER_TYPES and t.count}
@@ -280,9 +284,10 @@ def _with_motion(log: Log, survey: Survey, odom: str, extrinsic: Pose | None, *,
     """Add mounting and odometry, and what there is to warn about time."""
     motion, warnings = survey.motion, [*log.warnings, *_scan_warnings(log)]
     laser = frame_name((log._merged or (log,))[0].frame_id)  # noqa: SLF001  the log is made here
-    frames = transforms_for(motion.frames, log.topic)
+    lasers = laser_topics(log.topics)
+    frames = transforms_for(motion.frames, log.topic, lasers)
     track = motion.odometry.choose(
-        odom, warnings.append, lambda base: bool(base) and frames.find(base, laser) is not None, log.topic
+        odom, warnings.append, lambda base: bool(base) and frames.find(base, laser) is not None, log.topic, lasers
     )
     bases = [track.base_frame] if track and track.base_frame else frames.bases(laser)
     place, of_mounting = len(warnings), list[str]()
@@ -311,7 +316,7 @@ def _with_motion(log: Log, survey: Survey, odom: str, extrinsic: Pose | None, *,
     if attitude is None:  # else a tilted mounting is levelled as well
         warnings[place:place] = of_mounting
     imu = laser_rotation(motion.imus, log, odom, warnings.append)
-    known = motion.truth.choose(survey.topics)
+    known = motion.truth.choose(survey.topics, log.topic)
     placing = (log, frames, base_T_laser, extrinsic, warnings.append)
     log = replace(
         log,

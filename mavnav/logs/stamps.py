@@ -4,44 +4,22 @@ from __future__ import annotations
 
 from array import array
 from bisect import bisect_left
-from collections import Counter
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 from msgspec import Struct, field
-from msgspec.structs import replace
-
-from mavnav.logs.clocks import Clock, clock_of, set_back_text, set_forward_text
-from mavnav.logs.preprocessing import KINDS
-from mavnav.units import NS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
 
-    from mavnav.logs.messages.records import LaserMessage
-    from mavnav.logs.preprocessing import ScanFilter
-    from mavnav.scan import LaserSpec
 
 StampSource = Literal["header", "log"]
-Window = tuple[float | None, float | None]
-
-KEPT_BYTES: Final = 32 << 20
-"""Scans of shorter logs are kept once they have been read: decoding costs more than the memory."""
-
-REPEATED_SHARE: Final = 0.01
-"""Share of scans that repeat the one before, above which a log is reported."""
 
 _LATEST_NS: Final = 1 << 62
 _CALENDAR_NS: Final = 1_000_000_000_000_000_000
 """September 2001: stamps of a clock with a date are later, those that count from a start before."""
-
-_MOST_BACKWARD, _FEW_BACKWARD = 0.1, 10
-"""Share and number of the scans that may have stamps before those of earlier ones, if the times of recording ascend."""
-
-_SUSPECT_OFFSET_NS: Final = 10_000_000_000
-"""A suspect scan whose stamp is farther from its time of recording than usual, by this, is not plausible."""
 
 
 def _storable(stamp_ns: int) -> int:
@@ -104,14 +82,14 @@ def in_order(
 
     Returns their indices in the order of use, and warns of those left out; of equal stamps one is enough.
     """
-    possible = np.flatnonzero(~_impossible(stamps_ns))
-    chosen = _better_order(possible, recorded_ns, lambda numbers: numbers[ascending(stamps_ns[numbers])])
+    possible = np.flatnonzero(~impossible_stamps(stamps_ns))
+    chosen = better_order(possible, recorded_ns, lambda numbers: numbers[ascending(stamps_ns[numbers])])
     if len(chosen) < len(stamps_ns) and (left_out := ~np.isin(stamps_ns, stamps_ns[chosen])).any():
         warn(f"{topic}: {left_out.sum()} of {len(stamps_ns)} messages are left out, their stamps do not ascend")
     return chosen
 
 
-def _better_order(
+def better_order(
     numbers: NDArray[np.int64], recorded_ns: NDArray[np.int64], choose: Callable[[NDArray[np.int64]], NDArray[np.int64]]
 ) -> NDArray[np.int64]:
     """Choose from the numbers (n,) in the order of the file, or of recording where that keeps more."""
@@ -139,208 +117,8 @@ def _longest_ascending(values: list[int]) -> list[int]:
     return chain[::-1]
 
 
-class Timeline(Struct, frozen=True):
-    """The usable scans of a topic, in the order of use, by one source of stamps.
-
-    ``order`` (m,) holds their numbers in the file, ``stamps_ns`` (m,) ascends strictly, ``cleaning`` (8,) counts their
-    beams by ``preprocessing.KINDS``; ``repeated`` counts the scans with the ranges of the one before in the file;
-    ``first`` is geometry and frame of the first. ``clock`` compares the stamps with the times of recording;
-    ``distrust`` is why the scans' own are not used, empty where they are.
-    """
-
-    source: StampSource
-    order: NDArray[np.int64]
-    stamps_ns: NDArray[np.int64]
-    skipped: Counter[str]
-    cleaning: NDArray[np.int64]
-    suspect: int
-    repeated: int
-    first: tuple[LaserSpec, str] | None
-    clock: Clock | None
-    distrust: str
-
-
-class TopicScans(Struct):
-    """The scans of one topic: those that the filter admitted in the order of the file, and the number of all others.
-
-    Some 50 bytes a scan. ``ranges`` are the admitted scans themselves, so that a short log is read once; None where
-    they would take more than `KEPT_BYTES`.
-    """
-
-    scan_filter: ScanFilter
-    total: int = 0
-    refused: Counter[str] = field(default_factory=Counter)
-    ranges: list[tuple[LaserSpec, NDArray[np.float64]]] | None = field(default_factory=list)
-    _stamps: Stamps = field(default_factory=Stamps)
-    _kind: array[int] = field(default_factory=lambda: array("I"))
-    _suspect: bytearray = field(default_factory=bytearray)
-    _content: array[int] = field(default_factory=lambda: array("q"))
-    _cleaning: array[int] = field(default_factory=lambda: array("I"))
-    _kinds: list[tuple[LaserSpec, str]] = field(default_factory=list)
-
-    def refuse(self, reason: str) -> None:
-        """Count a scan that is not used."""
-        self.total += 1
-        self.refused[reason] += 1
-
-    def take(self, laser: LaserMessage, log_ns: int, *, suspect: bool) -> None:
-        """Take in a scan recorded at ``log_ns`` if the filter admits it; keep it as long as there are few."""
-        admitted = self.scan_filter.admit(laser)
-        if isinstance(admitted, str):
-            self.refuse(admitted)
-            return
-        self.total += 1
-        spec, ranges_m, counts = admitted
-        self._content.append(hash(ranges_m.tobytes()))  # NaN too
-        if self.ranges is not None:
-            self.ranges.append((spec, ranges_m))
-            if ranges_m.nbytes * len(self.ranges) > KEPT_BYTES:
-                self.ranges = None
-        kind = (spec, laser.frame_id)
-        if not self._kinds or self._kinds[-1] != kind:
-            self._kinds.append(kind)
-        self._stamps.add(laser.stamp_ns, log_ns)
-        self._kind.append(len(self._kinds) - 1)
-        self._suspect.append(suspect)
-        self._cleaning.extend(counts)
-
-    @property
-    def frames(self) -> set[str]:
-        """The frames of the scans."""
-        return {frame for _, frame in self._kinds}
-
-    def timeline(self, window_s: Window = (None, None)) -> Timeline:
-        """Choose the scans' own stamps, unless they keep less than half of the scans that the recorder's keep.
-
-        So stamps that are all zero or constant are not trusted. A constant stamp above zero keeps one scan, which is
-        half of two: two scans count as constant as well. Nor are those of a clock that is set back, where that costs
-        ``_MOST_BACKWARD`` of the scans (scans recorded twice are not such), or forward. The window's ends are in
-        seconds from the first usable scan, both inclusive.
-        """
-        header, log = self._choose("header"), self._choose("log")
-        distrust = self._distrust(header, log)
-        if distrust:
-            return self._timeline("log", log, window_s, distrust)
-        return self._timeline("header", header, window_s)
-
-    def _distrust(self, header: NDArray[np.int64], log: NDArray[np.int64]) -> str:
-        """Return why the scans that are chosen by their own stamps are not used, but those by recording; else ""."""
-        stamps_ns, log_ns = self._stamps.by("header")
-        if not len(log):
-            return ""
-        if not len(header):
-            return "they are no times"
-        if stamps_ns[header[-1]] == 0:
-            return "they are zero"
-        if len(header) == 1 < len(log):
-            return "they never change"
-        backward = self._count_skipped("header", header)["backward_stamp"] if len(header) < len(log) else 0
-        set_back = min(backward, len(log) - len(header)) > max(_MOST_BACKWARD * len(log), _FEW_BACKWARD)
-        if set_back or 2 * len(header) < len(log):
-            return set_back_text(stamps_ns[log], log_ns[log])
-        return set_forward_text(stamps_ns[header], log_ns[header])
-
-    def _choose(self, source: StampSource) -> NDArray[np.int64]:
-        """Return the numbers of the scans to use, in the order of the file, or of recording where that keeps more."""
-        stamps_ns, log_ns = self._stamps.by(source)
-        possible = np.flatnonzero(~_impossible(stamps_ns) & self._plausible())
-        return _better_order(possible, log_ns, lambda numbers: self._ascending(stamps_ns, numbers))
-
-    def _ascending(self, stamps_ns: NDArray[np.int64], numbers: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Choose the most scans of ascending stamps; no sound one is left out for a suspect one."""
-        suspect = np.frombuffer(self._suspect, np.bool_)[numbers]
-        if not suspect.any() or suspect.all():
-            return numbers[ascending(stamps_ns[numbers])]
-        (places,) = (~suspect).nonzero()
-        places = places[ascending(stamps_ns[numbers[places]])]
-        sound_ns = np.concatenate(([-1], stamps_ns[numbers[places]], [np.iinfo(np.int64).max]))
-        behind = np.searchsorted(places, np.arange(len(numbers)))
-        here_ns = stamps_ns[numbers]
-        fits = suspect & (sound_ns[behind] < here_ns) & (here_ns < sound_ns[behind + 1])
-        fits[places] = True
-        kept = numbers[fits]
-        return kept[ascending(stamps_ns[kept])]
-
-    def _plausible(self) -> NDArray[np.bool_]:
-        """Return which scans are sound, or suspect but like the sound ones in geometry and time."""
-        suspect = np.frombuffer(self._suspect, np.bool_)
-        if not suspect.any() or suspect.all():
-            return np.ones(len(suspect), np.bool_)
-        kinds = np.array(self._kind)
-        header_ns, log_ns = self._stamps.by("header")
-        offsets = header_ns - log_ns
-        usual = float(np.median(offsets[~suspect]))
-        known = {_geometry(self._kinds[kind]) for kind in np.unique(kinds[~suspect]).tolist()}
-        like = np.array([_geometry(kind) in known for kind in self._kinds])
-        plausible: NDArray[np.bool_] = like[kinds] & (np.abs(offsets - usual) < _SUSPECT_OFFSET_NS)
-        return plausible | ~suspect
-
-    def _timeline(
-        self, source: StampSource, chosen: NDArray[np.int64], window_s: Window, distrust: str = ""
-    ) -> Timeline:
-        stamps_ns, log_ns = (each[chosen] for each in self._stamps.by(source))
-        inside = _inside(stamps_ns, window_s)
-        order = chosen[inside]
-        skipped = self._count_skipped(source, chosen)
-        skipped["outside_window"] = len(chosen) - len(order)
-        return Timeline(
-            source=source,
-            order=order,
-            stamps_ns=stamps_ns[inside],
-            skipped=+skipped,
-            cleaning=np.array(self._cleaning, np.int64).reshape(-1, len(KINDS))[order].sum(axis=0),
-            suspect=sum(self._suspect[k] for k in order.tolist()),
-            repeated=int(self._repeats()[order].sum()),
-            first=self._kinds[self._kind[order[0]]] if len(order) else None,
-            clock=clock_of(stamps_ns, log_ns) if source == "header" else None,
-            distrust=distrust,
-        )
-
-    def _repeats(self) -> NDArray[np.bool_]:
-        """Return which scans have the ranges of the one before in the file."""
-        content = np.array(self._content, np.int64)
-        return np.concatenate((np.zeros(min(len(content), 1), np.bool_), content[1:] == content[:-1]))
-
-    def _count_skipped(self, source: StampSource, chosen: NDArray[np.int64]) -> Counter[str]:
-        """Count the scans that are not chosen by reason."""
-        stamps_ns, _ = self._stamps.by(source)
-        left = np.ones(len(stamps_ns), np.bool_)
-        left[chosen] = False
-        impossible = left & _impossible(stamps_ns)
-        implausible = left & ~impossible & ~self._plausible()
-        rest = np.flatnonzero(left & ~impossible & ~implausible)
-        twice = self._recorded_twice(source, rest, chosen)
-        counts = (impossible.sum(), implausible.sum(), twice, len(rest) - twice)
-        reasons = ("impossible_stamp", "implausible", "duplicate_stamp", "backward_stamp")
-        return Counter(dict(zip(reasons, map(int, counts), strict=True)))
-
-    def _recorded_twice(self, source: StampSource, rest: NDArray[np.int64], chosen: NDArray[np.int64]) -> int:
-        """Count the scans of the rest that have the stamp of a chosen one, and its ranges or its time of recording."""
-        if not len(chosen):
-            return 0
-        (stamps_ns, log_ns), content = self._stamps.by(source), np.array(self._content, np.int64)
-        nearest = chosen[np.minimum(np.searchsorted(stamps_ns[chosen], stamps_ns[rest]), len(chosen) - 1)]
-        together = np.abs(log_ns[nearest] - log_ns[rest]) <= 0.5 * np.ptp(log_ns) / len(log_ns)
-        alike = together | (content[nearest] == content[rest])
-        return int((alike & (stamps_ns[nearest] == stamps_ns[rest])).sum())
-
-
-def _geometry(kind: tuple[LaserSpec, str]) -> tuple[LaserSpec, str]:
-    """Return a kind of scan without its times, which some drivers measure anew for every scan."""
-    spec, frame_id = kind
-    return replace(spec, time_increment_s=0.0, scan_time_s=0.0), frame_id
-
-
-def _impossible(stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+def impossible_stamps(stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return which stamps are no times; zero is one, unless the clock has a date."""
     given = stamps_ns[stamps_ns != 0]
     least = 1 if len(given) and np.median(given) > _CALENDAR_NS else 0
     return (stamps_ns < least) | (stamps_ns >= _LATEST_NS)
-
-
-def _inside(stamps_ns: NDArray[np.int64], window_s: Window) -> NDArray[np.bool_]:
-    """Return which stamps lie in the window, ends included; the ends are rounded to nanoseconds."""
-    start_s, end_s = window_s
-    since_ns = stamps_ns - stamps_ns[:1]
-    late_enough = np.ones(len(stamps_ns), np.bool_) if start_s is None else since_ns >= np.rint(start_s / NS)
-    return late_enough if end_s is None else late_enough & (since_ns <= np.rint(end_s / NS))

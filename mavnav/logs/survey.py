@@ -15,20 +15,21 @@ from mavnav.logs.attitude import AttitudeTracks
 from mavnav.logs.content import check_file, check_window, size_and_sha256, unreadable
 from mavnav.logs.formats import detect
 from mavnav.logs.imu import ImuTrack
-from mavnav.logs.messages.decode import decoder, is_laser, scan_topic
+from mavnav.logs.messages.decode import decoder, is_laser, scan_topic, scan_topics
 from mavnav.logs.messages.definitions import IMU, ODOMETRY, POSE
 from mavnav.logs.messages.other_scans import OTHER_TYPES
 from mavnav.logs.messages.records import DecodeError
+from mavnav.logs.namespaces import FRAME, namespace
 from mavnav.logs.preprocessing import ScanFilter
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel, Damage, RawMessage, Topic
-from mavnav.logs.stamps import TopicScans
+from mavnav.logs.topic_scans import TopicScans
 from mavnav.logs.trajectories import OdometryTracks, TruthTracks
-from mavnav.logs.transforms import FrameTree, namespace
+from mavnav.logs.transforms import FrameTree
 from mavnav.profiling import timed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
 _PROGRESS_STEPS = 200
@@ -212,23 +213,35 @@ def _survey(
         size_bytes, sha256 = size_and_sha256(path)
     except OSError as error:
         raise unreadable(path, error) from error
-    for topic, scans in state.scans.items():
-        if len(scans.frames) > 1:
-            names = ", ".join(sorted(scans.frames)[:4])
-            report.warn(f"{topic}: the frame of the scans changes on the way ({names}); the first is used")
+    scans_of = dict(_by_laser(state, report))
     return Survey(
         path=path,
         format=name,
         size_bytes=size_bytes,
         sha256=sha256,
         topics=_topics(report, state.kinds),
-        scans=state.scans,
+        scans=scans_of,
         motion=state.motion,
         damage=report.damages(),
         warnings=report.warnings,
         window_s=window_s,
         strict=state.strict,
     )
+
+
+def _by_laser(state: _Pass, report: ReadReport) -> Iterator[tuple[str, TopicScans]]:
+    """Yield the scans of every topic, or of every frame on it where it is of several lasers, or a frame is wanted."""
+    wanted = scan_topics(state.topic or "")
+    for topic, scans in state.scans.items():
+        frames = sorted(scans.frames())
+        chosen = [frame for frame in frames if f"{topic}{FRAME}{frame}" in wanted]
+        if chosen or scans.is_of_several_lasers():
+            yield from ((f"{topic}{FRAME}{frame}", scans.of_frame(frame)) for frame in chosen or frames)
+            continue
+        if len(frames) > 1:
+            text = f"the frame of the scans changes on the way ({', '.join(frames[:4])}); the first is used"
+            report.warn(f"{topic}: {text}")
+        yield topic, scans
 
 
 def motion_and_scan_topics(path: Path, most_s: float) -> tuple[set[str], set[str]]:

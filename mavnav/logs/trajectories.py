@@ -12,10 +12,11 @@ from msgspec import Struct, field
 from mavnav.errors import TopicError
 from mavnav.logs.clocks import clock_of, shift_s
 from mavnav.logs.messages.definitions import ODOMETRY, POSE, TRANSFORM
+from mavnav.logs.namespaces import laser_topics, of_same_robot
 from mavnav.logs.odometry_chains import without_jumps
 from mavnav.logs.records import Odometry, RecordedTruth
 from mavnav.logs.stamps import Stamps, in_order
-from mavnav.logs.transforms import frame_name, mounting, namespace, planar_pose
+from mavnav.logs.transforms import frame_name, mounting, planar_pose
 from mavnav.pose import Pose, Trajectory
 from mavnav.units import NS
 
@@ -115,21 +116,28 @@ class OdometryTracks(Struct):
                 track.add(message, log_ns)
 
     def choose(
-        self, wanted: str, warn: Callable[[str], None], leads_to_laser: Callable[[str], bool] = bool, topic: str = ""
+        self,
+        wanted: str,
+        warn: Callable[[str], None],
+        leads_to_laser: Callable[[str], bool] = bool,
+        topic: str = "",
+        scan_topics: Iterable[str] = (),
     ) -> OdometryTrack | None:
         """Return the track to use.
 
         Parameters
         ----------
         wanted
-            ``auto`` (the only nav_msgs/Odometry topic of the laser's vehicle, or ``/odom``, or the odometry of /tf),
-            ``off``, or a topic.
+            ``auto`` (the only nav_msgs/Odometry topic of the laser's robot, or the one named ``odom``, or the odometry
+            of /tf; never one that is named like a ground truth), ``off``, or a topic.
         warn
             Takes a line where ``auto`` cannot choose.
         leads_to_laser
             Whether the transforms lead from a frame to the laser; tracks of such frames are preferred.
         topic
-            That of the scans; odometry of its namespace is preferred.
+            That of the scans; odometry of its robot is taken.
+        scan_topics
+            All scan topics of the log.
 
         Raises
         ------
@@ -139,9 +147,9 @@ class OdometryTracks(Struct):
         if wanted == "off":
             return None
         if wanted == "auto":
-            return self._choose_auto(warn, leads_to_laser, topic)
+            return self._choose_auto(warn, leads_to_laser, topic, [*scan_topics])
         track = self.topics.get(wanted) or (
-            self._of_tf(leads_to_laser, topic) if wanted.lstrip("/") == TF_TOPIC[1:] else None
+            self._of_tf(leads_to_laser, topic, [*scan_topics]) if wanted.lstrip("/") == TF_TOPIC[1:] else None
         )
         if track is None:
             known = ", ".join([*self.topics, *([TF_TOPIC] if self.transforms else [])])
@@ -150,28 +158,29 @@ class OdometryTracks(Struct):
         return track
 
     def _choose_auto(
-        self, warn: Callable[[str], None], leads_to_laser: Callable[[str], bool], topic: str
+        self, warn: Callable[[str], None], leads_to_laser: Callable[[str], bool], topic: str, scan_topics: list[str]
     ) -> OdometryTrack | None:
-        near = {name: track for name, track in self.topics.items() if namespace(name) == namespace(topic)}
-        near = near or self.topics
-        fit = {name: track for name, track in near.items() if leads_to_laser(track.base_frame)} or near
-        if len(fit) == 1:
-            return next(iter(fit.values()))
-        if "/odom" in fit:
-            return fit["/odom"]
+        own = of_same_robot(self.topics, topic, scan_topics)
+        truths = [name for name in own if TRUTH_NAMES.search(name)]
+        for name in truths:
+            text = f"compare with it by --truth topic:{name}, or use it with --odom {name}"
+            warn(f"{name} is named like a ground truth and not used as odometry: {text}")
+        own = of_same_robot((name for name in own if name not in truths), topic, scan_topics)
+        fit = [name for name in own if leads_to_laser(self.topics[name].base_frame)] or own
+        named = [name for name in fit if name.rsplit("/", 1)[-1] == _ODOM_FRAME]
+        named = [name for name in named if all(name.count("/") < other.count("/") for other in named if other != name)]
+        if len(fit) == 1 or len(named) == 1:
+            return self.topics[[*named, *fit][0]]
         if fit:
             warn(f"several odometry topics, none is used: {', '.join(fit)}; choose with --odom TOPIC")
             return None
-        return self._of_tf(leads_to_laser, topic)
+        return self._of_tf(leads_to_laser, topic, scan_topics)
 
-    def _of_tf(self, leads_to_laser: Callable[[str], bool], topic: str) -> OdometryTrack | None:
-        """Return the track of the laser's vehicle, of several the one with the most poses."""
-
-        def rank(track: OdometryTrack) -> tuple[bool, bool, int]:
-            near = namespace(track.topic) == namespace(topic)
-            return near, leads_to_laser(track.base_frame), len(track.stamps)
-
-        return max(self.transforms.values(), key=rank, default=None)
+    def _of_tf(self, leads_to_laser: Callable[[str], bool], topic: str, scan_topics: list[str]) -> OdometryTrack | None:
+        """Return the track of the laser's robot, of several the one with the most poses."""
+        own = of_same_robot((track.topic for track in self.transforms.values()), topic, scan_topics)
+        tracks = [track for track in self.transforms.values() if track.topic in own]
+        return max(tracks, key=lambda track: (leads_to_laser(track.base_frame), len(track.stamps)), default=None)
 
 
 def laser_odometry(
@@ -215,8 +224,8 @@ class TruthTracks(Struct):
             track = self.topics[topic] = PoseTrack(topic, frame_name(message.child))
         track.add(message, log_ns)
 
-    def choose(self, topics: Iterable[Topic]) -> PoseTrack | None:
-        """Return the wanted track, None if none is wanted; ``topics`` are all of the log.
+    def choose(self, topics: Iterable[Topic], topic: str = "") -> PoseTrack | None:
+        """Return the wanted track, None if none is wanted; of all ``topics``, for the scans on ``topic``.
 
         Raises
         ------
@@ -225,7 +234,9 @@ class TruthTracks(Struct):
         """
         if self.wanted is None:
             return None
-        tracks = {name: track for name, track in sorted(self.topics.items()) if len(track.stamps)}
+        topics = [*topics]
+        own = of_same_robot(self.topics, topic, laser_topics(topics)) if self.wanted == "auto" else [*self.topics]
+        tracks = {name: self.topics[name] for name in sorted(own) if len(self.topics[name].stamps)}
         if len(tracks) == 1:
             return next(iter(tracks.values()))
         if tracks:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from msgspec import Struct, field
 
+from mavnav.logs.namespaces import is_of_another_robot, namespace
 from mavnav.pose import Pose, yaw_of_quaternion
 from mavnav.units import LARGEST_COORDINATE_M
 
@@ -113,19 +114,18 @@ class FrameTree(Struct):
         return FrameTree(*(a | b for a, b in pairs))
 
 
-def namespace(name: str) -> str:
-    """Return the namespace of a frame or a topic, empty for none: all before its last slash."""
-    return name.rpartition("/")[0]
-
-
-def transforms_for(trees: dict[str, FrameTree], topic: str) -> FrameTree:
+def transforms_for(trees: dict[str, FrameTree], topic: str, scan_topics: Iterable[str] = ()) -> FrameTree:
     """Return the transforms for the laser of a topic, of the trees by the namespace of their topics.
 
-    They are those of its robot: of its own namespace or one around it. Without a namespace of its own, all count.
+    They are those of its robot: of its own namespace or one around it. Without a namespace of its own, all count that
+    are not of another of the ``scan_topics``.
     """
-    own = {space: tree for space, tree in trees.items() if topic.startswith(f"{space}/")}
+    names = {f"{space}/tf": tree for space, tree in trees.items()}
+    own = {name: tree for name, tree in names.items() if topic.startswith(f"{namespace(name)}/")}
+    others = [*scan_topics]
+    near = {name: tree for name, tree in names.items() if not is_of_another_robot(name, topic, others)}
     tree = FrameTree()
-    for each in (own if any(own) else trees).values():
+    for each in (own if any(map(namespace, own)) else near).values():
         tree = tree.including(each)
     return tree
 

@@ -14,7 +14,20 @@ from msgspec.structs import replace
 from mavnav.errors import NoScansError, TopicError, UsageError
 from mavnav.logs import open_log
 from mavnav.pose import Pose
-from support.log_files import LASER, ODOM, PERIOD_NS, START_NS, TF, Message, drive, laser, write_bag1, write_mcap
+from support.log_files import (
+    IMU,
+    LASER,
+    ODOM,
+    PERIOD_NS,
+    POSE,
+    START_NS,
+    TF,
+    Message,
+    drive,
+    laser,
+    write_bag1,
+    write_mcap,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -315,3 +328,90 @@ def test_times_of_recording_that_no_clock_tells_are_taken(tmp_path: Path) -> Non
     messages = [replace(message, log_ns=never) for message in drive(5)]
     log = open_log(write_mcap(tmp_path / "a", messages))
     assert (log.counts.usable, len(log.odometry.odom_T_base)) == (5, 5)
+
+
+def test_two_lasers_on_one_topic_are_chosen_by_frame_or_merged(tmp_path: Path) -> None:
+    """Scans of two frames on one topic, with the same stamps: none is taken for the other's."""
+    scans = [laser(k, frame_id=f"laser_{k % 2}", beams=16 + 4 * (k % 2)) for k in range(40)]
+    scans = [replace(scan, stamp_ns=START_NS + k // 2 * PERIOD_NS) for k, scan in enumerate(scans)]
+    mounts = [tf("base_link", f"laser_{n}", x=0.1 + n, yaw=0.5 * n) for n in range(2)]
+    path = write_mcap(tmp_path / "a", [*mounts, *scans])
+    for topic in (None, "/scan"):
+        with pytest.raises(TopicError, match=r"/scan@laser_0 \(20 scans\), /scan@laser_1 \(20 scans\); choose one"):
+            open_log(path, topic=topic)
+    for n in range(2):
+        log = open_log(path, topic=f"/scan@laser_{n}")
+        assert (log.topic, log.frame_id, log.counts.total, len(log)) == (f"/scan@laser_{n}", f"laser_{n}", 20, 20)
+        assert log.base_T_laser == pytest.approx(Pose(0.1 + n, 0.0, 0.5 * n))
+        assert all(np.array_equal(a.ranges_m, b[1], True) for a, b in zip(log.scans(), log._reread(), strict=True))
+    merged = open_log(path, topic="/scan@laser_0,/scan@laser_1")
+    assert (len(merged), merged.sensor.beams > 40) == (20, True)
+    with pytest.raises(TopicError, match="no scans on topic '/scan@other'"):
+        open_log(path, topic="/scan@other")
+
+
+def test_a_frame_that_is_renamed_once_is_of_one_laser(tmp_path: Path) -> None:
+    log = open_log(write_mcap(tmp_path / "a", [laser(k, frame_id="ab"[k > 9]) for k in range(40)]))
+    assert (log.topic, len(log), log.frame_id) == ("/scan", 40, "a")
+    assert any("the frame of the scans changes on the way (a, b)" in text for text in log.warnings)
+
+
+@pytest.mark.parametrize(
+    ("topics", "scan", "chosen"),
+    [
+        (["/robot1/odom", "/robot2/odom", "/robot2/scan"], "/robot1/scan", "/robot1/odom"),
+        (["/robot1/odom", "/robot2/odom"], "/robot1/front/scan", "/robot1/odom"),
+        (["/odom", "/robot2/odom", "/robot2/scan"], "/robot1/scan", "/odom"),
+        (["/robot2/odom"], "/robot1/scan", None),
+        (["/a/odom", "/b/odom", "/b/scan"], "/a/scan", "/a/odom"),
+        (["/b/odom", "/b/scan"], "/a/scan", None),
+        (["/wheels/odom"], "/lidar/scan", "/wheels/odom"),
+        (["/tb3/odom", "/tb3/camera/odom"], "/tb3/scan", "/tb3/odom"),
+        (["/base_pose_ground_truth"], "/scan", None),
+        (["/gt/odom", "/odom"], "/scan", "/odom"),
+        (["/robot1/ground_truth", "/robot1/wheels"], "/robot1/scan", "/robot1/wheels"),
+    ],
+)
+def test_odometry_and_inertial_sensor_are_those_of_the_robot(
+    topics: list[str], scan: str, chosen: str | None, tmp_path: Path
+) -> None:
+    scans = [laser(k, topic=name) for k in range(20) for name in (scan, *(t for t in topics if "scan" in t))]
+    motion = [odom(name, k) for k in range(20) for name in topics if "scan" not in name]
+    turns = [
+        Message(name.replace("odom", "imu"), IMU, START_NS + k * PERIOD_NS, {"rates": (0.0, 0.0, 0.1)})
+        for k in range(20)
+        for name in topics
+        if name.endswith("odom")
+    ]
+    log = open_log(write_mcap(tmp_path / "a", [*scans, *motion, *turns]), topic=scan)
+    assert (log.odometry and log.odometry.topic) == chosen
+    if chosen and chosen.endswith("odom"):
+        assert log.imu is not None
+        assert log.imu.topic == chosen.replace("odom", "imu")
+    truths = [name for name in topics if "truth" in name or "gt" in name]
+    offered = [text for text in log.warnings if "--truth topic:" in text]
+    assert len(offered) == len(truths)
+    if "ground_truth" in "".join(topics):
+        truth = open_log(tmp_path / "a", topic=scan, truth="auto").truth
+        assert truth is not None
+        assert truth.topic == truths[0]
+
+
+def test_the_attitude_is_that_of_the_robot(tmp_path: Path) -> None:
+    scans = [laser(k, topic=f"/robot{n}/scan") for k in range(20) for n in (1, 2)]
+    tilts = [
+        Message(f"/robot{n}/attitude", POSE, START_NS + k * PERIOD_NS, {"x": 0.0, "y": 0.0, "z": 1.0 * n, "yaw": 0.0})
+        for k in range(20)
+        for n in (1, 2)
+    ]
+    path = write_mcap(tmp_path / "a", [*scans, *tilts])
+    for n in (1, 2):
+        attitude = open_log(path, topic=f"/robot{n}/scan").attitude
+        assert attitude is not None
+        assert attitude.topic == f"/robot{n}/attitude"
+
+
+def test_transforms_of_another_robot_are_no_mounting(tmp_path: Path) -> None:
+    scans = [laser(k, topic="/robot1/scan") for k in range(4)]
+    log = open_log(write_mcap(tmp_path / "a", [tf("base_link", "laser", "/robot2/tf_static", x=0.3), *scans]))
+    assert log.base_T_laser is None

@@ -87,7 +87,9 @@ def test_a_truth_is_no_odometry(tmp_path: Path) -> None:
     assert open_log(path, truth="auto").odometry is None
     without = open_log(path)
     assert without.truth is None
-    assert without.odometry is not None
+    assert without.odometry is None
+    assert any("--truth topic:/base_pose_ground_truth, or use it with --odom" in text for text in without.warnings)
+    assert open_log(path, odom="/base_pose_ground_truth").odometry is not None
 
 
 @pytest.mark.parametrize("name", ["/goal", "/slam_out_pose", "/target", "/weight/pose"])

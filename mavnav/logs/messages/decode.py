@@ -14,6 +14,7 @@ from mavnav.logs.messages.definitions import FOXGLOVE_SCAN, IMU, ODOMETRY, POSE,
 from mavnav.logs.messages.fast_cdr import imu_of, laser_of, odometry_of, pose_of, transform_of, transforms_of
 from mavnav.logs.messages.other_scans import other_scan, suffix_of
 from mavnav.logs.messages.records import DecodeError
+from mavnav.logs.namespaces import topic_and_frame
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -66,14 +67,14 @@ def scan_topics(topic: str) -> list[str]:
 def scan_topic(channel: Channel, topic: str | None) -> str | None:
     """Return the requested topic whose scans a channel contains, None if there is none.
 
-    If ``topic`` is None, any channel with LaserScans is accepted.
+    If ``topic`` is None, any channel with LaserScans is accepted. The frames of topics are left away.
     """
     if topic is None:
         return channel.topic if is_laser(channel) else None
     other = channel.encoding in ROS_ENCODINGS
     names = (
         name
-        for name in scan_topics(topic)
+        for name in (topic_and_frame(each)[0] for each in scan_topics(topic))
         if (is_laser(channel) and name == channel.topic) or (other and suffix_of(channel, name) is not None)
     )
     return next(names, None)
