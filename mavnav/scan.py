@@ -32,6 +32,13 @@ As far from 1, of stamps that jitter, as from 2, of times that are twice too lon
 """
 
 
+PLAUSIBLE_SWEEP: Final = (0.7, 1.5)
+"""Ratios of the stated time of a turn to the usual one that are not doubted."""
+
+FEWEST_KEPT: Final = 0.4
+"""Share of the scans of a laser that a log keeps at least where its stated time between two scans is used."""
+
+
 class Attitude(NamedTuple):
     """Tilt and height of the laser (REP-103 axes: x forward, y left, z up), rad and m above the floor.
 
@@ -80,9 +87,35 @@ class LaserSpec(Struct, frozen=True, dict=True):
         """Time that the beams of a steady sweep take."""
         return abs(self.time_increment_s) * self.beams
 
+    @property
+    def stated_turn_s(self) -> float:
+        """Time that the beams of a whole turn take, as the time between two of them states it; 0 if none is stated."""
+        return abs(self.time_increment_s) * tau / abs(self.angle_step_rad)
+
+    def usual_turn_s(self, period_s: float) -> float:
+        """Return how long a turn of the laser takes: the stated time between two scans, or the period if that is not.
+
+        The stated time is shorter where scans were dropped.
+        """
+        return self.scan_time_s if FEWEST_KEPT * period_s <= self.scan_time_s <= LONGEST_SWEEP * period_s else period_s
+
+    def has_plausible_sweep(self, period_s: float) -> bool:
+        """Return whether the stated time of a turn is about the usual one for the period between two scans, s."""
+        low, high = PLAUSIBLE_SWEEP
+        return low <= self.stated_turn_s / max(self.usual_turn_s(period_s), 1e-9) <= high
+
+    def turning_in(self, turn_s: float) -> LaserSpec:
+        """Return the sensor with a time between two beams of so long a turn; in reverse order if it is negative."""
+        return _turning_in(self, turn_s)
+
     def turned_over(self) -> LaserSpec:
         """Return the sensor as seen from above where it is mounted upside down: turned about its x axis."""
         return _turned_over(self)
+
+
+@lru_cache(maxsize=8)
+def _turning_in(spec: LaserSpec, turn_s: float) -> LaserSpec:
+    return replace(spec, time_increment_s=turn_s * abs(spec.angle_step_rad) / tau)
 
 
 @lru_cache(maxsize=8)

@@ -135,7 +135,13 @@ def _sensor(log: Log) -> dict[str, Any]:
 
     # JSON has no infinity: null means that the sensor has no limit.
     limit_m = None if log.sensor.range_max_m == float("inf") else log.sensor.range_max_m
-    return asdict(log.sensor) | {"range_max_m": limit_m, "field_of_view_rad": log.sensor.field_of_view_rad}
+    return asdict(log.sensor) | {
+        "range_max_m": limit_m,
+        "field_of_view_rad": log.sensor.field_of_view_rad,
+        "stated_turn_s": log.sensor.stated_turn_s,
+        "usual_turn_s": log.sensor.usual_turn_s(log.period_s),
+        "plausible_sweep": log.sensor.has_plausible_sweep(log.period_s),
+    }
 
 
 def _time(log: Log) -> dict[str, Any]:
@@ -199,6 +205,7 @@ def _rows(document: dict[str, Any]) -> Rows:
         odometry, imu, findings = topic["odometry"], topic["imu"], topic["health"]["findings"]
         yield "scan topic", f"{topic['topic']}, frame {topic['frame_id']}, {topic['scans']['usable']} scans"
         yield "sensor", _sensor_text(topic["sensor"])
+        yield "sweep", _sweep_text(topic["sensor"])
         yield from _time_rows(topic["time"])
         yield "ranges", _shares(topic["cleaning"])
         yield from _list("health", [f"{each['what']}: {each['advice']}" for each in findings], "healthy")
@@ -233,6 +240,16 @@ def _sensor_text(sensor: dict[str, Any]) -> str:
     reach = f"{sensor['range_min_m']:g} m to {limit:g} m" if limit else f"from {sensor['range_min_m']:g} m on"
     field, step = sensor["field_of_view_rad"] / DEG, sensor["angle_step_rad"] / DEG
     return f"{sensor['beams']} beams over {field:.1f} deg, step {step:.3f} deg, {reach}"
+
+
+def _sweep_text(sensor: dict[str, Any]) -> str:
+    stated_s, usual_s = sensor["stated_turn_s"], sensor["usual_turn_s"]
+    if not stated_s:
+        beam_s = usual_s / max(round(360 * DEG / abs(sensor["angle_step_rad"])), 1)
+        text = f"a laser that turns once in {usual_s:.3g} s needs {beam_s:.3g} s a beam, which a replay tries"
+        return f"no time_increment: right if all beams are taken at once; {text}"
+    verdict = "plausible" if sensor["plausible_sweep"] else "not plausible, see health"
+    return f"a turn in {stated_s:.3g} s by time_increment, {usual_s:.3g} s by the scans: {verdict}"
 
 
 def _time_rows(time: dict[str, Any]) -> Rows:

@@ -247,6 +247,15 @@ def _times(log: Log, jitter: float) -> Iterator[Finding]:
             kinds_of_stamps or "the stamps of the scans are unusable, the times of recording are used",
             "check the clock of the driver: it jumps, stands still, or two drivers publish on the topic",
         )
+    sensor, turn_s = log.sensor, log.sensor.usual_turn_s(log.period_s)
+    if sensor.time_increment_s and log.period_s and not sensor.has_plausible_sweep(log.period_s):
+        yield Finding(
+            "sweep",
+            f"time_increment is {sensor.time_increment_s:.3g} s, a turn in {sensor.stated_turn_s:.3g} s, but the scans "
+            f"come every {log.period_s:.3g} s",
+            f"if the laser turns once a scan, set time_increment to {sensor.turning_in(turn_s).time_increment_s:.3g} s "
+            "in the driver; a replay tries that",
+        )
     if jitter > JITTER:
         yield Finding(
             "jitter",

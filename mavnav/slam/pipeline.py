@@ -25,6 +25,7 @@ from mavnav.slam.retries.attempt import COARSER_VOXELS, try_again
 from mavnav.slam.retries.beam_order import REVERSED_BEAMS
 from mavnav.slam.retries.beginning import track_from_good_beginning
 from mavnav.slam.retries.odometry import FITTING_ODOMETRY
+from mavnav.slam.retries.sweep_time import TIMED_SWEEPS
 from mavnav.slam.track import Track
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
 SHORTEST_PERIOD_S = 1e-3
 """Minimum scan period, s, also that of a log of one scan, whose period is unknown."""
 
-ATTEMPTS: Final = (*FITTING_ODOMETRY, REVERSED_BEAMS, COARSER_VOXELS)
+ATTEMPTS: Final = (*FITTING_ODOMETRY, TIMED_SWEEPS, REVERSED_BEAMS, COARSER_VOXELS)
 """Attempts to track the log again, where an input check fails ("Input checks") or scans are sparse (step 10)."""
 
 RECOVERING: Final[tuple[Pass, ...]] = (rematch_beginning, drop_late_poses, rematch_rejected, join_lost_parts)

@@ -21,7 +21,7 @@ from mavnav.slam.retries.beginning import until_missing
 from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
@@ -119,8 +119,12 @@ def has_reversed_order(track: Track) -> bool:
     return cost_ratio(track_both(scans, stretch, most, track)) < REVERSED_RATIO
 
 
-def track_both(scans: list[Scan], stretch: range, most: int, track: Track) -> Pairs:
+def track_both(
+    scans: list[Scan], stretch: range, most: int, track: Track, change: Callable[[Scan], Scan] | None = None
+) -> Pairs:
     """Track up to ``most`` scans of a stretch in both orders, on separate maps; return the matches of both.
+
+    Another ``change`` of the scans takes the place of the reverse order.
 
     They are those that turn most. The path of the track predicts the poses. The tracks end where ``LOST_SCANS`` in a
     row do not match. None are returned with fewer than ``LEAST_COMPARED`` scans.
@@ -129,7 +133,7 @@ def track_both(scans: list[Scan], stretch: range, most: int, track: Track) -> Pa
     path = partial(tracked_trajectory(track.steps).at, max_gap_ns=int(LONG_GAP_S / NS))
     alone = replace(track, prior_map=None, begin=0, motion=track.motion._replace(odometry=path))
     until = partial(until_missing, least_points=0, most_missed=LOST_SCANS, most_held=np.inf)
-    listed, other = (alone.over(s, until=until).steps for s in (some, map(reversed_scan, some)))
+    listed, other = (alone.over(s, until=until).steps for s in (some, map(change or reversed_scan, some)))
     both = [(a.match, b.match) for a, b in zip(listed, other, strict=False) if a.tracked and b.tracked]
     return both if len(both) >= LEAST_COMPARED else []
 
