@@ -14,6 +14,7 @@ from mavnav.logs.messages.records import DecodeError
 from mavnav.logs.namespaces import topic_and_frame
 from mavnav.logs.preprocessing import ScanFilter
 from mavnav.logs.read_report import ReadReport
+from mavnav.logs.segments import Recorded, SweepJoiners
 from mavnav.logs.topic_scans import KEPT_BYTES
 from mavnav.pose import Pose
 from mavnav.profiling import Stage, each
@@ -215,7 +216,16 @@ class Log(Struct, frozen=True, eq=False, kw_only=True):
 
     def _reread(self) -> Iterator[tuple[LaserSpec, NDArray[np.float64]]]:
         report = ReadReport()  # the survey reported everything already
-        scan_filter, frame = ScanFilter(self.topic, report.warn), topic_and_frame(self.topic)[1]
+        scan_filter = ScanFilter(self.topic, report.warn)
+        for scan in self._messages(report):
+            admitted = scan_filter.admit(scan)
+            if not isinstance(admitted, str):
+                yield admitted[:2]
+
+    def _messages(self, report: ReadReport) -> Iterator[LaserMessage]:
+        """Yield the scan messages of the topic and the frame again, segments joined as the survey did."""
+        topic, frame = topic_and_frame(self.topic)
+        joiners: dict[Channel, SweepJoiners] = {}
         decoders: dict[Channel, Callable[[bytes], LaserMessage] | None] = {}
         for message in detect.read(self.path, report):
             channel = message.channel
@@ -223,14 +233,13 @@ class Log(Struct, frozen=True, eq=False, kw_only=True):
                 continue
             try:
                 if channel not in decoders:
-                    decoders[channel] = None
-                    decoders[channel] = decoder(channel, topic=self.topic)
+                    decoders[channel], joiners[channel] = None, SweepJoiners(topic, report.warn)
+                    decoders[channel] = decoder(channel, topic=topic)
                 decode = decoders[channel]
                 scan = decode(message.data) if decode else None
             except DecodeError:
                 continue
-            if scan is None or frame not in {None, scan.frame_id}:
-                continue
-            admitted = scan_filter.admit(scan)
-            if not isinstance(admitted, str):
-                yield admitted[:2]
+            if scan and frame in {None, scan.frame_id}:
+                yield from (sweep.message for sweep in joiners[channel].push(Recorded(scan, message.log_ns)))
+        for waiting in joiners.values():
+            yield from (sweep.message for sweep in waiting.finish())

@@ -23,6 +23,7 @@ from mavnav.logs.namespaces import FRAME, namespace
 from mavnav.logs.preprocessing import ScanFilter
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel, Damage, RawMessage, Topic
+from mavnav.logs.segments import Recorded, SweepJoiners
 from mavnav.logs.topic_scans import TopicScans
 from mavnav.logs.trajectories import OdometryTracks, TruthTracks
 from mavnav.logs.transforms import FrameTree
@@ -95,6 +96,7 @@ class _MessageKind(Struct):
     decode: Callable[[bytes], Any] | None
     scans: TopicScans | None
     count: int = 0
+    joiners: SweepJoiners | None = None
 
 
 class _Pass(Struct):
@@ -125,10 +127,18 @@ class _Pass(Struct):
             if kind.scans:
                 kind.scans.refuse("undecodable")
             return
-        if kind.scans:
-            kind.scans.take(decoded, message.log_ns, suspect=message.suspect)
+        if kind.scans and kind.joiners:
+            for scan in kind.joiners.push(Recorded(decoded, message.log_ns, message.suspect)):
+                kind.scans.take(*scan)
         else:
             self.motion.take(channel, message.log_ns, decoded)
+
+    def finish(self) -> None:
+        """Take in the scans that wait for others."""
+        for kind in self.kinds.values():
+            if kind.scans and kind.joiners:
+                for scan in kind.joiners.finish():
+                    kind.scans.take(*scan)
 
     def _new_kind(self, channel: Channel) -> _MessageKind:
         topic = scan_topic(channel, self.topic)
@@ -141,6 +151,7 @@ class _Pass(Struct):
             self.report.damage(str(error), channel.topic)
         if kind.decode and topic is not None:
             kind.scans = self.scans.setdefault(topic, TopicScans(ScanFilter(topic, self.report.warn)))
+            kind.joiners = SweepJoiners(topic, self.report.warn)
         return kind
 
 
@@ -210,6 +221,7 @@ def _survey(
             report.damage(detect.refusal(path), path.name)
         else:
             _run(path, state, progress)
+            state.finish()
         size_bytes, sha256 = size_and_sha256(path)
     except OSError as error:
         raise unreadable(path, error) from error

@@ -85,7 +85,7 @@ class TopicScans(Struct):
         self.total += 1
         self.refused[reason] += 1
 
-    def take(self, laser: LaserMessage, log_ns: int, *, suspect: bool) -> None:
+    def take(self, laser: LaserMessage, log_ns: int, suspect: bool) -> None:
         """Take in a scan recorded at ``log_ns`` if the filter admits it; keep it as long as there are few."""
         admitted = self.scan_filter.admit(laser)
         if isinstance(admitted, str):

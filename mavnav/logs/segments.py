@@ -1,0 +1,171 @@
+"""Segments of a turn, as some drivers publish them many times a turn: joined to sweeps."""
+
+from __future__ import annotations
+
+from functools import partial
+from itertools import chain, pairwise
+from math import isfinite, pi, tau
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from mavnav.scan import PLAUSIBLE_SWEEP
+from mavnav.units import DEG, NS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from mavnav.logs.messages.records import LaserMessage
+
+LOOKED_AT: Final = 8
+"""So many messages decide whether they are segments."""
+
+WIDEST_RAD: Final = 1.05 * pi
+"""A segment is at most half a turn."""
+
+LONGEST_PAUSE_S: Final = 0.5
+"""A segment that is later, s, begins another sweep."""
+
+FEWEST_SHARE: Final = 0.5
+"""Share of the messages that continue the one before, of segments; those with other angles are reported from it on."""
+
+
+class Recorded(NamedTuple):
+    """A scan message, its time of recording in ns, and whether it is suspect."""
+
+    message: LaserMessage
+    log_ns: int
+    suspect: bool = False
+
+
+class SweepJoiners:
+    """The joiners of all frames of a topic."""
+
+    def __init__(self, topic: str, warn: Callable[[str], None]) -> None:
+        self._new = partial(SweepJoiner, topic, warn)
+        self._by_frame: dict[str, SweepJoiner] = {}
+
+    def push(self, scan: Recorded) -> Iterator[Recorded]:
+        """Take in a message; yield the scans of its laser that are complete."""
+        frame = scan.message.frame_id
+        if frame not in self._by_frame:
+            self._by_frame[frame] = self._new()
+        return self._by_frame[frame].push(scan)
+
+    def finish(self) -> Iterator[Recorded]:
+        """Yield what is left; report segments that could not be joined."""
+        return chain.from_iterable(joiner.finish() for joiner in self._by_frame.values())
+
+
+class SweepJoiner:
+    """The scans of one laser on a topic: segments of a turn are joined to sweeps, others pass as they are.
+
+    The first messages wait until they show which they are. A sweep begins at the angle of the first of them, or after a
+    sector that none covers. Beams of segments that are lost are NaN.
+    """
+
+    def __init__(self, topic: str, warn: Callable[[str], None]) -> None:
+        self._topic, self._warn = topic, warn
+        self._waiting: list[Recorded] = []
+        self._joins: bool | None = None
+        self._angle_rad, self._beams, self._increment_s = 0.0, 0, 0.0
+        self._scans, self._elsewhere = 0, 0
+        self._last_rad: float | None = None
+
+    def push(self, scan: Recorded) -> Iterator[Recorded]:
+        """Take in a message; yield the scans that are complete."""
+        if self._joins is None:
+            self._waiting.append(scan)
+            if len(self._waiting) == LOOKED_AT:
+                yield from self._decide()
+        elif self._joins:
+            yield from self._join(scan)
+        else:
+            self._count(scan.message)
+            yield scan
+
+    def finish(self) -> Iterator[Recorded]:
+        """Yield what is left; report segments that could not be joined."""
+        if self._joins is None:
+            yield from self._decide()
+        if self._joins and self._waiting:
+            yield self._sweep()
+        elif self._elsewhere > max(FEWEST_SHARE * self._scans, LOOKED_AT // 2):
+            text = "the angles of the scans change from one to the next, as of segments that do not follow each other"
+            self._warn(f"{self._topic}: {text}; they are used one by one: record the full frame of the laser")
+
+    def _decide(self) -> Iterator[Recorded]:
+        """Find out what the first messages are; yield those that are complete."""
+        waiting, self._waiting = self._waiting, []
+        following = [_follows(a.message, b.message) for a, b in pairwise(waiting)]
+        self._joins = sum(following) > FEWEST_SHARE * max(len(following), 1)
+        if self._joins:
+            begin = following.index(False) + 1 if False in following else 0
+            self._begin(waiting[begin].message, [scan.message for scan in waiting])
+        for scan in waiting:
+            yield from self.push(scan)
+
+    def _begin(self, first: LaserMessage, messages: list[LaserMessage]) -> None:
+        """Note the geometry of the sweeps, and how long a beam takes: as stated, or by the stamps of the segments."""
+        self._angle_rad, self._beams = first.angle_min_rad, round(tau / abs(first.angle_step_rad))
+        pairs = [pair for pair in pairwise(messages) if _follows(*pair)]
+        each_s = [(b.stamp_ns - a.stamp_ns) * NS / len(a.ranges_m) for a, b in pairs]
+        by_stamps_s, stated_s = float(np.median(each_s)), first.time_increment_s
+        low, high = PLAUSIBLE_SWEEP
+        agrees = low * by_stamps_s <= abs(stated_s) <= high * by_stamps_s
+        self._increment_s = stated_s if agrees or not by_stamps_s else by_stamps_s
+        wide = len(first.ranges_m) * abs(first.angle_step_rad) / DEG
+        self._warn(f"{self._topic}: the scans are segments of {wide:.0f} deg, which are joined to sweeps")
+
+    def _join(self, scan: Recorded) -> Iterator[Recorded]:
+        """Add a segment to the sweep; yield the one before if it begins another."""
+        if self._waiting:
+            last = self._waiting[-1]
+            late_s = (scan.message.stamp_ns - last.message.stamp_ns) * NS
+            if self._place(scan) <= self._place(last) or not 0.0 <= late_s <= LONGEST_PAUSE_S:
+                yield self._sweep()
+        self._waiting.append(scan)
+
+    def _place(self, scan: Recorded) -> int:
+        """Return the number of the first beam of a segment in its sweep."""
+        message = scan.message
+        return round((message.angle_min_rad - self._angle_rad) / message.angle_step_rad) % self._beams
+
+    def _sweep(self) -> Recorded:
+        """Return the sweep of the segments that wait."""
+        segments, self._waiting = self._waiting, []
+        ranges_m, first = np.full(self._beams, np.nan), segments[0]
+        for scan in segments:
+            place = self._place(scan)
+            part = scan.message.ranges_m[: self._beams - place]
+            ranges_m[place : place + len(part)] = part
+        begin_ns = first.message.stamp_ns - round(self._place(first) * abs(self._increment_s) / NS)
+        message = first.message._replace(
+            stamp_ns=begin_ns,
+            angle_min_rad=self._angle_rad,
+            last_angle_rad=None,
+            time_increment_s=self._increment_s,
+            scan_time_s=self._beams * abs(self._increment_s),
+            ranges_m=ranges_m,
+        )
+        return Recorded(message, first.log_ns, any(scan.suspect for scan in segments))
+
+    def _count(self, message: LaserMessage) -> None:
+        """Count the scans of a part of a turn whose angles are others than those before."""
+        narrow = 0.0 < len(message.ranges_m) * abs(message.angle_step_rad) <= WIDEST_RAD
+        self._scans += 1
+        self._elsewhere += narrow and message.angle_min_rad != self._last_rad
+        self._last_rad = message.angle_min_rad
+
+
+def _follows(before: LaserMessage, message: LaserMessage) -> bool:
+    """Return whether a message begins where the one before ends, soon after it."""
+    step_rad, beams = before.angle_step_rad, len(before.ranges_m)
+    if not (0.0 < beams * abs(step_rad) <= WIDEST_RAD) or abs(message.angle_step_rad - step_rad) > 1e-3 * abs(step_rad):
+        return False
+    off_rad = message.angle_min_rad - before.angle_min_rad - beams * step_rad
+    if not isfinite(off_rad):
+        return False
+    off_rad -= tau * round(off_rad / tau)
+    soon = 0.0 <= (message.stamp_ns - before.stamp_ns) * NS <= LONGEST_PAUSE_S
+    return soon and abs(off_rad) <= 1.5 * abs(step_rad)
