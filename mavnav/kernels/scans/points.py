@@ -14,7 +14,7 @@ STEEPEST = 2.75
 """Tangent of the angle, 70 degrees, between a beam and the normal of a wall that its neighbors still meet."""
 
 
-LONGEST_M, MISSING = 1.0, 1.5
+LONGEST_M, MISSING = 3.0, 1.5
 """Distance up to which two neighbouring end points are joined, m, and angle between them, in beams, that is a gap."""
 
 NOISE_M, BEND = 0.02, 0.2
