@@ -58,8 +58,15 @@ def _changed_settings(document: dict[str, Any]) -> str:
     method = document["method"]
     usual = by_dotted_key(load_config(None, [], {"method": method}).document())
     used = by_dotted_key({method: document["config"].get(method, {})})
-    names = [name for name, value in used.items() if value != usual.get(name, value)]
+    names = [
+        name for name, value in used.items() if value != usual.get(name, value) and not _is_farther(name, value, usual)
+    ]
     return ", ".join(f"{name}={used[name]} (default {usual[name]})" for name in names[:_MOST_NAMED])
+
+
+def _is_farther(name: str, value: Any, usual: dict[str, Any]) -> bool:  # noqa: ANN401
+    """Return whether a setting uses more of the returns: fewer help no track."""
+    return name.endswith(".far_mm") and value > usual[name]
 
 
 def _lost_since(intervals: list[dict[str, Any]]) -> str:

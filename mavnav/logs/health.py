@@ -37,8 +37,8 @@ SAME_SHARE, SAME_BEAMS, SAME_SCANS = 0.02, 10, 0.5
 """Share and number of the beams of a scan above which its largest range stands for no return, and the share of scans in
 which that is the same value."""
 
-FAR_SHARE: Final = 0.05
-"""Share of the valid returns above which those that are too far to be used are reported."""
+FAR_SHARE, MOST_FAR = 0.05, 0.5
+"""Shares of the valid returns above which those that are too far to be used are reported, and used."""
 
 SECTOR_DEG, SECTOR_SCANS = 10, 20
 """The narrowest sector without any return that is reported, deg, and the fewest scans that show it."""
@@ -223,8 +223,10 @@ def _odd_returns(log: Log, seen: _Seen, far_m: float) -> Iterator[Finding]:
         beyond = f"farther than {far_m:g} m, up to {seen.farthest_m:.0f} m"
         yield Finding(
             "far",
-            f"{100 * share:.0f} % of the returns are {beyond}, and not used",
-            "if they are walls, replay with a larger robust.far_mm, in mm (--set)",
+            f"{100 * share:.0f} % of the returns are {beyond}" + (", and not used" if share <= MOST_FAR else ""),
+            "if they are walls, replay with a larger robust.far_mm, in mm (--set)"
+            if share <= MOST_FAR
+            else "a replay uses them, too, up to range_max",
         )
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from mavnav.logs.range_units import FARTHEST_M, RangeUnits
 from mavnav.scan import LaserSpec
 
 if TYPE_CHECKING:
@@ -25,12 +26,6 @@ KINDS: Final = ("valid", "zero", "below_min", "above_max", "nan", "plus_inf", "m
 
 _LEAST_M: Final = -1.7976931348623157e308
 _SMALLEST_M: Final = 5e-324
-FARTHEST_M: Final = 250.0
-"""No planar laser sees farther; a reading beyond is no return, whatever the limits say."""
-
-_LOOKED_AT: Final = 20
-"""So many scans decide on the unit of the ranges."""
-
 _MOST_BEAMS: Final = 1 << 15
 """More than any planar laser has; what has more is thinned, so that no scan costs seconds."""
 
@@ -92,8 +87,7 @@ class ScanFilter:
         self._warn = warn
         self._key: tuple[float | None, ...] = ()
         self._spec: LaserSpec | None = None
-        self._looked_at = 0
-        self._far, self._positive = 0, 0
+        self._units = RangeUnits()
         self._turns = ""
         self._max_is_none = False
         self._invalid = np.zeros(len(KINDS), np.int64)
@@ -101,10 +95,7 @@ class ScanFilter:
     @property
     def doubt(self) -> str:
         """The reason to refuse the whole topic, empty where there is none."""
-        if self._far * 2 > self._positive:
-            text = "more than half of the ranges lie beyond 250 m: they look like millimeters, not meters"
-            return f"{text}; divide them by 1000, range_min and range_max too"
-        return self._turns if self._spec is None else ""
+        return self._units.doubt or (self._turns if self._spec is None else "")
 
     @property
     def invalid(self) -> str:
@@ -117,18 +108,10 @@ class ScanFilter:
         limits = f"range_min and range_max are {self._spec.range_min_m:g} and {self._spec.range_max_m:g} m"
         return f"their ranges are {shares}, and {limits}: check the laser, and whether all these are in meters"
 
-    def _look_at_units(self, ranges_m: NDArray[np.floating]) -> None:
-        """Count what is too far; the farthest value of a scan may be a driver's word for no return."""
-        self._looked_at += 1
-        finite = ranges_m[np.isfinite(ranges_m) & (ranges_m > 0)]
-        far = finite[finite > FARTHEST_M]
-        self._positive += len(finite)
-        self._far += int(np.count_nonzero(far < far.max())) if len(far) else 0
-
     def admit(self, message: LaserMessage) -> tuple[LaserSpec, NDArray[np.float64], tuple[int, ...]] | str:
         """Return geometry, cleaned ranges and counts; or, in a word, the reason why the scan is unusable."""
-        if self._looked_at < _LOOKED_AT:
-            self._look_at_units(message.ranges_m)
+        self._units.look_at(message)
+        message = self._with_step(message)
         if reason := _refusal(message):
             turn = abs(message.angle_step_rad) * (len(message.ranges_m) - 1)
             if reason == "impossible_geometry" and 20.0 < turn <= 400.0:
@@ -154,6 +137,18 @@ class ScanFilter:
                 reason = f"many ranges are range_max itself ({spec.range_max_m:g} m)"
                 self._warn(f"{self._topic}: {reason}; from there on they are taken for no return")
         return nextafter(spec.range_max_m, 0.0) if self._max_is_none else spec.range_max_m
+
+    def _with_step(self, message: LaserMessage) -> LaserMessage:
+        """Return the message with the increment that first and last angle make where it has none, or cannot be."""
+        beams, last_rad = len(message.ranges_m), message.last_angle_rad
+        if beams < 2 or last_rad is None or _refusal(message) not in {"zero_angle_increment", "impossible_geometry"}:
+            return message
+        mended = message._replace(angle_step_rad=(last_rad - message.angle_min_rad) / (beams - 1))
+        if _refusal(mended) or abs(last_rad) > tau:
+            return message
+        text = f"angle_increment is {message.angle_step_rad:g}; by angle_min, angle_max and {beams} beams it is"
+        self._warn(f"{self._topic}: {text} {mended.angle_step_rad:.6g} rad, which is used: set it in the driver")
+        return mended
 
     def _thin(self, message: LaserMessage) -> LaserMessage:
         """Take one of every so many beams where a scan has far too many."""

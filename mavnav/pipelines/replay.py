@@ -28,6 +28,7 @@ from mavnav.outputs.run import RunResult, Timing
 from mavnav.outputs.writers import check_groups, write_run
 from mavnav.pipelines.again import replay_words
 from mavnav.pipelines.maps import check_references, known_map, localisation, measured_map, references_in_map, slices_of
+from mavnav.pipelines.reach import with_reach
 from mavnav.pose import Pose, correct_path
 from mavnav.profiling import Progress, Stage, new_profile, timed
 from mavnav.slam.methods.registry import load_kernels, uses_odometry
@@ -182,22 +183,24 @@ def _track_and_write(
     request: ReplayRequest, log: Log, given: Given, progress: Progress, stop: Stop, began: Timing
 ) -> tuple[RunResult, dict[str, Any]]:
     """Track, measure and write; ``began`` holds the clocks as they stood at the start."""
-    outcome = _track(log, request.config, given.known, progress, stop)
+    config, warnings = with_reach(request.config, log)
+    outcome = _track(log, config, given.known, progress, stop)
+    outcome = changed(outcome, warnings=(*warnings, *outcome.warnings))
     stopped = stop()
     if stopped is not None and not len(outcome.trajectory):
         raise StoppedError(f"{request.log}: stopped before the first pose; nothing is written", stopped)
-    continuation = _continue(outcome, log, given, request.config, progress, stopped=stopped is not None)
+    continuation = _continue(outcome, log, given, config, progress, stopped=stopped is not None)
     outcome = continuation.outcome if continuation else outcome
     progress("measuring", 0, None)
     references, warnings = references_in_map(given.references, log, outcome.begin_ns if given.own_frame else None)
     outcome = changed(outcome, warnings=(*outcome.warnings, *warnings))
     measured = measured_map(outcome, log)
     timing = changed(began, wall_s=perf_counter() - began.wall_s, cpu_s=process_time() - began.cpu_s)
-    slices = slices_of(outcome, log, request.config)
+    slices = slices_of(outcome, log, config)
     truth, known = references.truth, request.options.get("map")
     run = RunResult(
         log=log,
-        config=request.config,
+        config=config,
         slam=outcome,
         measured=measured,
         timing=timing,

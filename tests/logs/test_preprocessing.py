@@ -67,8 +67,10 @@ def message(**changes: object) -> LaserMessage:
         ({"ranges_m": np.array([])}, "empty"),
         ({"angle_min_rad": NAN}, "non_finite_angle"),
         ({"angle_step_rad": INF}, "non_finite_angle"),
-        ({"angle_step_rad": 0.0}, "zero_angle_increment"),
-        ({"angle_step_rad": 4.0}, "impossible_geometry"),
+        ({"angle_step_rad": 0.0, "last_angle_rad": None}, "zero_angle_increment"),
+        ({"angle_step_rad": 0.0, "last_angle_rad": -1.0}, "zero_angle_increment"),
+        ({"angle_step_rad": 0.0, "last_angle_rad": NAN}, "zero_angle_increment"),
+        ({"angle_step_rad": 4.0, "last_angle_rad": 7.0}, "impossible_geometry"),
         ({"angle_min_rad": 180.0}, "impossible_geometry"),
         ({"ranges_m": np.array([0.0, NAN, 99.0])}, "no_valid_beam"),
     ],
@@ -160,8 +162,46 @@ def test_a_topic_in_millimetres_is_doubted(ranges: list[float], doubted: bool) -
     assert bool(scan_filter.doubt) is doubted
 
 
+@pytest.mark.parametrize("step_rad", [0.0, 57.3, 4.0])
+def test_an_increment_that_cannot_be_follows_from_the_first_and_the_last_angle(step_rad: float) -> None:
+    warnings: list[str] = []
+    admitted = ScanFilter("/scan", warnings.append).admit(message(angle_step_rad=step_rad, last_angle_rad=1.4))
+    assert isinstance(admitted, tuple)
+    assert admitted[0].angle_step_rad == pytest.approx(1.2)
+    assert [text for text in warnings if "by angle_min, angle_max and 3 beams it is 1.2 rad" in text] == warnings
+
+
+@pytest.mark.parametrize(
+    ("factor", "limits", "units"),
+    [
+        (100, (10.0, 1200.0), "centimeters"),
+        (100, (0.1, 12.0), "centimeters"),
+        (1000, (100.0, 12_000.0), "millimeters"),
+        (1000, (20.0, 5600.0), "centimeters or millimeters"),
+        (1000, (0.1, 12.0), "millimeters"),
+        (1000, (10.0, 12_000.0), "centimeters or millimeters"),
+        (1000, (0.0, 65_535.0), "millimeters"),
+        (1, (0.1, 12.0), ""),
+        (1, (0.0, INF), ""),
+        (1, (0.02, 65.0), ""),
+        (1, (0.1, 1000.0), ""),
+        (1, (0.9, 120.0), ""),
+        (100, (20.0, 800.0), "centimeters"),  # of a room so small that few ranges are beyond 250
+    ],
+)
+def test_the_unit_of_ranges_is_that_of_a_possible_laser(factor: int, limits: tuple[float, float], units: str) -> None:
+    walls_m = np.linspace(0.6, 8.0 if limits[1] != 800.0 else 2.0, 50)
+    scan_filter = ScanFilter("/scan", [].append)
+    turn = message(ranges_m=factor * walls_m, angle_step_rad=0.1, last_angle_rad=3.9)
+    scan_filter.admit(turn._replace(range_min_m=limits[0], range_max_m=limits[1]))
+    assert f"they look like {units}, not meters" in scan_filter.doubt if units else scan_filter.doubt == ""
+
+
 def test_a_topic_in_degrees_is_doubted_until_a_scan_is_sound() -> None:
-    scan_filter, degrees = ScanFilter("/scan", [].append), message(ranges_m=np.ones(241), angle_step_rad=1.0)
+    scan_filter, degrees = (
+        ScanFilter("/scan", [].append),
+        message(ranges_m=np.ones(241), angle_step_rad=1.0, last_angle_rad=120.0),
+    )
     assert (scan_filter.admit(degrees), "look like degrees" in scan_filter.doubt) == ("impossible_geometry", True)
     scan_filter.admit(message())
     assert scan_filter.doubt == ""
@@ -170,7 +210,8 @@ def test_a_topic_in_degrees_is_doubted_until_a_scan_is_sound() -> None:
 @pytest.mark.parametrize(("turns", "sound"), [(1.05, True), (1.15, False), (2.0, False), (80.0, False)])
 def test_a_scan_may_overlap_itself_a_little(turns: float, sound: bool) -> None:
     scan_filter = ScanFilter("/scan", [].append)
-    assert isinstance(scan_filter.admit(message(angle_step_rad=turns * math.tau / 2)), tuple) is sound
+    turning = message(angle_step_rad=turns * math.tau / 2, last_angle_rad=None)
+    assert isinstance(scan_filter.admit(turning), tuple) is sound
     assert scan_filter.doubt == ""
 
 

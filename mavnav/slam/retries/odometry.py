@@ -7,13 +7,16 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from msgspec.structs import replace
 
-from mavnav.slam.matching.odometry_fit import OdometryFit, fit_odometry, with_noise
+from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, OdometryFit, fit_odometry, with_noise
 from mavnav.slam.matching.steps import Steps, tracked_trajectory
 from mavnav.slam.retries.attempt import Attempt
+from mavnav.units import DEG
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
+    from mavnav.pose import Trajectory
+    from mavnav.slam.matching.odometry_fit import LogOdometry
     from mavnav.slam.matching.steps import Step
     from mavnav.slam.track import Track, Until
 
@@ -34,6 +37,9 @@ TURNS: Final = (0.5, 2.0)
 
 FIRST_CHECK, CHECK_RATIO = 200, 3
 """Number of poses at which a track is first compared with its odometry, and ratio of those of one check to the next."""
+
+LEAST_TURN_RAD: Final = 90 * DEG
+"""Turns that show whether scans are mirrored."""
 
 LEAST_COVERED = 0.9
 """Minimum share of scans that odometry covers without a warning."""
@@ -110,6 +116,33 @@ def drop_odometry(track: Track) -> Track | None:
     return replace(track, motion=track.motion._replace(odometry=None))
 
 
+def contradiction(track: Track) -> str:
+    """Say how odometry contradicts the scans, and what to do."""
+    odometry, path = track.log_odometry, tracked_trajectory(track.steps)
+    if odometry and is_mirrored(odometry, path):
+        return (
+            "the laser turns the other way; if it is mounted upside down, or its scans are mirrored, replay with --set "
+            "upside_down=true"
+        )
+    best = fit_odometry(odometry, path, GOOD_ODOMETRY) if odometry and len(path) else None
+    if best and best.error <= MOST_ERROR:
+        scales = f"its distances times {best.distance_scale:.3g} and its turns times {best.turn_scale:.3g}"
+        return f"it fits with {scales}; check the units of the ranges and of the odometry"
+    return (
+        "no time offset and scale makes it fit; check its axes and its clock, and whose it is ('mavnav calibrate' "
+        "compares them); if they are right, see map.png"
+    )
+
+
+def is_mirrored(odometry: LogOdometry, path: Trajectory) -> bool:
+    """Return whether odometry fits the mirror image of a path that turns."""
+    turned_rad = float(np.abs(np.diff(np.unwrap(path.xyyaw[:, 2]))).sum())
+    if turned_rad < LEAST_TURN_RAD:
+        return False
+    fit = fit_odometry(odometry, replace(path, xyyaw=path.xyyaw * (1.0, -1.0, -1.0)), GOOD_ODOMETRY)
+    return fit is not None and fit.error <= MOST_ERROR and is_plausible(fit)
+
+
 CORRECTED_ODOMETRY: Final = Attempt("corrected odometry", correct_odometry)
 WITHOUT_ODOMETRY: Final = Attempt("without odometry", drop_odometry)
 FITTING_ODOMETRY: Final = (CORRECTED_ODOMETRY, CORRECTED_ODOMETRY, WITHOUT_ODOMETRY, CORRECTED_ODOMETRY)
@@ -122,10 +155,7 @@ def odometry_warnings(track: Track) -> Iterator[str]:
         return
     known = track.motion.odometry_at(track.steps.column("stamp_ns"))
     if track.odometry_contradicts:
-        yield (
-            "odometry contradicts the scans and is not used: no time offset and scale makes it fit; check its axes and "
-            "its clock, and whose it is; if they are right, see map.png"
-        )
+        yield f"odometry contradicts the scans and is not used: {contradiction(track)}"
     elif len(known) and known.mean() < LEAST_COVERED:
         yield (
             f"odometry covers {np.count_nonzero(known)} of {len(known)} scans (not in gaps of over 0.5 s); the others "
