@@ -27,6 +27,9 @@ MAX_TEXT = 300
 
 _MAX_KINDS = 20
 
+REPLACEMENT = "\ufffd"
+"""What stands for bytes that are not UTF-8 in texts that were read."""
+
 KNOWN_TYPES = (SCAN, FOXGLOVE_SCAN, MULTI_ECHO, CLOUD, IMU, ODOMETRY, TF, TF_ROS1)
 """Types that a scan, a pose, a turn or a mounting can come from."""
 
@@ -65,6 +68,8 @@ class ReadReport:
             if mended != channel:
                 was, now = (f"{c.type} ({c.encoding})" for c in (channel, mended))
                 self.damage(f"the type {was} is damaged, and taken for {now}", channel.topic)
+            if REPLACEMENT in channel.topic:
+                self.warn(f"the name of topic {channel.topic!r} is not UTF-8; what is none is replaced")
             self._declared[key] = self.channels.setdefault(_key(mended), mended)
         return self._declared[key]
 

@@ -159,7 +159,7 @@ def test_broken_json_message_is_told_and_the_others_are_used(tmp_path: Path) -> 
 
 @pytest.mark.parametrize("name", ["mcap-zstd", "bag1", "db3"])
 def test_memory_does_not_grow_with_the_file(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("log", "stamps"):  # shorter logs are kept
+    for module in ("log", "topic_scans"):  # shorter logs are kept
         monkeypatch.setattr(f"mavnav.logs.{module}.KEPT_BYTES", 0)
 
     def peak_bytes(scans: int) -> int:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from mavnav.atomic_files import short_name
 from mavnav.logs.formats.decompress import PACKERS, first_bytes, unpack_file
 from mavnav.logs.formats.mcap_records import MAGIC, find_record
-from mavnav.logs.formats.rosbag2 import METADATA, compare_count, read_metadata, storage_files
+from mavnav.logs.formats.rosbag2 import METADATA, compare_count, compare_storage, read_metadata, storage_files
 from mavnav.logs.formats.source import BAG_MAGIC, MAGIC_WITHIN_BYTES, OLD_BAG_MAGIC, SQLITE_MAGIC, Source
 
 if TYPE_CHECKING:
@@ -133,6 +133,7 @@ def read(path: Path, report: ReadReport) -> Iterator[RawMessage]:
         report.next_file(file.stat().st_size)
     if metadata is not None:
         compare_count(metadata, messages, report)
+        compare_storage(metadata, {split_name(sniff(file))[0] for file in files}, report)
 
 
 def _read_file(path: Path, report: ReadReport) -> Iterator[RawMessage]:

@@ -23,6 +23,11 @@ if TYPE_CHECKING:
 EXTRAS: Final = {Op.ATTACHMENT: "attachment", Op.METADATA: "metadata record"}
 """Opcodes of what an MCAP file holds besides messages, and what these records are called."""
 
+SCHEMA_ENCODINGS: Final = frozenset(
+    {"", "ros1msg", "ros2msg", "ros2idl", "omgidl", "protobuf", "flatbuffer", "jsonschema", "cbor"}
+)
+"""Encodings of schemas that the specification lists; an empty one has none."""
+
 _ENCODING_OF_SCHEMA = {"ros2msg": "cdr", "ros2idl": "cdr", "ros1msg": "ros1"}
 _NO_SCHEMA = Schema()
 
@@ -85,6 +90,10 @@ def _message(content: bytes, where: str, state: McapState) -> RawMessage | None:
 def _declare_schema(fields: RecordFields, where: str, state: McapState) -> None:
     number, name, encoding = fields.number("H"), fields.text(), fields.text()
     schema = Schema(name, encoding, fields.block())
+    if number == 0:
+        state.report.warn(f"the schema of {name!r} has the number 0, which stands for none")
+    if encoding not in SCHEMA_ENCODINGS:
+        state.report.warn(f"the schema of {name!r} has the unknown encoding {encoding!r}; it is not used")
     if state.suspect and number in state.schemas:
         return
     if number in state.schemas and state.schemas[number] != schema:

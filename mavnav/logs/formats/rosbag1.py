@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from mavnav.logs.formats.channels import ReaderState
 from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES, TOO_MANY, Allowance, DecompressError, decompress
 from mavnav.logs.formats.source import BAG_MAGIC, MAGIC_WITHIN_BYTES, OLD_BAG_MAGIC, Source
+from mavnav.logs.messages.definitions import MD5
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import LATCHING, Channel, RawMessage, Schema, ros_type
 
@@ -32,6 +33,8 @@ _BLOCK_BYTES = 1 << 20
 _RECORD_COST = 4
 """Cost of a record of this format, or of a candidate for one, in the unit of ``Allowance.spend_record``."""
 _U32 = struct.Struct("<I")
+_VERSION = 1
+"""Version of the index and of its entries for chunks."""
 _U32_PAIR = struct.Struct("<II")
 
 
@@ -85,6 +88,8 @@ def read_rosbag1(path: Path, report: ReadReport) -> Iterator[RawMessage]:
         state.search = partial(_connections, source, _sound_records(source, begin, ReadReport()))
         for record in _sound_records(source, begin, report):
             report.at(record.start)
+            if record.opcode != _BagOp.MESSAGE:
+                _check_numbers(record, report)
             if record.opcode == _BagOp.CHUNK and not _is_flat(record):
                 yield from _chunk_messages(source, record, state)
             elif message := _take(source, record, state):
@@ -214,7 +219,21 @@ def _declare(source: Source, record: _BagRecord, state: _BagState) -> None:
     channel = Channel(topic, ros_type(name), "ros1", schema, ((LATCHING, latching),) if latching else ())
     if not name:
         channel = state.spare.get(number, channel)
+    md5 = fields.get(b"md5sum", b"*").decode(errors="replace")
+    if md5 not in {"*", MD5.get(channel.type, md5)}:
+        state.report.warn(f"{topic}: the md5 sum of {name} is {md5!r}, not that of its definition; it is read as usual")
     state.channels[number] = state.report.declare(channel)
+
+
+def _check_numbers(record: _BagRecord, report: ReadReport) -> None:
+    """Warn of a version or a size in the header of a record that is not right."""
+    version = record.fields.get(b"ver")
+    if version is not None and int.from_bytes(version[:4], "little") != _VERSION:
+        what = _BagOp(record.opcode).name.lower().replace("_", " ")
+        report.warn(f"a record ({what}) has the version {int.from_bytes(version[:4], 'little')}, not {_VERSION}")
+    declared = int.from_bytes(record.fields.get(b"size", b"")[:4], "little")
+    if _is_flat(record) and declared != record.end - record.start:
+        report.warn(f"a chunk declares {declared} bytes and has {record.end - record.start}; all of it was read")
 
 
 def _is_flat(record: _BagRecord) -> bool:

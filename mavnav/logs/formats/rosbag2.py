@@ -17,15 +17,20 @@ if TYPE_CHECKING:
     from mavnav.logs.read_report import ReadReport
 
 METADATA = "metadata.yaml"
+LATEST_VERSION = 9
+STORAGES = {"mcap": "mcap", "rosbag2-sqlite3": "sqlite3"}
+"""Formats of files by the names that rosbag2 gives them."""
+
 _MAX_METADATA_BYTES = 1 << 20
 _MAX_DEPTH = 20
 
 
 class Metadata(Struct, frozen=True):
-    """Storage files and number of messages in metadata.yaml; the number is None if it is not given."""
+    """Storage files, number of messages and storage in metadata.yaml; the number is None if it is not given."""
 
     names: tuple[str, ...]
     messages: int | None
+    storage: str = ""
 
 
 def storage_files(
@@ -111,20 +116,30 @@ def read_metadata(folder: Path, report: ReadReport) -> Metadata | None:
     try:
         with path.open("rb") as file:
             text = file.read(_MAX_METADATA_BYTES + 1)
-        return _metadata(_plain_tree(text, report))
+        return _metadata(_plain_tree(text, report), report)
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError, KeyError, TypeError) as error:
         reason = " ".join(str(error).split())[:160]
         report.damage(f"content cannot be read ({reason}); the storage files found were read", METADATA)
         return None
 
 
-def _metadata(tree: Any) -> Metadata:  # noqa: ANN401  (any YAML value)
+def _metadata(tree: Any, report: ReadReport) -> Metadata:  # noqa: ANN401  (any YAML value)
     bag = tree["rosbag2_bagfile_information"]
     names = bag["relative_file_paths"]
     if not isinstance(names, list) or not all(isinstance(name, str) and name for name in names):
         raise TypeError("relative_file_paths is no list of names")
-    count = bag.get("message_count")
-    return Metadata(tuple(names), int(count) if isinstance(count, str) and count.isdecimal() else None)
+    count, version, storage = bag.get("message_count"), bag.get("version"), bag.get("storage_identifier")
+    if version not in {None, *map(str, range(1, LATEST_VERSION + 1))}:
+        report.warn(f"{METADATA} is of version {version!r}; versions 1 to {LATEST_VERSION} are known")
+    messages = int(count) if isinstance(count, str) and count.isdecimal() else None
+    return Metadata(tuple(names), messages, storage if isinstance(storage, str) else "")
+
+
+def compare_storage(metadata: Metadata, formats: set[str], report: ReadReport) -> None:
+    """Report that metadata.yaml names another storage than the files are, by their ``formats``."""
+    real = {STORAGES[name] for name in formats if name in STORAGES}
+    if metadata.storage and real and metadata.storage not in real:
+        report.warn(f"{METADATA} names the storage {metadata.storage!r}; the files are {' and '.join(sorted(real))}")
 
 
 def _plain_tree(text: bytes, report: ReadReport) -> Any:  # noqa: ANN401

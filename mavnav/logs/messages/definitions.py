@@ -18,6 +18,17 @@ IMU: Final = "sensor_msgs/msg/Imu"
 ODOMETRY: Final = "nav_msgs/msg/Odometry"
 FOXGLOVE_SCAN: Final = "foxglove.LaserScan"
 
+MD5: Final = {
+    SCAN: "90c7ef2dc6895d81024acba2ac42f369",
+    ODOMETRY: "cd5e73d190d741a2f92e81eda573aca7",
+    TF: "94810edda583a504dfda3829e70d7eec",
+    TF_ROS1: "94810edda583a504dfda3829e70d7eec",
+    IMU: "6a62c6daae103f4ff57a132d6f95cec2",
+    POSE: "d3812c3cbc69362b77dc0b19b345f8f5",
+    TRANSFORM: "b5764a33bfeb3588febc2682852579b0",
+}
+"""Sums by which ROS 1 knows the definitions of types."""
+
 _XYZ: Final = ("float64 x", "float64 y", "float64 z")
 _LASER: Final = ("angle_min", "angle_max", "angle_increment", "time_increment", "scan_time", "range_min", "range_max")
 _MARKERS: Final = (
