@@ -11,12 +11,14 @@ import typer
 
 from mavnav.commands import shared
 from mavnav.commands.progress import reporting
+from mavnav.commands.sources import local_log
 from mavnav.commands.terminal import LISTED, Rows, note_problems, print_result
 from mavnav.config.options import read_options
 from mavnav.errors import ExitCode, MavnavError
 from mavnav.units import DEG, NS, pluralize
 
 if TYPE_CHECKING:
+    from mavnav.commands.sources import LocalLog
     from mavnav.logs import Log, Survey
     from mavnav.logs.levelling import RecordedAttitude
     from mavnav.logs.records import Imu, Odometry
@@ -29,21 +31,27 @@ EPILOG = """
 mavnav info drive.mcap
 mavnav info rosbag2_folder --topic /front/scan
 mavnav info drive.bag --json | jq .scans
+ssh robot cat drive.mcap | mavnav info -
 """
 
 
 @shared.with_options("topic", "strict")
-def info(log: shared.LogFile, *, json: shared.Json = False, quiet: shared.Quiet = False, **given: object) -> None:
+def info(log: shared.LogSource, *, json: shared.Json = False, quiet: shared.Quiet = False, **given: object) -> None:
     """Examine a log: topics, sensor, scans, rate, validity of ranges, odometry, and everything that is damaged."""
+    options = read_options(given)
+    with local_log(log) as source:
+        _print_info(source, options.get("topic"), options.get("strict", False), json=json, quiet=quiet)
+
+
+def _print_info(log: LocalLog, name: str | None, strict: bool, *, json: bool, quiet: bool) -> None:
     from mavnav.logs import survey
 
-    options = read_options(given)
-    name = options.get("topic")
     with reporting(quiet=quiet) as report:
-        contents = survey(log, topic=name, strict=options.get("strict", False), progress=partial(report, "reading"))
+        contents = survey(log.path, topic=name, strict=strict, progress=partial(report, "reading"))
     logs, error = _choices(contents, name)
     code = error.exit_code if error else ExitCode.DAMAGED_INPUT if contents.damage else ExitCode.DONE
     shown = document(contents, logs, code)
+    shown["input"]["path"] = log.name
     if error and not json:  # the error line names its cause
         shown["damage"] = [each for each in shown["damage"] if each["what"] not in str(error)]
     print_result(shown, _rows(shown), json=json)

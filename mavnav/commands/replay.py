@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,6 +13,7 @@ from mavnav.commands import shared, signals
 from mavnav.commands.lost_advice import lost_line
 from mavnav.commands.progress import REPLAY, loading_modules, reporting
 from mavnav.commands.quality_rows import closing_rows, doubt_rows, quality_rows, reference_rows, wall_rows
+from mavnav.commands.sources import local_log
 from mavnav.commands.terminal import Rows, emit, note, print_result
 from mavnav.config.options import OPTIONS, REFERENCES, read_options, settings_of
 from mavnav.errors import ExitCode, UsageError
@@ -29,13 +31,14 @@ mavnav replay rosbag2_folder --method paper --grid 20x20 --azimuth 40
 mavnav replay drive.mcap --map office.yaml --start-pose 2.1,0.4,1.57
 mavnav replay drive.mcap --set robust.cell_mm=25 --json | jq .wall_thickness
 mavnav replay --again runs/drive-robust-20-10x10 -o runs/repeated
+ssh robot cat drive.mcap | mavnav replay - -o runs/drive
 """
 
 
 @shared.with_options(*OPTIONS)
 def replay(
     context: typer.Context,
-    log: shared.MaybeLogFile = None,
+    log: shared.MaybeLogSource = None,
     *,
     again: shared.Again = None,
     config: shared.ConfigFile = None,
@@ -54,35 +57,38 @@ def replay(
     **given: object,
 ) -> None:
     """Map a recorded log: trajectory, map, pictures and wall thickness."""
-    fields = {} if again is None else _earlier_fields(context, again, log, directory)
-    log = fields.pop("log", log)
-    if log is None:
-        raise UsageError("no log; name one, or a run directory with --again")
-    options = fields.pop("options", None) or read_options(given)
-    chosen = fields.pop("config", None) or _config(config, sets or [], options)
-    bounds, written = shared.gates_of(gates), shared.output_values(outputs, report=report, preview=preview)
-    _check_files(log, options)
-    optional = {"reference": {*REFERENCES}, "localisation": {"map"}, "continued": {"continue_from"}}
-    shared.check_gates(bounds, *(section for section, names in optional.items() if names & options.keys()))
-    with reporting(quiet=quiet, stages=REPLAY) as progress:
-        startup_s, started_s = process_time(), perf_counter()
-        with loading_modules():
-            from mavnav.outputs.documents.provenance import Typed
-            from mavnav.pipelines.replay import ReplayRequest, replay_directory, replay_log
-        compile_s = perf_counter() - started_s
-        target = directory or (shared.again_directory(again) if again else replay_directory(log, chosen))
-        fields = {"typed": Typed(context.obj, config, tuple(sets or ())), **written, **fields}
-        request = ReplayRequest(log, target, chosen, options, force, **fields)
-        _, document = replay_log(request, progress, compile_s, signals.deferring, startup_s)
-    print_result(document, _summary(document, target), json=json)
-    _note_problems(document)
-    if again:
-        shared.note_repetition(again, document)
-    if profile:
-        print_stages(document["timing"]["stages"], stderr=json)
-    if preview:
-        shared.show_preview(target, stderr=json)
-    raise typer.Exit(shared.gated_code(document, bounds))
+    with local_log(log) if log else nullcontext() as source:
+        given_log = source.path if source else None
+        fields = {} if again is None else _earlier_fields(context, again, given_log, directory)
+        path = fields.pop("log", given_log)
+        if path is None:
+            raise UsageError("no log; name one, or a run directory with --again")
+        options = fields.pop("options", None) or read_options(given)
+        chosen = fields.pop("config", None) or _config(config, sets or [], options)
+        bounds, written = shared.gates_of(gates), shared.output_values(outputs, report=report, preview=preview)
+        _check_files(path, options)
+        optional = {"reference": {*REFERENCES}, "localisation": {"map"}, "continued": {"continue_from"}}
+        shared.check_gates(bounds, *(section for section, names in optional.items() if names & options.keys()))
+        with reporting(quiet=quiet, stages=REPLAY) as progress:
+            startup_s, started_s = process_time(), perf_counter()
+            with loading_modules():
+                from mavnav.outputs.documents.provenance import Typed
+                from mavnav.pipelines.replay import ReplayRequest, replay_directory, replay_log
+            compile_s = perf_counter() - started_s
+            target = directory or (shared.again_directory(again) if again else replay_directory(path, chosen))
+            fields = {"typed": Typed(context.obj, config, tuple(sets or ())), **written, **fields}
+            fields |= {"address": source.address} if source else {}
+            request = ReplayRequest(path, target, chosen, options, force, **fields)
+            _, document = replay_log(request, progress, compile_s, signals.deferring, startup_s)
+        print_result(document, _summary(document, target), json=json)
+        _note_problems(document)
+        if again:
+            shared.note_repetition(again, document)
+        if profile:
+            print_stages(document["timing"]["stages"], stderr=json)
+        if preview:
+            shared.show_preview(target, stderr=json)
+        raise typer.Exit(shared.gated_code(document, bounds))
 
 
 def _earlier_fields(context: typer.Context, again: Path, log: Path | None, directory: Path | None) -> dict[str, Any]:

@@ -9,13 +9,22 @@ from typing import TYPE_CHECKING, Any
 from mavnav.atomic_files import short_name
 from mavnav.logs.formats.decompress import PACKERS, first_bytes, unpack_file
 from mavnav.logs.formats.mcap_records import MAGIC, find_record
-from mavnav.logs.formats.rosbag2 import METADATA, compare_count, compare_storage, read_metadata, storage_files
+from mavnav.logs.formats.rosbag2 import (
+    METADATA,
+    compare_count,
+    compare_storage,
+    name_stem,
+    part_number,
+    read_metadata,
+    storage_files,
+)
 from mavnav.logs.formats.source import BAG_MAGIC, MAGIC_WITHIN_BYTES, OLD_BAG_MAGIC, SQLITE_MAGIC, Source
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
+    from mavnav.logs.formats.rosbag2 import Metadata
     from mavnav.logs.read_report import ReadReport
     from mavnav.logs.records import RawMessage
 
@@ -88,7 +97,16 @@ def _sniff_folder(folder: Path) -> str:
     inner = next((sniff(file) for file in sorted(folder.iterdir()) if _is_storage(file)), UNKNOWN)
     if split_name(inner)[0] in ("rosbag2-sqlite3", "mcap"):
         return f"rosbag2-{inner.removeprefix('rosbag2-')}"
+    if _is_split_bag1(folder):
+        return "rosbag1"
     return "rosbag2" if (folder / METADATA).is_file() else UNKNOWN
+
+
+def _is_split_bag1(folder: Path) -> bool:
+    """Return whether a folder has parts of one ROS 1 bag, as ``rosbag record --split`` names them, and no other log."""
+    files = [file for file in folder.iterdir() if _is_storage(file)]
+    numbered = len({name_stem(file) for file in files}) == 1 and all(part_number(file) is not None for file in files)
+    return len(files) > 1 and numbered and all(split_name(sniff(file))[0] == "rosbag1" for file in files)
 
 
 def log_name(log: Path) -> str:
@@ -110,7 +128,12 @@ def is_named_like_a_log(path: Path) -> bool:
 
 def parts(path: Path, report: ReadReport) -> list[Path]:
     """Return the files of a log in their order: those of a ROS 2 bag's folder, or the file itself."""
-    return storage_files(path, report, _is_storage, read_metadata(path, report)) if path.is_dir() else [path]
+    return storage_files(path, report, _is_storage, _metadata(path, report)) if path.is_dir() else [path]
+
+
+def _metadata(folder: Path, report: ReadReport) -> Metadata | None:
+    """Return what the metadata of a bag's folder say; ROS 1 bags have none."""
+    return None if sniff(folder) == "rosbag1" else read_metadata(folder, report)
 
 
 def _is_storage(path: Path) -> bool:
@@ -122,7 +145,7 @@ def _is_storage(path: Path) -> bool:
 
 def read(path: Path, report: ReadReport) -> Iterator[RawMessage]:
     """Yield the messages of a log, file after file, each by the reader of its format. Raises UsageError."""
-    metadata = read_metadata(path, report) if path.is_dir() else None
+    metadata = _metadata(path, report) if path.is_dir() else None
     files = storage_files(path, report, _is_storage, metadata) if path.is_dir() else [path]
     report.total_bytes = sum(file.stat().st_size for file in files)
     messages = 0

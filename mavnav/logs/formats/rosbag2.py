@@ -21,6 +21,9 @@ LATEST_VERSION = 9
 STORAGES = {"mcap": "mcap", "rosbag2-sqlite3": "sqlite3"}
 """Formats of files by the names that rosbag2 gives them."""
 
+_PART = re.compile(r"(_?\d{4}(-\d\d){5})?(_(?P<number>\d+))?(\.(mcap|db3|bag|active|zstd|zst))*$")
+"""The end of the name of a part: the time of its beginning (ROS 1), its number, and suffixes."""
+
 _MAX_METADATA_BYTES = 1 << 20
 _MAX_DEPTH = 20
 
@@ -53,8 +56,8 @@ def storage_files(
     if len(set(names)) < len(names) or len(listed) < len(inside):
         report.warn("metadata.yaml lists a file more than once; it was read once")
     unlisted = [file for file in files if file not in listed]
-    parts = [file for file in unlisted if not listed or _name_stem(file) in set(map(_name_stem, listed))]
-    if len({_name_stem(file) for file in parts}) > 1:
+    parts = [file for file in unlisted if not listed or name_stem(file) in set(map(name_stem, listed))]
+    if len({name_stem(file) for file in parts}) > 1:
         names_found = ", ".join(file.name for file in files[:5]) + (", ..." if len(files) > 5 else "")
         raise UsageError(f"{folder}: {len(files)} logs that are no parts of one bag ({names_found}); name one of them")
     for file in unlisted if metadata else ():
@@ -79,9 +82,15 @@ def _natural_key(path: Path) -> list[tuple[bool, int, str]]:
     return [(part.isdigit(), int(part) if part.isdigit() else 0, part) for part in re.split(r"(\d+)", path.name)]
 
 
-def _name_stem(path: Path) -> str:
-    """Return the common stem of the names of a bag's parts: ``x`` of ``x_2.db3.zstd``."""
-    return re.sub(r"(_\d+)?(\.(mcap|db3|bag|active|zstd|zst))*$", "", path.name)
+def name_stem(path: Path) -> str:
+    """Return the common stem of a bag's parts: ``x`` of ``x_2.db3.zstd`` and ``x_2020-01-31-12-00-00_1.bag``."""
+    return _PART.sub("", path.name)
+
+
+def part_number(path: Path) -> int | None:
+    """Return the number of a part of a bag by its name; None without one."""
+    match = _PART.search(path.name)
+    return int(match["number"]) if match and match["number"] else None
 
 
 def _listed_file(folder: Path, name: str, report: ReadReport) -> Path | None:

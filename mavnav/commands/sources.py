@@ -1,0 +1,69 @@
+"""Where a log comes from: a path, an address, or standard input (``-``)."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from mavnav.errors import MavnavError, UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+STDIN: Final = "-"
+
+
+class LocalLog(NamedTuple):
+    """A log as a file or folder, and the address that it was fetched from, or ``-``; None for a path."""
+
+    path: Path
+    address: str | None = None
+
+    @property
+    def name(self) -> str:
+        """What the log is called in documents and messages."""
+        from mavnav.outputs.documents.addresses import public_address
+
+        return str(self.path) if self.address is None else public_address(self.address)
+
+
+@contextmanager
+def local_log(source: str | Path) -> Iterator[LocalLog]:
+    """Yield a log by a path, an address or ``-``, which are copied to a temporary folder while they are needed.
+
+    Errors contain the address in place of the temporary path. Raises UsageError if there is nothing to be read.
+    """
+    if isinstance(source, str) and source == STDIN:
+        with TemporaryDirectory(prefix="mavnav-") as made, _named(LocalLog(Path(made) / "stdin", STDIN)) as log:
+            _copy_stdin(log.path)
+            yield log
+    elif isinstance(source, str) and "://" in source:
+        from mavnav.batch.remote import download
+        from mavnav.outputs.documents.addresses import public_address
+
+        with download(source) as folder, _named(LocalLog(folder / public_address(source), source)) as log:
+            yield log
+    else:
+        yield LocalLog(Path(source))
+
+
+@contextmanager
+def _named(log: LocalLog) -> Iterator[LocalLog]:
+    """Replace the temporary path of a log in errors."""
+    try:
+        yield log
+    except MavnavError as error:
+        error.args = (str(error).replace(str(log.path), log.name),)
+        raise
+
+
+def _copy_stdin(path: Path) -> None:
+    from shutil import copyfileobj
+
+    if sys.stdin is None or sys.stdin.isatty():
+        raise UsageError("-: no log on standard input; write mavnav replay - < drive.mcap, or name a log")
+    with path.open("wb") as file:
+        copyfileobj(sys.stdin.buffer, file)

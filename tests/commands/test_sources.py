@@ -1,0 +1,96 @@
+"""Logs by address, by standard input, and in parts are the logs that a file would be."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mavnav.cli import run
+from mavnav.logs import open_log
+from support.field_logs import drive_log
+from support.log_files import drive, write_bag1, write_mcap
+
+
+class Piped(io.TextIOWrapper):
+    """Standard input of some bytes."""
+
+    def __init__(self, content: bytes) -> None:
+        super().__init__(io.BytesIO(content))
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    return write_mcap(tmp_path / "log.mcap", drive_log(2.0, beams=120))
+
+
+def info_of(source: str, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    assert run(["info", source, "--json", "-q"]) == 0
+    document: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return document
+
+
+def by_stdin(log: Path, patch: pytest.MonkeyPatch) -> str:
+    patch.setattr(sys, "stdin", Piped(log.read_bytes()))
+    return "-"
+
+
+def by_address(log: Path, patch: pytest.MonkeyPatch) -> str:
+    pytest.importorskip("fsspec", reason="the extra mavnav[cluster]")
+    return f"file://{log}"
+
+
+@pytest.mark.parametrize("given", [by_stdin, by_address])
+def test_a_log_from_elsewhere_is_the_log(
+    given: Callable[[Path, pytest.MonkeyPatch], str],
+    log: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    near = info_of(str(log), capsys)
+    source = given(log, monkeypatch)
+    far = info_of(source, capsys)
+    assert far["input"]["path"] == source
+    assert far | {"input": near["input"]} == near
+    words = ["-q", "--outputs", "trajectory"]
+    assert run(["replay", given(log, monkeypatch), "-o", str(tmp_path / "far"), *words]) == 0
+    assert run(["replay", str(log), "-o", str(tmp_path / "near"), *words]) == 0
+    assert (tmp_path / "far/trajectory.tum").read_bytes() == (tmp_path / "near/trajectory.tum").read_bytes()
+    document = json.loads((tmp_path / "far/run.json").read_text())
+    assert document["input"]["path"] == source
+    assert document["input"]["sha256"] == near["input"]["sha256"]
+
+
+@pytest.mark.parametrize("command", ["info", "replay"])
+def test_nothing_on_standard_input_is_no_log(
+    command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "stdin", Piped(b""))
+    assert run([command, "-"]) == 4
+    error = capsys.readouterr().err
+    assert "-: no usable scans; the file is empty" in error
+    assert "/mavnav-" not in error
+
+
+def test_the_parts_of_a_bag_of_ros_1_are_one_log(tmp_path: Path) -> None:
+    messages, folder = drive(30), tmp_path / "parts"
+    folder.mkdir()
+    parts = [messages[:20], messages[20:41], messages[41:]]
+    for k, part in enumerate(parts):
+        write_bag1(folder / f"drive_2020-01-31-12-0{k}-00_{k}.bag", part)
+    whole, log = open_log(write_bag1(tmp_path / "drive.bag", messages)), open_log(folder)
+    assert (log.format, len(log), log.damage, log.warnings) == ("rosbag1", 30, (), ())
+    assert log.stamps_ns.tolist() == whole.stamps_ns.tolist()
+
+
+def test_other_bags_in_a_folder_are_no_parts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("a_0.bag", "b_1.bag"):
+        write_bag1(tmp_path / name, drive(3))
+    assert run(["info", str(tmp_path)]) == 2
+    assert "no parts of one bag" in capsys.readouterr().err
