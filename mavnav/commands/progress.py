@@ -6,6 +6,7 @@ import gc
 import sys
 import threading
 from contextlib import contextmanager
+from math import inf
 from time import monotonic
 from typing import TYPE_CHECKING, Final, ParamSpec
 
@@ -48,6 +49,14 @@ class _ProgressState:
         self.phase, self.done, self.began_s, self.reported_s = "", 0, 0.0, monotonic()
         self.total: int | None = None
         self.job_began_s: float | None = None
+        self.printed_s = -inf
+
+    def note(self, text: str) -> None:
+        """Print a line, unless another one was printed less than a period ago."""
+        now_s = monotonic()
+        if now_s - self.printed_s >= self.period_s:
+            self.printed_s = now_s
+            note(f"mavnav: {text}")
 
     def due(self, phase: str, done: int, total: int | None) -> bool:
         """Store a report; return whether to show it: its phase is new, or a period has passed since the last one."""
@@ -173,7 +182,7 @@ def _line_report(state: _ProgressState) -> Progress:
     def report(phase: str, done: int, total: int | None) -> None:
         fresh = phase != state.phase
         if state.due(phase, done, total) and not fresh and total:
-            note(f"mavnav: {state.text()}")
+            state.note(state.text())
 
     return report
 
@@ -186,7 +195,7 @@ def _print_when_idle(state: _ProgressState, ended: threading.Event) -> None:
         lasts = state.total is None and phase != announced and now_s - state.began_s >= ANNOUNCE_AFTER_S
         if phase and (lasts or now_s - state.reported_s >= state.period_s):
             announced, state.reported_s = phase, now_s
-            note(f"mavnav: {state.text()}" if now_s - state.began_s >= state.period_s else f"mavnav: {state.title()}")
+            state.note(state.text() if now_s - state.began_s >= state.period_s else state.title())
 
 
 @contextmanager

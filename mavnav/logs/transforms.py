@@ -63,20 +63,22 @@ def planar_pose(message: TransformMessage) -> Pose | None:
 class FrameTree(Struct):
     """Transforms met in a log: ``static`` ones (the last counts), and those of /tf, noted if they ``changed``.
 
-    ``first_static`` are the static ones as they were first.
+    ``first_static`` are the static ones as they were first, ``latest`` those last met as they were written.
     """
 
     static: dict[tuple[str, str], NDArray[np.float64]] = field(default_factory=dict)
     first_static: dict[tuple[str, str], NDArray[np.float64]] = field(default_factory=dict)
     moving: dict[tuple[str, str], NDArray[np.float64]] = field(default_factory=dict)
     changed: set[tuple[str, str]] = field(default_factory=set)
+    latest: dict[tuple[str, str], tuple[object, object]] = field(default_factory=dict)
 
     def add(self, messages: Iterable[TransformMessage], *, static: bool) -> None:
         """Take in the transforms of one message."""
         for message in messages:
             edge = frame_name(message.parent), frame_name(message.child)
-            if not static and edge in self.changed:
+            if not static and (edge in self.changed or self.latest.get(edge) == (message.xyz, message.xyzw)):
                 continue
+            self.latest[edge] = message.xyz, message.xyzw
             matrix = matrix_of(message)
             if matrix is None:
                 continue

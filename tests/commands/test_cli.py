@@ -400,3 +400,15 @@ runpy.run_module("mavnav", run_name="__main__")
         done = subprocess.run(line, capture_output=True, text=True, check=False)
         assert done.returncode in {-signal.SIGINT, ExitCode.INTERRUPTED}, name
         assert "Traceback" not in done.stderr
+
+
+def test_off_a_terminal_there_is_a_line_in_a_period(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, value in (("TICK_S", 0.005), ("ANNOUNCE_AFTER_S", 0.01)):
+        monkeypatch.setattr(progress, name, value)
+    with progress.reporting(quiet=False) as report:
+        for k in range(10):
+            report(f"phase {k}", 0, None)
+            sleep(0.05)
+    assert len(capsys.readouterr().err.splitlines()) == 1

@@ -415,3 +415,13 @@ def test_transforms_of_another_robot_are_no_mounting(tmp_path: Path) -> None:
     scans = [laser(k, topic="/robot1/scan") for k in range(4)]
     log = open_log(write_mcap(tmp_path / "a", [tf("base_link", "laser", "/robot2/tf_static", x=0.3), *scans]))
     assert log.base_T_laser is None
+
+
+def test_a_mounting_in_tf_that_moves_after_a_rest_is_said_to_move(tmp_path: Path) -> None:
+    """Transforms that repeat the one before are not looked at again; the next other one is."""
+    yaws = [0.0] * 10 + [0.3] * 10 + [0.0] * 10
+    turns = [tf("base_link", "laser", "/tf", k, yaw=yaw) for k, yaw in enumerate(yaws)]
+    motion = [odom("/odom", k) for k in range(30)]
+    log = open_log(write_mcap(tmp_path / "a", [*turns, *motion, *(laser(k) for k in range(30))]))
+    assert log.base_T_laser is None
+    assert any("the transform from 'base_link' to 'laser' moves" in text for text in log.warnings)
