@@ -57,9 +57,11 @@ class RangeUnits:
         """Why the ranges are in no meters, and what to do; empty where they may be."""
         low, high = self._limits
         far = self._far > FAR_SHARE * self._positive
-        if not (far or (low > BLIND_M and high > 2 * FARTHEST_M and high < inf)):
+        reach = float(np.median(self._reaches)) if self._reaches else 0.0
+        odd_limits = BLIND_M < low < 0.5 * reach and 2 * FARTHEST_M < high < inf
+        if not (far or odd_limits):
             return ""
-        units = self._units()
+        units = self._units(reach)
         what = (
             "more than half of the ranges lie beyond 250 m"
             if far
@@ -71,12 +73,11 @@ class RangeUnits:
             "range_max too"
         )
 
-    def _units(self) -> list[str]:
+    def _units(self, reach: float) -> list[str]:
         """Return the units that limits and ranges may be in; all if they contradict each other."""
         low, high = self._limits
         fit = [unit for unit, count in UNITS.items() if _is_a_laser(low / count, high / count)]
         if _is_a_laser(low, high):  # the limits are in meters: the ranges alone are not
-            reach = float(np.median(self._reaches))
             fit = [unit for unit, count in UNITS.items() if reach / count <= high][:1]
         return fit or [*UNITS]
 
