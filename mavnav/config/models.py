@@ -235,6 +235,9 @@ class Config(Strict, frozen=True):
     attitude: Annotated[str, setting("tilt and height of the laser, to level scans: auto, off, or a topic")] = "auto"
     slice_mm: Annotated[float, setting("thickness of the maps by height", ge=50, le=10_000)] = 300.0
     odometry: OdometryConfig = OdometryConfig()
+    truth_at: Annotated[
+        Literal["first", "middle", "last"], setting("beam of a scan at whose time a true pose with its stamp holds")
+    ] = "first"
     upside_down: Annotated[bool, setting("the laser is mounted upside down, whatever the log says")] = False
     search: Annotated[Literal["pruned", "exhaustive"], setting("how poses are searched; same minimum")] = "pruned"
     final_pass: Annotated[bool, setting("match every scan once more against the finished map")] = True

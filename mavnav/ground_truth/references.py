@@ -10,6 +10,7 @@ from msgspec import Struct
 from mavnav.errors import UsageError
 from mavnav.metrics.fields import ABSENT
 from mavnav.metrics.reference import TOLERANCE_NS, Reference, TrueMap, map_distance, pose_errors, relation_errors
+from mavnav.pose import correct_path
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -133,6 +134,18 @@ def check_times(references: References, first_ns: int, last_ns: int) -> None:
         if last < first_ns - TOLERANCE_NS or first > last_ns + TOLERANCE_NS:
             spans = f"{first * NS:.1f} to {last * NS:.1f} s, and the log, {first_ns * NS:.1f} to {last_ns * NS:.1f} s"
             raise UsageError(f"{what}, {spans}, share no time; give a reference of the same log and clock")
+
+
+SWEEPS: Final = {"first": 1.0, "middle": 0.0, "last": -1.0}
+"""Time from where a true pose with the stamp of a scan holds to the middle of its sweep, in halves of the sweep."""
+
+
+def in_time_of_truth(trajectory: Trajectory, holds_s: float, truth_at: str) -> Trajectory:
+    """Return tracked poses, which hold ``holds_s`` after their stamps, at the stamps of a truth of the same times.
+
+    ``truth_at`` is the beam of a scan, first, middle or last, at whose time a true pose with its stamp holds.
+    """
+    return correct_path(trajectory, round(SWEEPS[truth_at] * holds_s / NS))
 
 
 def compare_to(

@@ -87,6 +87,11 @@ class MissionRecord(Struct, frozen=True):
     errors: TruthErrors
 
 
+def half_sweep_s(log: Log, outcome: SlamResult) -> float:
+    """Return the time after its stamp at which the pose of a scan holds, s."""
+    return log.mid_sweep_s if outcome.sweep_s is None else 0.5 * outcome.sweep_s
+
+
 class RunResult(Struct, frozen=True, dict=True):
     """A log, how it was run, what came out, and what was measured on its map.
 
@@ -147,6 +152,11 @@ class RunResult(Struct, frozen=True, dict=True):
         """The true walls to draw on top of the map, None where they are not known."""
         given = self.true_map
         return self.truth or (given if given and len(given.segments_map) + len(given.arcs_map) else None)
+
+    @property
+    def holds_s(self) -> float:
+        """Time after its stamp at which the pose of a scan holds, s: half a sweep."""
+        return half_sweep_s(self.log, self.slam)
 
     @property
     def map_T_base(self) -> Trajectory | None:

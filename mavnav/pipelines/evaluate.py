@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from mavnav.config.named_files import read_json
 from mavnav.errors import MavnavError, UsageError, reason_of
 from mavnav.ground_truth.map_file import read_map
-from mavnav.ground_truth.references import References, check_times, compare_to
+from mavnav.ground_truth.references import References, check_times, compare_to, in_time_of_truth
 from mavnav.ground_truth.tables import read_tum
 from mavnav.kernels.machine.building import prepare
 from mavnav.logs import open_log
@@ -47,7 +47,8 @@ Place = TypeVar("Place", GhostWall, StraightWall)
 class Subject(Struct, frozen=True):
     """What is measured: a map, where its cells lie in the map frame, and the scans behind it where they are known.
 
-    ``begins_late`` is set where the map frame is that of a later scan than the first one of the log.
+    ``begins_late`` is set where the map frame is that of a later scan than the first one of the log. The poses hold
+    ``holds_s`` after their stamps, and a true pose with the stamp of a scan at its beam ``truth_at``.
     """
 
     kind: str
@@ -55,6 +56,8 @@ class Subject(Struct, frozen=True):
     map_T_grid: Pose
     journey: Journey | None = None
     begins_late: bool = False
+    holds_s: float = 0.0
+    truth_at: str = "first"
 
     @property
     def has_counts(self) -> bool:
@@ -118,7 +121,14 @@ def _run(directory: Path) -> Subject:
     except (OSError, ValueError, KeyError, TypeError, MavnavError) as error:
         reason = reason_of(error)
         raise UsageError(f"{directory} is no whole run: {reason}; make it again with mavnav replay --force") from error
-    return Subject("run", grid, Pose(), journey, late)
+    holds_s, truth_at = _held(document)
+    return Subject("run", grid, Pose(), journey, late, holds_s, truth_at)
+
+
+def _held(document: dict[str, Any]) -> tuple[float, str]:
+    """Return when the poses of a run hold after their stamps, s, and the beam of true poses; older runs say neither."""
+    holds_s = document["tracking"].get("holds_s", 0.0)
+    return float(holds_s), str((document.get("config") or {}).get("truth_at", "first"))
 
 
 def _begins_late(document: dict[str, Any], map_T_laser: Trajectory) -> bool:
@@ -154,7 +164,8 @@ def _document(path: Path, what: Subject, references: References) -> dict[str, An
             "relative; give the true walls as a map file in the frame of the map"
         )
     sections = measured.sections if what.has_counts else {}  # a map file has no counts
-    reference = compare_to(references, what.trajectory, transform_points(what.map_T_grid, occupied_xy_m(grid)))
+    held = what.trajectory and in_time_of_truth(what.trajectory, what.holds_s, what.truth_at)
+    reference = compare_to(references, held, transform_points(what.map_T_grid, occupied_xy_m(grid)))
     document: dict[str, Any] = plain(
         {
             "path": str(path),

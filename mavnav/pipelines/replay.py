@@ -16,7 +16,7 @@ from mavnav.config.models import OdometryConfig
 from mavnav.config.option_kinds import recorded_topic
 from mavnav.config.options import ReplayOptions, paths_of, reference_files
 from mavnav.errors import ExitCode, StoppedError, UsageError
-from mavnav.ground_truth.references import compare_to, load_references
+from mavnav.ground_truth.references import compare_to, in_time_of_truth, load_references
 from mavnav.logs import check_log, open_log
 from mavnav.logs.formats.detect import log_name
 from mavnav.mapping.occupancy_grid import occupied_xy_m
@@ -24,7 +24,7 @@ from mavnav.metrics.reference import position_errors
 from mavnav.outputs.directory import check_directory
 from mavnav.outputs.documents.provenance import Typed, provenance, utc_now
 from mavnav.outputs.documents.sections import options_section
-from mavnav.outputs.run import RunResult, Timing
+from mavnav.outputs.run import RunResult, Timing, half_sweep_s
 from mavnav.outputs.writers import check_groups, write_run
 from mavnav.pipelines.again import replay_words
 from mavnav.pipelines.maps import check_references, known_map, localisation, measured_map, references_in_map, slices_of
@@ -192,7 +192,10 @@ def _track_and_write(
     continuation = _continue(outcome, log, given, config, progress, stopped=stopped is not None)
     outcome = continuation.outcome if continuation else outcome
     progress("measuring", 0, None)
-    references, warnings = references_in_map(given.references, log, outcome.begin_ns if given.own_frame else None)
+    held = in_time_of_truth(outcome.trajectory, half_sweep_s(log, outcome), config.truth_at)
+    later_ns = held.stamps_ns[:1].sum() - outcome.trajectory.stamps_ns[:1].sum()
+    begin_ns = outcome.begin_ns + int(later_ns) if given.own_frame and outcome.begin_ns is not None else None
+    references, warnings = references_in_map(given.references, log, begin_ns)
     outcome = changed(outcome, warnings=(*outcome.warnings, *warnings))
     measured = measured_map(outcome, log)
     timing = changed(began, wall_s=perf_counter() - began.wall_s, cpu_s=process_time() - began.cpu_s)
@@ -204,9 +207,9 @@ def _track_and_write(
         slam=outcome,
         measured=measured,
         timing=timing,
-        reference=compare_to(references, outcome.trajectory, occupied_xy_m(outcome.grid)),
+        reference=compare_to(references, held, occupied_xy_m(outcome.grid)),
         true_map=references.true_map,
-        position_errors_m=position_errors(outcome.trajectory, truth, aligned=True) if truth else None,
+        position_errors_m=position_errors(held, truth, aligned=True) if truth else None,
         stopped=stopped,
         localisation=localisation(known, _pose(request.options.get("start_pose")), outcome) if known else None,
         address=request.address,

@@ -27,7 +27,7 @@ from mavnav.outputs.pictures.animation import animate, check_animation
 from mavnav.outputs.run import MissionRecord, RunResult, Timing, Truth, WallShapes
 from mavnav.outputs.writers import WRITERS, check_groups, write_run
 from mavnav.pipelines.maps import measured_map, slices_of
-from mavnav.pose import Pose, rigid_fit
+from mavnav.pose import Pose, correct_path, rigid_fit
 from mavnav.profiling import Progress, new_profile
 from mavnav.simulation.mission import Flight, fly
 from mavnav.simulation.vehicle import mid_sweep_s
@@ -152,9 +152,9 @@ def recording_of(flight: Flight) -> Recording:
     """Return the flight as a recorder on the vehicle would have kept it, the truth beside it."""
     base_T_laser = flight.scenario.base_T_laser
     laser_T_base = base_T_laser.inverse()
-    world_T_base = flight.map_T_laser.seen_from(flight.world_T_map).compose(laser_T_base)
     spec = flight.scenario.laser.spec
     mid_ns = round(mid_sweep_s(spec) / NS) if flight.scenario.laser.moving else 0
+    world_T_base = correct_path(flight.map_T_laser.seen_from(flight.world_T_map).compose(laser_T_base), mid_ns)
     attitudes = [(scan.stamp_ns + mid_ns, a) for scan, a in zip(flight.scans, flight.attitudes, strict=False)]
     return Recording(flight.scans, flight.odom_T_base, world_T_base, base_T_laser, attitudes)
 

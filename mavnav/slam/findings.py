@@ -124,7 +124,8 @@ class Findings(Struct, frozen=True):
     map. ``by_odometry_m`` (n,) is the error to be expected of the steps that are placed by odometry alone, 0 for the
     others; empty without parts. ``observed`` and ``conflicts`` (n,) are the observability and the visibility conflicts
     of the steps in the finished map, ``hessians`` (n, 6) their Hessians, from which covariances are computed; empty
-    before the final pass. ``doubt`` is None where it was not judged. ``odometry`` is what corrects the odometry.
+    before the final pass. ``doubt`` is None where it was not judged. ``odometry`` is what corrects the odometry;
+    ``sweep_s`` the time of a sweep where it is another than stated, None where it is not.
     """
 
     warnings: tuple[str, ...] = ()
@@ -136,4 +137,5 @@ class Findings(Struct, frozen=True):
     conflicts: NDArray[np.float64] = field(default_factory=partial(np.zeros, 0))
     hessians: NDArray[np.float64] = field(default_factory=partial(np.zeros, (0, 6)))
     doubt: Doubt | None = None
+    sweep_s: float | None = None
     odometry: OdometryFit = GOOD_ODOMETRY

@@ -43,7 +43,8 @@ class SlamResult(Struct, frozen=True):
     used as recorded. ``attempts`` to track the log again, in order. ``parts`` are the stretches of a log that was not
     tracked as a whole, each on a separate map at first; else empty. ``doubt`` is None where it
     was not judged. ``begin_ns`` is the stamp of the scan that begins the map and defines the map frame; None where
-    nothing was tracked. ``odometry`` is what corrects the odometry that is used; None if none is.
+    nothing was tracked. ``odometry`` is what corrects the odometry that is used; None if none is. ``sweep_s``
+    is the time of a sweep where it is another than stated, else None.
     """
 
     steps: Steps
@@ -58,6 +59,7 @@ class SlamResult(Struct, frozen=True):
     covariances: NDArray[np.float64] | None = None
     begin_ns: int | None = None
     odometry: OdometryFit | None = None
+    sweep_s: float | None = None
 
     @property
     def tracks_compared(self) -> int:
@@ -100,6 +102,7 @@ def summarize(track: Track) -> SlamResult:
         covariances_of(steps, findings.hessians) if len(findings.hessians) else None,
         beginning_ns(steps, track.begin),
         used_odometry(track),
+        findings.sweep_s,
     )
 
 

@@ -53,6 +53,10 @@ class FabricatedLog(Struct, frozen=True):
     warnings: tuple[str, ...] = ("a warning",)
 
     @property
+    def mid_sweep_s(self) -> float:
+        return 0.0
+
+    @property
     def first_ns(self) -> int:
         return self.recorded[0].stamp_ns
 

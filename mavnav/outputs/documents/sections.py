@@ -121,6 +121,7 @@ class Tracking(Struct, frozen=True):
     path_length_m: Annotated[float, number("length of the path of the laser, standstill noise left out", title="path")]
     doubt: DoubtSection
     frames: Annotated[dict[str, list[str]], text("parent and child frame of each trajectory file")]
+    holds_s: Annotated[float, number("time after its stamp at which the pose of a scan holds")] = 0.0
     parts: Annotated[list[TrackedPart], text("stretches with maps of their own, joined or not")] = OPTIONAL
     attempts: Annotated[list[OtherTrack], text("other tracks of the log, each with one thing changed")] = OPTIONAL
     odometry: Annotated[OdometryUse, text("how the odometry of the log was used, absent without odometry")] = OPTIONAL

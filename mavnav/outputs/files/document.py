@@ -193,6 +193,7 @@ def _tracking(run: RunResult) -> sections.Tracking:
         doubt=_doubt(slam.doubt, first_ns),
         frames={"trajectory.tum": ["map", run.log.frame_id]}
         | ({} if run.log.base_T_laser is None else {"trajectory_base.tum": ["map", base_frame(run)]}),
+        holds_s=round(run.holds_s, 6),
         parts=[sections.TrackedPart(*_span_s(p, first_ns), p.scans, p.joined) for p in slam.parts] or ABSENT,
         attempts=[sections.OtherTrack(*attempt) for attempt in slam.attempts] or ABSENT,
         odometry=_odometry_use(run.log.odometry, slam.odometry, run.config.odometry) if run.log.odometry else ABSENT,

@@ -11,6 +11,8 @@ import numpy as np
 
 from mavnav.logs.messages import cdr, definitions
 from mavnav.logs.writing.mcap_writer import OutputChannel, write_serialized
+from mavnav.pose import correct_path
+from mavnav.units import NS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -53,10 +55,10 @@ def write_base_tum(run: RunResult, path: Path) -> None:
 
 
 def write_truth_tum(run: RunResult, path: Path) -> None:
-    """Write the true map_T_laser of every scan; raises ValueError where the run is no mission."""
+    """Write the true map_T_laser of every scan with the time of it; raises ValueError where the run is no mission."""
     if run.truth is None:
         raise ValueError("the truth is not known")
-    write_poses(run.truth.map_T_laser, path)
+    write_poses(correct_path(run.truth.map_T_laser, round(run.holds_s / NS)), path)
 
 
 def write_true_walls(run: RunResult, path: Path) -> None:

@@ -43,7 +43,8 @@ def time_sweeps(track: Track) -> Track | None:
     if not ratios[best_s] < BETTER:
         return None
     timed = replace(track, log_scans=partial(timed_scans, track.log_scans, best_s))
-    return timed.with_warning(warning(scans[0], best_s))
+    sweep_s = timed_scan(scans[0], best_s).sweep_s
+    return timed.with_warning(warning(scans[0], best_s)).with_findings(sweep_s=sweep_s)
 
 
 def warning(scan: Scan, turn_s: float) -> str:
