@@ -23,7 +23,7 @@ def lost_line(document: dict[str, Any]) -> str:
             f"mavnav: error: the laser was lost for good in the map{since}, {poses}; see whether the map is of this "
             f"place, and try {'another' if document['localisation']['start_pose'] else 'a'} --start-pose"
         )
-    beams = document["search"]["beams_used"]["median"] or 0
+    beams = _usable_beams(document)
     if beams < _FEW_BEAMS:
         return (
             f"mavnav: error: the scans see too little to be matched ({beams:.0f} usable beams in the median); "
@@ -33,6 +33,13 @@ def lost_line(document: dict[str, Any]) -> str:
         f"mavnav: error: tracking was lost for good{since}, {poses}; what could be tracked is written, "
         f"{_advice(document)}, and look at map.png"
     )
+
+
+def _usable_beams(document: dict[str, Any]) -> float:
+    """Return the usable beams of the median scan: those that were matched, or the valid ones where most were not."""
+    matched: float = document["search"]["beams_used"]["median"] or 0
+    usable = max(document["scans"]["usable"], 1)
+    return matched or float(document["cleaning"].get("valid", 0)) / usable
 
 
 def _advice(document: dict[str, Any]) -> str:

@@ -209,7 +209,8 @@ def _odd_returns(log: Log, seen: _Seen, far_m: float) -> Iterator[Finding]:
         yield Finding(
             "repeated",
             f"{repeated} of {usable} scans equal the one before",
-            "check the driver: it publishes old scans, or faster than the laser turns",
+            "right at rest in a simulation without noise; else check the driver: it publishes old scans, or faster "
+            "than the laser turns",
         )
     range_m, count = next(iter(seen.largest_m.most_common(1)), (0.0, 0))
     if scans >= SECTOR_SCANS and count > SAME_SCANS * scans:

@@ -270,8 +270,9 @@ def _scan_warnings(log: Log) -> Iterator[str]:
             yield f"{log.topic}: {count} of {counts.total} scans skipped: {reason.replace('_', ' ')}"
     if counts.repeated > REPEATED_SHARE * counts.usable:
         yield (
-            f"{log.topic}: {counts.repeated} of {counts.usable} scans repeat the one before; where the laser moved "
-            "meanwhile the track is wrong: check the driver, or cut the log with --start and --end"
+            f"{log.topic}: {counts.repeated} of {counts.usable} scans repeat the one before: right at rest in a "
+            "simulation without noise; else the track is wrong there: check the driver, or cut the log with --start and "
+            "--end"
         )
     if comes_in_bursts(log.stamps_ns):
         yield (

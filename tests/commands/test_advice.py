@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from shlex import split
 from typing import Any
 
 import numpy as np
+import pytest
+from msgspec.structs import replace
 
 from mavnav.cli import run
+from mavnav.commands.lost_advice import lost_line
+from mavnav.config.loading import load_config
+from mavnav.errors import NoScansError, TopicError
+from mavnav.logs import open_log
+from mavnav.pose import Pose
 from support.field_logs import START_S, drive_log, with_fields
-from support.log_files import LASER, Message, write_mcap
-from support.synthetic import along, box, polyline
+from support.log_files import LASER, ODOM, PERIOD_NS, START_NS, TF, Message, laser, write_bag1, write_mcap
+from support.synthetic import TOUR, along, box, polyline
 
 TURNING = along([(1.0, 0.8), (4.9, 0.8), (4.6, 2.9), (2.2, 3.0)], 0.02, 0.7, 1.5, START_S * 10**9)
 
@@ -62,3 +70,153 @@ def test_returns_beyond_the_default_are_used_where_most_are(tmp_path: Path) -> N
     code, document = replayed(log, tmp_path / "b", "--end", "0.5", "--set", "robust.far_mm=29000")
     assert (document["config"]["robust"]["far_mm"], document["warnings"]) == (29_000.0, document["warnings"])
     assert not [text for text in document["warnings"] if "are used" in text]
+
+
+def warning_of(path: Path, part: str, **chosen: Any) -> str:
+    (text,) = [text for text in open_log(path, **chosen).warnings if part in text]
+    return text
+
+
+def scans(**fields: Any) -> list[Message]:
+    return [laser(k, **fields) for k in range(30)]
+
+
+def odometry(topic: str) -> list[Message]:
+    return [Message(topic, ODOM, START_NS + k * PERIOD_NS, {"x": 0.02 * k, "y": 0.0, "yaw": 0.0}) for k in range(30)]
+
+
+def transform(topic: str, k: int, **fields: float) -> Message:
+    told = {"parent": "base_link", "child": "laser", "x": 0.0, "y": 0.0, "yaw": 0.0} | fields
+    return Message(topic, TF, START_NS + k * PERIOD_NS, told)
+
+
+def test_a_scan_topic_that_is_listed_can_be_chosen(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a", scans(topic="/front") + scans(topic="/rear"))
+    with pytest.raises(TopicError, match="choose one with --topic NAME") as error:
+        open_log(path)
+    names = re.findall(r"(/\w+) \(30 scans\)", str(error.value))
+    assert [len(open_log(path, topic=name)) for name in names] == [30, 30]
+
+
+@pytest.mark.parametrize("names", [["/a", "/b"], ["/base_pose_ground_truth"]], ids=["several", "truth"])
+def test_an_odometry_topic_that_is_named_can_be_chosen(names: list[str], tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a", scans() + [message for name in names for message in odometry(name)])
+    text = warning_of(path, "--odom")
+    for name in names:
+        assert name in text
+        log = open_log(path, odom=name)
+        assert log.odometry is not None
+        assert not [other for other in log.warnings if "--odom" in other]
+    if "--truth" in text:
+        (name,) = re.findall(r"--truth topic:(\S+),", text)
+        assert open_log(path, truth=name).truth is not None
+
+
+@pytest.mark.parametrize(
+    ("messages", "part"),
+    [
+        ([], "no transform from"),
+        ([transform("/tf", k, yaw=0.1 * k) for k in range(20)], "moves; give where"),
+        ([transform("/tf_static", k, x=0.1 * k) for k in range(2)], "gives several transforms"),
+    ],
+    ids=["none", "moving", "several"],
+)
+def test_a_mounting_that_is_given_takes_the_warning_away(messages: list[Message], part: str, tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a", [*messages, *scans(), *odometry("/odom")])
+    assert "--extrinsic x,y,yaw" in warning_of(path, part)
+    log = open_log(path, extrinsic=Pose(0.1, 0.0, 0.2))
+    assert (log.base_T_laser, [text for text in log.warnings if "--extrinsic" in text]) == (Pose(0.1, 0.0, 0.2), [])
+
+
+def test_ranges_divided_as_the_error_says_are_used(tmp_path: Path) -> None:
+    walls = np.linspace(60.0, 900.0, 60)
+    wrong = {"ranges": walls, "range_min": 10.0, "range_max": 1200.0, "angle_increment": 0.1}
+    with pytest.raises(NoScansError, match="divide them by 100, range_min and range_max too"):
+        open_log(write_mcap(tmp_path / "a", scans(**wrong)))
+    right = {"ranges": walls / 100, "range_min": 0.1, "range_max": 12.0, "angle_increment": 0.1}
+    assert len(open_log(write_mcap(tmp_path / "b", scans(**right)))) == 30
+
+
+@pytest.mark.parametrize("wrong", [0.0, 4.0])
+def test_an_increment_set_as_the_warning_says_is_no_news(wrong: float, tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a", scans(angle_increment=wrong, angle_max=1.0))
+    (step,) = re.findall(r"it is (\S+) rad", warning_of(path, "set it in the driver"))
+    again = open_log(write_mcap(tmp_path / "b", scans(angle_increment=float(step), angle_max=1.0)))
+    assert not [text for text in again.warnings if "angle" in text]
+
+
+def test_a_time_increment_set_as_the_warning_says_is_kept(tmp_path: Path) -> None:
+    messages = drive_log(path=TURNING, beams=120)
+    log = write_mcap(tmp_path / "a.mcap", with_fields(messages, time_increment=0.0))
+    _, document = replayed(log, tmp_path / "a")
+    (beam_s,) = re.findall(r"fit better with (\S+) s", warning_with(document, "time_increment"))
+    log = write_mcap(tmp_path / "b.mcap", with_fields(messages, time_increment=float(beam_s)))
+    code, document = replayed(log, tmp_path / "b")
+    assert (code, [text for text in document["warnings"] if "time_increment" in text]) == (0, [])
+
+
+def test_a_window_within_the_time_that_an_error_states_has_scans(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a", scans())
+    with pytest.raises(NoScansError, match=r"the scans last (2\.9) s: check --start and --end"):
+        open_log(path, start_s=60.0)
+    assert len(open_log(path, start_s=1.0, end_s=2.9)) == 20
+
+
+def test_the_bags_of_a_folder_can_be_named_or_run_as_a_batch(tmp_path: Path) -> None:
+    write_mcap(tmp_path / "drive.mcap", drive_log(1.0, beams=60))
+    write_bag1(tmp_path / "drive.bag", drive_log(1.0, beams=60))
+    with pytest.raises(NoScansError, match=r"drive\.bag and drive\.mcap; name one, or use 'mavnav batch FOLDER'"):
+        open_log(tmp_path)
+    assert len(open_log(tmp_path / "drive.bag")) == len(open_log(tmp_path / "drive.mcap"))
+
+
+def lost(**changes: Any) -> dict[str, Any]:
+    """Return what the advice needs of the run.json of a lost log."""
+    method = changes.get("method", "robust")
+    config = load_config(None, changes.pop("sets", []), {"method": method}).document()
+    return {
+        "tracking": {"tracked_share": 0.1, "intervals": [], "parts": []},
+        "search": {"beams_used": {"median": 0}},
+        "scans": {"usable": 50, "processed": 50},
+        "cleaning": {"valid": 50 * 360},
+        "method": "robust",
+        "config": config,
+        "input": {"odometry": None},
+    } | changes
+
+
+@pytest.mark.parametrize(
+    ("changes", "part"),
+    [
+        ({}, "record odometry, or more scans a second"),
+        ({"cleaning": {"valid": 50 * 5}}, "the scans see too little to be matched (5 usable beams in the median)"),
+        ({"search": {"beams_used": {"median": 11}}}, "(11 usable beams in the median)"),
+        ({"sets": ["robust.cell_mm=200"]}, "try without robust.cell_mm=200"),
+        ({"method": "paper"}, "try --method robust"),
+    ],
+    ids=["slow", "blind", "few", "setting", "paper"],
+)
+def test_a_lost_log_is_told_what_is_so(changes: dict[str, Any], part: str) -> None:
+    assert part in lost_line(lost(**changes))
+
+
+def test_no_advice_leads_back_to_fewer_returns() -> None:
+    """A log whose walls are far is used to its limit; to try without that would go in a circle."""
+    assert "far_mm" not in lost_line(lost(sets=["robust.far_mm=80000"]))
+    assert "try without robust.far_mm=5000" in lost_line(lost(sets=["robust.far_mm=5000"]))
+
+
+def test_a_log_of_calibrated_odometry_is_replayed_as_the_calibration_says(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The line that calibrate prints for odometry half a second late keeps that, and the offset is stated."""
+    path = along([*TOUR, *TOUR[1:6]], 0.02, 0.6, 1.2, START_S * 10**9)
+    messages = drive_log(path=path, beams=90, odometry=True)
+    late = [replace(m, stamp_ns=m.stamp_ns + 500_000_000) if m.type == ODOM else m for m in messages]
+    log = write_mcap(tmp_path / "log.mcap", sorted(late, key=lambda m: m.stamp_ns))
+    assert run(["calibrate", str(log), "-q"]) == 0
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("mavnav replay")]
+    _, *words = split(line)
+    assert run([*words, "-o", str(tmp_path / "run"), "-q", "--outputs", "trajectory"]) == 0
+    used = json.loads((tmp_path / "run" / "run.json").read_text())["tracking"]["odometry"]
+    assert (used["used"], used["offset_s"]) == (True, pytest.approx(-0.5, abs=0.06))
