@@ -271,8 +271,8 @@ def _scan_warnings(log: Log) -> Iterator[str]:
     if counts.repeated > REPEATED_SHARE * counts.usable:
         yield (
             f"{log.topic}: {counts.repeated} of {counts.usable} scans repeat the one before: right at rest in a "
-            "simulation without noise; else the track is wrong there: check the driver, or cut the log with --start and "
-            "--end"
+            "simulation without noise; else the track is wrong there: check the driver, or cut the log with --start "
+            "and --end"
         )
     if comes_in_bursts(log.stamps_ns):
         yield (
