@@ -9,6 +9,7 @@ from shlex import quote
 from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct, field
+from msgspec.structs import replace
 
 from mavnav.config.models import OdometryConfig
 from mavnav.config.options import ReplayOptions
@@ -21,6 +22,8 @@ from mavnav.outputs.directory import check_apart, check_file, write_file
 from mavnav.outputs.files.document import to_json
 from mavnav.outputs.pictures import calibration_picture
 from mavnav.outputs.report.summary_page import calibration_summary, draw_png, write_summary
+from mavnav.outputs.run import half_sweep_s
+from mavnav.pipelines.reach import with_reach
 from mavnav.pose import Pose
 from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, LogOdometry, fit_odometry
 from mavnav.slam.methods.registry import load_kernels
@@ -68,14 +71,16 @@ def calibrate(request: CalibrationRequest, progress: Progress) -> dict[str, Any]
     _check(request)
     log = _open(request, progress)
     load_kernels(request.config, progress)
+    config, warnings = with_reach(request.config, log)
     outcome = run_slam(
         log.scans,
-        request.config,
+        config,
         log.period_s,
         rotation=log.imu.rotation if log.imu else None,
         on_step=lambda phase, done: progress(phase, done, log.counts.usable),
         last=MEASURING,
     )
+    outcome = replace(outcome, warnings=(*warnings, *outcome.warnings))
     progress("calibrating", 0, None)
     motions = _motions(log, outcome)
     why = _doubtful(outcome)
@@ -129,7 +134,7 @@ def _motions(log: Log, outcome: SlamResult) -> Motions:
     odometry = LogOdometry(log.odometry.odom_T_base, log.base_T_laser or Pose(), log.stamps_ns)
     fit = fit_odometry(odometry, outcome.trajectory, GOOD_ODOMETRY)
     track = odometry.averaged(outcome.trajectory) if fit and fit.averaged else None
-    return motions_of(track or outcome.trajectory, log.odometry.odom_T_base, 2.0 * log.mid_sweep_s)
+    return motions_of(track or outcome.trajectory, log.odometry.odom_T_base, 2.0 * half_sweep_s(log, outcome))
 
 
 def _doubtful(outcome: SlamResult) -> str:
