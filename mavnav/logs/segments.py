@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from itertools import chain, pairwise
-from math import isfinite, pi, tau
+from math import pi, tau
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -23,8 +23,14 @@ LOOKED_AT: Final = 8
 WIDEST_RAD: Final = 1.05 * pi
 """A segment is at most half a turn."""
 
-LONGEST_PAUSE_S: Final = 0.5
-"""A segment that is later, s, begins another sweep."""
+LONGEST_PAUSE_NS: Final = 500_000_000
+"""A segment that is later, ns, begins another sweep; stamps may be integers of any size."""
+
+MOST_BEAMS: Final = 1 << 15
+"""A turn has at most so many beams."""
+
+LONGEST_SWEEP_S: Final = 60.0
+"""A stated time between two beams that makes a sweep longer is none."""
 
 FEWEST_SHARE: Final = 0.5
 """Share of the messages that continue the one before, of segments; those with other angles are reported from it on."""
@@ -68,7 +74,7 @@ class SweepJoiner:
         self._topic, self._warn = topic, warn
         self._waiting: list[Recorded] = []
         self._joins: bool | None = None
-        self._angle_rad, self._beams, self._increment_s = 0.0, 0, 0.0
+        self._angle_rad, self._step_rad, self._beams, self._increment_s = 0.0, 0.0, 0, 0.0
         self._scans, self._elsewhere = 0, 0
         self._last_rad: float | None = None
 
@@ -100,29 +106,35 @@ class SweepJoiner:
         following = [_follows(a.message, b.message) for a, b in pairwise(waiting)]
         self._joins = sum(following) > FEWEST_SHARE * max(len(following), 1)
         if self._joins:
-            begin = following.index(False) + 1 if False in following else 0
-            self._begin(waiting[begin].message, [scan.message for scan in waiting])
+            messages = [scan.message for scan in waiting if _is_segment(scan.message)]
+            behind = (b for a, b in pairwise(messages) if not _follows(a, b))
+            self._begin(next(behind, messages[0]), messages)
         for scan in waiting:
             yield from self.push(scan)
 
     def _begin(self, first: LaserMessage, messages: list[LaserMessage]) -> None:
         """Note the geometry of the sweeps, and how long a beam takes: as stated, or by the stamps of the segments."""
-        self._angle_rad, self._beams = first.angle_min_rad, round(tau / abs(first.angle_step_rad))
+        self._angle_rad, self._step_rad = first.angle_min_rad, first.angle_step_rad
+        self._beams = round(tau / abs(first.angle_step_rad))
         pairs = [pair for pair in pairwise(messages) if _follows(*pair)]
         each_s = [(b.stamp_ns - a.stamp_ns) * NS / len(a.ranges_m) for a, b in pairs]
         by_stamps_s, stated_s = float(np.median(each_s)), first.time_increment_s
         low, high = PLAUSIBLE_SWEEP
         agrees = low * by_stamps_s <= abs(stated_s) <= high * by_stamps_s
-        self._increment_s = stated_s if agrees or not by_stamps_s else by_stamps_s
+        possible = abs(stated_s) * self._beams <= LONGEST_SWEEP_S  # False for NaN, too
+        self._increment_s = stated_s if agrees or (possible and not by_stamps_s) else by_stamps_s
         wide = len(first.ranges_m) * abs(first.angle_step_rad) / DEG
         self._warn(f"{self._topic}: the scans are segments of {wide:.0f} deg, which are joined to sweeps")
 
     def _join(self, scan: Recorded) -> Iterator[Recorded]:
-        """Add a segment to the sweep; yield the one before if it begins another."""
+        """Add a segment to the sweep; yield the one before if it begins another. What is no segment passes."""
+        if not (_is_segment(scan.message) and _same_step(scan.message.angle_step_rad, self._step_rad)):
+            yield scan
+            return
         if self._waiting:
             last = self._waiting[-1]
-            late_s = (scan.message.stamp_ns - last.message.stamp_ns) * NS
-            if self._place(scan) <= self._place(last) or not 0.0 <= late_s <= LONGEST_PAUSE_S:
+            late_ns = scan.message.stamp_ns - last.message.stamp_ns
+            if self._place(scan) <= self._place(last) or not 0 <= late_ns <= LONGEST_PAUSE_NS:
                 yield self._sweep()
         self._waiting.append(scan)
 
@@ -158,14 +170,23 @@ class SweepJoiner:
         self._last_rad = message.angle_min_rad
 
 
+def _is_segment(message: LaserMessage) -> bool:
+    """Return whether a scan may be a part of a turn."""
+    step_rad = abs(message.angle_step_rad)
+    fine = tau <= step_rad * MOST_BEAMS and abs(message.angle_min_rad) <= 2 * tau  # False for NaN, too
+    return fine and 0.0 < len(message.ranges_m) * step_rad <= WIDEST_RAD
+
+
+def _same_step(a_rad: float, b_rad: float) -> bool:
+    return abs(a_rad - b_rad) <= 1e-3 * abs(b_rad)
+
+
 def _follows(before: LaserMessage, message: LaserMessage) -> bool:
     """Return whether a message begins where the one before ends, soon after it."""
-    step_rad, beams = before.angle_step_rad, len(before.ranges_m)
-    if not (0.0 < beams * abs(step_rad) <= WIDEST_RAD) or abs(message.angle_step_rad - step_rad) > 1e-3 * abs(step_rad):
+    step_rad = before.angle_step_rad
+    if not (_is_segment(before) and _is_segment(message) and _same_step(message.angle_step_rad, step_rad)):
         return False
-    off_rad = message.angle_min_rad - before.angle_min_rad - beams * step_rad
-    if not isfinite(off_rad):
-        return False
+    off_rad = message.angle_min_rad - before.angle_min_rad - len(before.ranges_m) * step_rad
     off_rad -= tau * round(off_rad / tau)
-    soon = 0.0 <= (message.stamp_ns - before.stamp_ns) * NS <= LONGEST_PAUSE_S
+    soon = 0 <= message.stamp_ns - before.stamp_ns <= LONGEST_PAUSE_NS
     return soon and abs(off_rad) <= 1.5 * abs(step_rad)

@@ -84,6 +84,31 @@ def test_segments_that_do_not_follow_each_other_are_reported(sweeps: list[Messag
 
 
 @pytest.mark.parametrize(
+    "damage",
+    [
+        {"angle_min": float("nan")},
+        {"angle_min": 1e30},
+        {"angle_increment": 0.0, "angle_max": 0.0},
+        {"angle_increment": 1e-30, "angle_max": 0.0},
+        {"time_increment": float("nan")},
+        {"ranges": []},
+    ],
+    ids=lambda fields: "-".join(f"{name}={value}" for name, value in fields.items()),
+)
+@pytest.mark.parametrize("place", [0, 3, 40])
+def test_a_damaged_segment_costs_itself_alone(
+    damage: dict[str, object], place: int, sweeps: list[Message], tmp_path: Path
+) -> None:
+    cut = segments(sweeps, 12)
+    cut[place] = replace(cut[place], fields=cut[place].fields | damage)
+    log = open_log(write_mcap(tmp_path / "a", cut))
+    whole = [scan for scan in log.scans() if scan.spec.beams == 120]
+    assert len(sweeps) - 1 <= len(whole) <= len(sweeps) + 1
+    returns = sum(int(np.isfinite(scan.ranges_m).sum()) for scan in whole)
+    assert returns >= sum(len(m.fields["ranges"]) for m in segments(sweeps, 12)) - 10
+
+
+@pytest.mark.parametrize(
     "scans",
     [
         [laser(k) for k in range(30)],
