@@ -3,14 +3,15 @@
     python benchmarks/doubt.py collect RUNS.jsonl [--logs FOLDER] [--jobs N] [--only TEXT]
     python benchmarks/doubt.py fit RUNS.jsonl [--only TEXT]
     python benchmarks/doubt.py report RUNS.jsonl [--plot FILE.png]
+    python benchmarks/doubt.py held-out RUNS.jsonl
 
 ``collect`` makes the runs missing in the file: disturbed recorded logs, compared with the undisturbed track, and scenes
 and missions, compared with ground truth. Each line contains the features of a run, always with a second track, and its
 errors. A run is wrong if the motion over any window of 2 or 10 s has an error over 0.2 m or 5 deg. ``fit`` fits the
 coefficients to the even seeds and prints them for mavnav/slam/doubt/features.py; with ``--only`` those of the
 features with a text in the name, and the others stay. ``report`` evaluates all runs with the coefficients in that file,
-with the second track only if the doubt of the first one requires it. It prints both halves, and then every simulated
-scene with all seeds.
+with the second track only if the doubt of the first one requires it. ``held-out`` fits them to all logs, scenes and
+missions but one, judges that one, and reports all of these together, beside the coefficients in the file.
 """
 
 from __future__ import annotations
@@ -153,16 +154,44 @@ def fit(runs: list[Run], only: str) -> None:
         print("".join(f"    {name}: {weight}\n" for name, weight in weights.weights.items()))
 
 
-def judged(run: Run) -> float:
+Model = tuple[Weights, Weights]
+"""The coefficients without and with a second track."""
+
+
+def judged(run: Run, model: Model = (ONE_TRACK, TWO_TRACKS)) -> float:
     """Return the doubt of a run, with the second track if the doubt of the first one is high."""
-    one = probability({**run["features"], DISAGREEMENT: np.nan})
-    return one if one < WORTH_A_TRACK else probability(run["features"])
+    one = probability({**run["features"], DISAGREEMENT: np.nan}, *model)
+    return one if one < WORTH_A_TRACK else probability(run["features"], *model)
 
 
-def outcomes(runs: list[Run]) -> str:
+def held_out(runs: list[Run]) -> None:
+    """Print how well each log, scene and mission is judged by coefficients that are fitted to the others."""
+    live = [run for run in runs if run["features"] and not run["lost"]]
+    doubts: dict[str, float] = {}
+    for _, some in grouped(live, source):
+        named = {run["name"] for run in some}
+        rest = [run for run in live if run["name"] not in named]
+        one, two = (fitted(rest, list(now.weights), Weights(-3.0, {})) for now in (ONE_TRACK, TWO_TRACKS))
+        doubts |= {run["name"]: judged(run, (one, two)) for run in some}
+    for title, doubt_of in (("as released", judged), ("held out", lambda run: doubts[run["name"]])):
+        print(f"\n| {title} | runs | right | right, marked | wrong, marked | exit 5 | silently wrong |\n|" + "---|" * 7)
+        print(f"| **all** {outcomes(runs, doubt_of)}")
+        for what, some in grouped(runs, source):
+            print(f"| {what} {outcomes(some, doubt_of)}")
+        print("\n| doubt | runs | mean doubt | wrong |\n|---|---|---|---|")
+        for low, high, count, mean, share in reliability(live, doubt_of):
+            print(f"| {low:g} to {high:g} | {count} | {mean:.2f} | {share:.2f} |")
+
+
+def source(name: str) -> str:
+    """Return the log, scene or mission of a run."""
+    return name.partition("/")[0]
+
+
+def outcomes(runs: list[Run], doubt_of: Callable[[Run], float] = judged) -> str:
     """Return a table row with the numbers of correct, marked, lost and silently wrong runs."""
     live = [run for run in runs if not run["lost"] and run["features"]]
-    right, wrong = ([judged(r) > HIGH for r in live if is_wrong(r) == w] for w in (False, True))
+    right, wrong = ([doubt_of(r) > HIGH for r in live if is_wrong(r) == w] for w in (False, True))
     silent, false = len(wrong) - sum(wrong), sum(right)
     return (
         f"| {len(runs)} | {len(right) - false} | {false} ({100 * false / max(len(right), 1):.1f} %) | {sum(wrong)} "
@@ -221,9 +250,11 @@ def report(runs: list[Run], plot: Path | None) -> None:
         print(f"| {what} {outcomes(some)} {main_reason(some)} |")
 
 
-def reliability(runs: list[Run]) -> list[tuple[float, float, int, float, float]]:
+def reliability(
+    runs: list[Run], doubt_of: Callable[[Run], float] = judged
+) -> list[tuple[float, float, int, float, float]]:
     """Return for each bin its limits, the number of runs, their mean doubt and the share of wrong ones."""
-    doubts, wrong = np.array([judged(r) for r in runs]), np.array([is_wrong(r) for r in runs])
+    doubts, wrong = np.array([doubt_of(r) for r in runs]), np.array([is_wrong(r) for r in runs])
     rows = []
     for low, high in pairwise(BINS):
         inside = (doubts >= low) & ((doubts < high) | (high == 1.0))
@@ -247,7 +278,7 @@ def draw(rows: list[tuple[float, float, int, float, float]], path: Path) -> None
 def main() -> None:
     """Collect, fit or report."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("action", choices=("collect", "fit", "report"))
+    parser.add_argument("action", choices=("collect", "fit", "report", "held-out"))
     parser.add_argument("runs", type=Path)
     parser.add_argument("--logs", type=Path, default=Path("../shared/logs"))
     parser.add_argument("--jobs", type=int, default=2)
@@ -258,6 +289,8 @@ def main() -> None:
         collect(args.runs, args.logs, args.jobs, args.only)
     elif args.action == "fit":
         fit(read(args.runs), args.only)
+    elif args.action == "held-out":
+        held_out(read(args.runs))
     else:
         report(read(args.runs), args.plot)
 
