@@ -18,7 +18,16 @@ from mavnav.pose import Pose, Trajectory, blend
 from mavnav.profiling import timed
 from mavnav.slam.findings import Edge, Loop, Loops, PoseGraph
 from mavnav.slam.loop_closure.closure import KeyClosure, agreeing_closures, find_closure, is_small
-from mavnav.slam.loop_closure.key_frames import KeyFrame, KeyFrameMap, Paths, Visibility, drift_bound, key_rows
+from mavnav.slam.loop_closure.key_frames import (
+    PART_M,
+    KeyFrame,
+    KeyFrameMap,
+    LocalMaps,
+    Paths,
+    Visibility,
+    drift_bound,
+    key_rows,
+)
 from mavnav.slam.loop_closure.pose_graph import optimize, path_edges
 from mavnav.slam.matching.scan_matching import no_match
 from mavnav.slam.matching.steps import Steps, tracked_trajectory
@@ -44,11 +53,8 @@ if TYPE_CHECKING:
 LOOP_M = 8.0
 """Minimum path of a loop: for shorter ones the tracker itself keeps the map consistent."""
 
-SEARCH_M, FAR_SEARCH_M = 0.25, 2.5
-"""Path between two searches: at first, and while closures confirm the track or no closure is found."""
-
-CONFIRMING = 2
-"""Number of successive small closures that confirm the track."""
+FAR_SEARCH_M = 2.5
+"""Path between two searches while closures confirm the track or no closure is found."""
 
 MOST_FAILED = 40
 """Number of successive searches without a closure after which they become sparse."""
@@ -80,7 +86,11 @@ def find_loops(map_T_laser: Trajectory, points_of: PointsOf, information_of: Inf
     if len(tracked) < len(rows):
         return Loops()
     path = path_edges(map_T_laser, tracked, information_of)
-    keys, closures, refused = find_closures(tracked, path, config)
+    local = LocalMaps(tracked, config)
+    keys, closures, refused = find_closures(tracked, path, local, config)
+    if keys is not tracked and not predicts_better(keys, tracked, local, config):
+        confirming = [closure for closure in closures if is_small(closure.correction(tracked))]
+        keys, closures, refused = tracked, confirming, refused + len(closures) - len(confirming)
     closed = tuple(
         Loop(tracked[c.start].row, tracked[c.end].row, c.start_T_end, c.correction(tracked), c.match.inliers)
         for c in closures
@@ -90,20 +100,19 @@ def find_loops(map_T_laser: Trajectory, points_of: PointsOf, information_of: Inf
 
 
 def find_closures(
-    tracked: list[KeyFrame], path: list[Edge], config: Config
+    tracked: list[KeyFrame], path: list[Edge], local: LocalMaps, config: Config
 ) -> tuple[list[KeyFrame], list[KeyClosure], int]:
-    """Return the corrected key frames, the closures that agree, and the number of searches without one.
+    """Return the corrected key frames, the closures that agree, and the number of those that are refused.
 
     A key frame keeps the closure of an earlier round where the later one, which is sparser, does not search it.
     """
     keys, closures, refused = tracked, list[KeyClosure](), 0
     for _ in range(ROUNDS):
-        searches = list(detect_closures(keys, config))
-        latest = {c.end: c for c in (*closures, *searches) if c}
+        latest = {c.end: c for c in (*closures, *detect_closures(keys, closures, local, config))}
         agreed = consistent_closures(list(latest.values()), keys, tracked)
         if len(agreed) < len(closures):
             break
-        closures, refused = agreed, max(len(searches) - len(agreed), 0)
+        closures, refused = agreed, len(latest) - len(agreed)
         if track_confirmed([closure.correction(keys) for closure in closures]):
             break
         poses = optimize([key.map_T_laser for key in tracked], [*path, *edges_of(closures)])
@@ -130,41 +139,74 @@ def nearest_old(xy_m: NDArray[np.float64], paths_m: NDArray[np.float64], j: int)
     return i if off_m[i] <= SIGHT_M + drift_bound(paths_m[j] - paths_m[i])[0] else None
 
 
-def detect_closures(keys: Sequence[KeyFrame], config: Config) -> Iterator[KeyClosure | None]:
-    """Search key frames in the old part of the map; yield a closure or None for each search.
+def detect_closures(
+    keys: Sequence[KeyFrame], known: Sequence[KeyClosure], local: LocalMaps, config: Config
+) -> Iterator[KeyClosure]:
+    """Search every other key frame in the old part of the map; yield the closures, also those of no agreement.
 
-    Searches are dense at first and sparse where closures confirm the track, which also bounds the drift from there on.
-    Weak closures confirm nothing, because the drift along a corridor stays unknown.
+    Searches are dense at first and sparse where closures confirm the track, which also bounds the drift from there on;
+    so do those ``known``. Weak closures confirm nothing, because the drift along a corridor stays unknown. Where there
+    can be little drift, local maps are searched, else the map of all.
     """
-    old, seen, paths, pace = KeyFrameMap(config), Visibility(keys), Paths(), Pace()
+    old, seen, paths, pace = KeyFrameMap(config), Visibility(keys, local), Paths(), Pace()
+    for each in known:
+        if each.weak_rad is None:
+            paths.join(keys[each.start].path_m, keys[each.end].path_m)
     xy_m, paths_m = np.array([k.map_T_laser[:2] for k in keys]), np.array([k.path_m for k in keys])
     for j, key in enumerate(keys):
-        i = nearest_old(xy_m, paths_m, j) if key.path_m >= pace.next_m else None
+        i = nearest_old(xy_m, paths_m, j) if takes_part(j) and key.path_m >= pace.next_m else None
         if i is None:
             continue
         count = int(np.searchsorted(paths_m, key.path_m - LOOP_M))
-        old.grow(keys, count)
         seen.grow(count)
-        closure = find_closure(keys, j, old, seen, drift_bound(paths.between(keys[i].path_m, key.path_m)), config)
-        full = closure if closure and closure.weak_rad is None else None
-        pace = pace.after(key.path_m, full, small=full is not None and is_small(full.correction(keys)))
-        if full and pace.confirming >= CONFIRMING:
-            paths.join(keys[full.start].path_m, key.path_m)
-        yield closure
+        bound = drift_bound(paths.between(keys[i].path_m, key.path_m))
+        if wide := bound[0] > PART_M:
+            old.grow(keys, count)
+        closure = find_closure(keys, j, old if wide else None, seen, bound, config)
+        confirms = closure is not None and closure.weak_rad is None and is_small(closure.correction(keys))
+        pace = pace.after(key.path_m, failed=closure is None, confirms=confirms)
+        if closure:
+            if confirms:
+                paths.join(keys[closure.start].path_m, key.path_m)
+            yield closure
 
 
 class Pace(NamedTuple):
-    """When to search next: the path length ``next_m``, and the successive small closures and failed searches so far."""
+    """When to search next: the path length ``next_m``, and the successive failed searches so far."""
 
     next_m: float = 0.0
-    confirming: int = 0
-    failed: int = 0
+    failures: int = 0
 
-    def after(self, path_m: float, closure: KeyClosure | None, *, small: bool) -> Pace:
-        """Return the pace after a search."""
-        confirming, failed = (self.confirming + 1 if small else 0), (0 if closure else self.failed + 1)
-        step_m = FAR_SEARCH_M if confirming >= CONFIRMING or failed >= MOST_FAILED else SEARCH_M
-        return Pace(path_m + step_m, confirming, failed)
+    def after(self, path_m: float, *, failed: bool, confirms: bool) -> Pace:
+        """Return the pace after a search that failed, or found a closure that confirms the track, or corrects it."""
+        failures = self.failures + 1 if failed else 0
+        return Pace(path_m + (FAR_SEARCH_M if confirms or failures >= MOST_FAILED else 0.0), failures)
+
+
+def takes_part(j: int) -> bool:
+    """Return whether a key frame is searched: every other one, because the rest tell whether closures predict."""
+    return j % 2 == 0
+
+
+def predicts_better(keys: Sequence[KeyFrame], tracked: Sequence[KeyFrame], local: LocalMaps, config: Config) -> bool:
+    """Return whether key frames that took no part fit better to what was seen a long path before than as tracked."""
+    worst_m, gain_m2 = config.robust.expert.truncate_m, 0.0
+    for j, i in sorted({pair for some in (keys, tracked) for pair in revisits(some, local)}):
+        middle, part = local.around(i)
+        poses = np.array([some[middle].map_T_laser.between(some[j].map_T_laser) for some in (tracked, keys)])
+        before, after = (part.lines.costs(keys[j].points, pose[None, :2], pose[2:], worst_m)[0, 0] for pose in poses)
+        gain_m2 += before - after
+    return gain_m2 > 0.0
+
+
+def revisits(keys: Sequence[KeyFrame], local: LocalMaps) -> Iterator[tuple[int, int]]:
+    """Yield the key frames that take no part, each with the one of a long path before that saw most of the same."""
+    xy_m, paths_m = np.array([k.map_T_laser[:2] for k in keys]), np.array([k.path_m for k in keys])
+    seen = Visibility(keys, local)
+    for j, key in enumerate(keys):
+        if not takes_part(j) and nearest_old(xy_m, paths_m, j) is not None:
+            seen.grow(int(np.searchsorted(paths_m, key.path_m - LOOP_M)))
+            yield j, seen.reference(key)
 
 
 def track_confirmed(corrections: Sequence[Pose]) -> bool:
@@ -192,10 +234,7 @@ def follow(map_T_laser: Trajectory, tracked: Sequence[KeyFrame], keys: Sequence[
 
 
 def close_loops(track: Track, refiner: Refiner) -> Track:
-    """Close loops and rebuild the map; the track does not change without loops, or if the new map is no sharper.
-
-    Nor does it change if the run is stopped early.
-    """
+    """Close loops and rebuild the map; the track does not change without loops, or if the run is stopped early."""
     steps, config = track.steps, track.config
     if not refiner.builds_map or config.loop_closure != "auto":
         return track
@@ -207,9 +246,8 @@ def close_loops(track: Track, refiner: Refiner) -> Track:
         return track.with_findings(loops=loops)
     fresh = make_method(config)
     rebuilt = Steps(rebuild(track.log_scans(), steps, loops.map_T_laser, fresh, track.motion))
-    hits, hits_before = (np.count_nonzero(method.grid.hits) for method in (fresh, track.method))
-    if len(rebuilt) < len(steps) or hits >= hits_before:
-        return track.with_findings(loops=loops.refuse_all())
+    if len(rebuilt) < len(steps):
+        return track
     return replace(track.with_findings(loops=loops), steps=rebuilt, method=fresh)
 
 

@@ -9,14 +9,26 @@ from math import hypot
 import numpy as np
 import pytest
 from msgspec import Struct
+from msgspec.structs import replace
 
 from mavnav.config.models import Config
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import LaserSpec, Scan
 from mavnav.slam.findings import Loop, Loops
 from mavnav.slam.loop_closure import detection
-from mavnav.slam.loop_closure.detection import LOOP_M, find_loops
-from mavnav.slam.loop_closure.key_frames import KeyFrame, Visibility, drift_bound, key_rows
+from mavnav.slam.loop_closure.closure import KeyClosure
+from mavnav.slam.loop_closure.detection import LOOP_M, find_loops, predicts_better, revisits
+from mavnav.slam.loop_closure.key_frames import (
+    KEPT,
+    PART_M,
+    RAYS_M,
+    KeyFrame,
+    KeyFrameMap,
+    LocalMaps,
+    Visibility,
+    drift_bound,
+    key_rows,
+)
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.scan_matching import first_match
 from mavnav.slam.matching.steps import Step, Steps
@@ -242,7 +254,7 @@ def test_the_reference_key_frame_saw_the_same_walls_even_from_farther_away() -> 
     other = wall + np.array([0.0, 3.0])
     seen = [(Pose(-1.0, 0.0, 0.0), wall), (Pose(0.1, 0.0, 0.0), other), (Pose(-2.0, 0.0, 0.0), wall)]
     keys = [KeyFrame(k, float(k), xy_m - (pose.x_m, pose.y_m), pose) for k, (pose, xy_m) in enumerate(seen)]
-    seen_by = Visibility(keys)
+    seen_by = Visibility(keys, LocalMaps(keys, Config()))
     seen_by.grow(3)
     assert seen_by.reference(KeyFrame(9, 30.0, wall, Pose())) == 0
 
@@ -280,18 +292,101 @@ def test_the_map_is_drawn_anew_with_the_loop_closed() -> None:
     assert on.grid.hits.sum() == drawn
 
 
-def test_a_correction_that_blurs_the_map_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def key_frames_of(walk: Walk, tracked: Trajectory) -> list[KeyFrame]:
+    rows, paths_m = key_rows(tracked.xyyaw)
+    parts = zip(rows, paths_m, walk.points_of(0, rows), strict=True)
+    return [KeyFrame(row, path_m, points, tracked[row]) for row, path_m, points in parts]
+
+
+def at_poses_of(keys: list[KeyFrame], path: Trajectory) -> list[KeyFrame]:
+    return [replace(key, map_T_laser=path[key.row]) for key in keys]
+
+
+def test_a_closed_loop_predicts_the_scans_that_took_no_part_and_a_bent_one_does_not() -> None:
     ring_walk = walk("ring")
-    rows = range(0, len(ring_walk.truth), 4)
-    truth = Trajectory(ring_walk.truth.stamps_ns.copy(), ring_walk.truth.xyyaw.copy())
-    scans, steps, method = track_of(ring_walk, truth, rows)
-    bent = [truth[row] @ Pose(0.0, 0.01 * k, 0.0) for k, row in enumerate(rows)]
-    wrong = Loops((Loop(0, 5, Pose(), Pose(0.5, 0, 0), 0.9),), 3, Trajectory.of([s.stamp_ns for s in scans], bent))
-    monkeypatch.setattr(detection, "find_loops", lambda *_: wrong)
-    before = method.grid.by_rows()
-    outcome = finish(Track(lambda: scans, Config(), Motion(0.4), method, steps))
-    assert outcome.loops == Loops(refused=4)
-    np.testing.assert_array_equal(outcome.grid.passes, before.passes)
+    drifted = key_frames_of(ring_walk, ring_walk.drifted(Pose(0.0, 0.0, 0.12 * DEG)))
+    right, local = at_poses_of(drifted, ring_walk.truth), LocalMaps(drifted, Config())
+    assert predicts_better(right, drifted, local, Config())
+    assert not predicts_better(drifted, right, local, Config())
+    assert not predicts_better(right, right, local, Config())
+
+
+def test_no_key_frame_that_tests_the_closures_is_closed() -> None:
+    ring_walk = walk("ring")
+    tracked = ring_walk.drifted(Pose(0.0, 0.0, 0.12 * DEG))
+    keys = {row: k for k, row in enumerate(key_rows(tracked.xyyaw)[0])}
+    ends = [keys[loop.end] for loop in ring_walk.closed(tracked).closed]
+    local = LocalMaps(key_frames_of(ring_walk, tracked), Config())
+    testing = [j for j, _ in revisits(key_frames_of(ring_walk, tracked), local)]
+    assert ends
+    assert testing
+    assert not set(ends) & set(testing)
+
+
+def test_a_correction_that_predicts_worse_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    ring_walk = walk("ring")
+    keys = key_frames_of(ring_walk, ring_walk.truth)
+    bent = [replace(key, map_T_laser=key.map_T_laser @ Pose(0.0, 0.01 * k, 0.0)) for k, key in enumerate(keys)]
+    wrong, right = (
+        KeyClosure(0, 60, keys[0].map_T_laser.between(some[60].map_T_laser), first_match(9)) for some in (bent, keys)
+    )
+    monkeypatch.setattr(detection, "find_closures", lambda *_: (bent, [wrong, wrong, right], 3))
+    loops = ring_walk.closed(ring_walk.truth)
+    assert loops.map_T_laser is None
+    assert loops.refused == 5
+    assert [loop.correction.distance_m for loop in loops.closed] == pytest.approx([0.0])  # confirms the track
+
+
+def test_a_search_that_fits_nowhere_is_no_refused_loop() -> None:
+    ring_walk, other = walk("ring"), walk("twin rooms")
+    half = len(ring_walk.truth) // 2
+
+    def points_of(rows: list[int]) -> list[np.ndarray]:
+        seen = ring_walk.points_of(0, rows)
+        elsewhere = other.points_of(0, [row % 20 for row in rows])
+        return [there if row > half else here for row, here, there in zip(rows, seen, elsewhere, strict=True)]
+
+    loops = find_loops(ring_walk.truth, points_of, observable, Config())
+    assert loops.graph is not None  # loops were searched
+    assert (loops.closed, loops.refused) == ((), 0)
+
+
+def test_a_local_map_is_that_of_its_part_of_the_path_wherever_the_path_lies() -> None:
+    ring_walk = walk("ring")
+    keys = key_frames_of(ring_walk, ring_walk.truth)
+    moved = [replace(key, map_T_laser=Pose(3.0, -2.0, 0.7) @ key.map_T_laser) for key in keys]
+    middle, part = LocalMaps(keys, Config()).around(20)
+    again, same = LocalMaps(moved, Config()).around(20)
+    assert middle == again
+    assert abs(keys[middle].path_m - keys[20].path_m) <= PART_M
+    near = [key for key in keys if abs(key.path_m - keys[middle].path_m) <= 1.5 * PART_M]
+    slow = KeyFrameMap(Config())
+    slow.grow([replace(k, map_T_laser=keys[middle].map_T_laser.between(k.map_T_laser)) for k in near], len(near))
+    assert part.lines.count == slow.lines.count
+    start = keys[middle].map_T_laser.between(keys[20].map_T_laser).as_array()
+    costs = [some.lines.costs(keys[20].points, start[None, :2], start[2:], 0.15)[0, 0] for some in (part, same, slow)]
+    assert costs[0] == costs[2]
+    assert costs[1] == pytest.approx(costs[0], abs=2e-5)
+
+
+def test_few_local_maps_are_kept_and_drawn_again_when_needed() -> None:
+    ring_walk = walk("ring")
+    keys = key_frames_of(ring_walk, ring_walk.truth)
+    far = [replace(key, path_m=50.0 * k) for k, key in enumerate((2 * keys)[: KEPT + 1])]
+    local = LocalMaps(far, Config())
+    first = local.around(0)[1]
+    assert local.around(0)[1] is first
+    for k in range(len(far)):
+        local.around(k)
+    assert local.around(0)[1] is not first
+    assert local.around(0)[1].lines.count == first.lines.count
+
+
+def test_local_maps_draw_free_space_up_to_a_range() -> None:
+    wall = KeyFrame(0, 0.0, np.array([[RAYS_M - 0.5, 0.0], [0.0, RAYS_M + 0.5]]), Pose())
+    part = LocalMaps([wall], Config()).around(0)[1]
+    assert part.lines.count == 1 + 2
+    assert part.grid.hits.sum() == 1
 
 
 def test_a_run_that_is_stopped_while_its_map_is_drawn_anew_keeps_the_old_one(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -304,7 +399,7 @@ def test_a_run_that_is_stopped_while_its_map_is_drawn_anew_keeps_the_old_one(mon
     )
     before = method.grid.by_rows()
     outcome = finish(Track(lambda: scans[:5], Config(), Motion(0.4), method, steps))
-    assert outcome.loops == Loops(refused=4)
+    assert outcome.loops == Loops()
     np.testing.assert_array_equal(outcome.grid.passes, before.passes)
     assert len(outcome.trajectory) == len(scans)
     assert outcome.steps is steps  # of a long log two would take twice the memory
