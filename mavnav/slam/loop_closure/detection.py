@@ -9,6 +9,7 @@ corrections over the path (docs/method.md).
 from __future__ import annotations
 
 from functools import partial
+from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from mavnav.profiling import timed
 from mavnav.slam.findings import Edge, Loop, Loops, PoseGraph
 from mavnav.slam.loop_closure.closure import KeyClosure, agreeing_closures, find_closure, is_small
 from mavnav.slam.loop_closure.key_frames import (
+    KEY_M,
     PART_M,
     KeyFrame,
     KeyFrameMap,
@@ -48,6 +50,8 @@ if TYPE_CHECKING:
 
     PointsOf = Callable[[list[int]], Iterable[NDArray[np.float64]]]
     """Rows of a trajectory -> the match points (n, 2) of their scans, m, laser frame."""
+    Frames = tuple[Sequence[KeyFrame], Sequence[KeyFrame]]
+    """The key frames, and the scans that take no part, at the poses of one track."""
 
 
 LOOP_M = 8.0
@@ -78,25 +82,42 @@ def find_loops(map_T_laser: Trajectory, points_of: PointsOf, information_of: Inf
     is searched. ``information_of`` returns the information of the track's map about a pose.
     """
     rows, paths_m = key_rows(map_T_laser.xyyaw)
-    xy_m = map_T_laser.xyyaw[rows, :2]
-    if all(nearest_old(xy_m, np.array(paths_m), j) is None for j in range(len(rows))):
+    places = list(zip(map_T_laser.xyyaw[rows, :2], paths_m, strict=True))
+    if all(nearest_old(map_T_laser.xyyaw[rows, :2], np.array(paths_m), *place) is None for place in places):
         return Loops()
-    parts = zip(rows, paths_m, points_of(rows), strict=False)
-    tracked = [KeyFrame(row, path_m, points, map_T_laser[row]) for row, path_m, points in parts]
-    if len(tracked) < len(rows):
+    aside = rows_aside(rows)
+    frames = read_frames(map_T_laser, sorted(aside.union(rows)), (rows, paths_m), points_of)
+    if not frames:
         return Loops()
-    path = path_edges(map_T_laser, tracked, information_of)
-    local = LocalMaps(tracked, config)
+    tracked, testing = ([frame for frame in frames if (frame.row in aside) == tests] for tests in (False, True))
+    path, local = path_edges(map_T_laser, tracked, information_of), LocalMaps(tracked, config)
     keys, closures, refused = find_closures(tracked, path, local, config)
-    if keys is not tracked and not predicts_better(keys, tracked, local, config):
-        confirming = [closure for closure in closures if is_small(closure.correction(tracked))]
-        keys, closures, refused = tracked, confirming, refused + len(closures) - len(confirming)
+    corrected = None if keys is tracked else follow(map_T_laser, tracked, keys)
+    if corrected is not None:
+        tested = [replace(frame, map_T_laser=corrected[frame.row]) for frame in testing]
+        if not predicts_better((tracked, testing), (keys, tested), local, config):
+            confirming = [closure for closure in closures if is_small(closure.correction(tracked))]
+            corrected, closures, refused = None, confirming, refused + len(closures) - len(confirming)
     closed = tuple(
         Loop(tracked[c.start].row, tracked[c.end].row, c.start_T_end, c.correction(tracked), c.match.inliers)
         for c in closures
     )
-    graph = PoseGraph(tuple(rows), (*path, *edges_of(closures)))
-    return Loops(closed, refused, None if keys is tracked else follow(map_T_laser, tracked, keys), graph)
+    graph = PoseGraph(tuple(key.row for key in tracked), (*path, *edges_of(closures)))
+    return Loops(closed, refused, corrected, graph)
+
+
+def rows_aside(rows: Sequence[int]) -> set[int]:
+    """Return the rows of scans that take no part: half-way between key frames, or else every other key frame."""
+    return {(a + b) // 2 for a, b in pairwise(rows) if b - a > 1} or set(rows[1::2])
+
+
+def read_frames(
+    map_T_laser: Trajectory, rows: list[int], path_m: tuple[list[int], list[float]], points_of: PointsOf
+) -> list[KeyFrame]:
+    """Return the scans of some rows; none if the run is stopped. ``path_m`` is the path at the rows of key frames."""
+    parts = zip(rows, np.interp(rows, *path_m).tolist(), points_of(rows), strict=False)
+    frames = [KeyFrame(row, at_m, points, map_T_laser[row]) for row, at_m, points in parts]
+    return frames if len(frames) == len(rows) else []
 
 
 def find_closures(
@@ -129,20 +150,25 @@ def consistent_closures(
     return sorted(full + [c for c in weak if not is_small(c.correction(tracked))], key=lambda c: c.end)
 
 
-def nearest_old(xy_m: NDArray[np.float64], paths_m: NDArray[np.float64], j: int) -> int | None:
-    """Return the old key frame nearest to key frame ``j``; None if none is near enough to have seen the same walls."""
-    old = int(np.searchsorted(paths_m, paths_m[j] - LOOP_M))
+def nearest_old(
+    xy_m: NDArray[np.float64], paths_m: NDArray[np.float64], at_m: NDArray[np.float64], path_m: float
+) -> int | None:
+    """Return the old key frame nearest to a position (2,); None if none is near enough to have seen the same walls.
+
+    ``xy_m`` (n, 2) and ``paths_m`` (n,) are the positions of the key frames, and the path up to each.
+    """
+    old = int(np.searchsorted(paths_m, path_m - LOOP_M))
     if not old:
         return None
-    off_m = np.hypot(*(xy_m[:old] - xy_m[j]).T)
+    off_m = np.hypot(*(xy_m[:old] - at_m).T)
     i = int(np.argmin(off_m))
-    return i if off_m[i] <= SIGHT_M + drift_bound(paths_m[j] - paths_m[i])[0] else None
+    return i if off_m[i] <= SIGHT_M + drift_bound(path_m - float(paths_m[i]))[0] else None
 
 
 def detect_closures(
     keys: Sequence[KeyFrame], known: Sequence[KeyClosure], local: LocalMaps, config: Config
 ) -> Iterator[KeyClosure]:
-    """Search every other key frame in the old part of the map; yield the closures, also those of no agreement.
+    """Search key frames in the old part of the map; yield the closures, also those of no agreement.
 
     Searches are dense at first and sparse where closures confirm the track, which also bounds the drift from there on;
     so do those ``known``. Weak closures confirm nothing, because the drift along a corridor stays unknown. Where there
@@ -154,7 +180,7 @@ def detect_closures(
             paths.join(keys[each.start].path_m, keys[each.end].path_m)
     xy_m, paths_m = np.array([k.map_T_laser[:2] for k in keys]), np.array([k.path_m for k in keys])
     for j, key in enumerate(keys):
-        i = nearest_old(xy_m, paths_m, j) if takes_part(j) and key.path_m >= pace.next_m else None
+        i = nearest_old(xy_m, paths_m, xy_m[j], key.path_m) if key.path_m >= pace.next_m else None
         if i is None:
             continue
         count = int(np.searchsorted(paths_m, key.path_m - LOOP_M))
@@ -180,33 +206,29 @@ class Pace(NamedTuple):
     def after(self, path_m: float, *, failed: bool, confirms: bool) -> Pace:
         """Return the pace after a search that failed, or found a closure that confirms the track, or corrects it."""
         failures = self.failures + 1 if failed else 0
-        return Pace(path_m + (FAR_SEARCH_M if confirms or failures >= MOST_FAILED else 0.0), failures)
+        return Pace(path_m + (FAR_SEARCH_M if confirms or failures >= MOST_FAILED else KEY_M), failures)
 
 
-def takes_part(j: int) -> bool:
-    """Return whether a key frame is searched: every other one, because the rest tell whether closures predict."""
-    return j % 2 == 0
-
-
-def predicts_better(keys: Sequence[KeyFrame], tracked: Sequence[KeyFrame], local: LocalMaps, config: Config) -> bool:
-    """Return whether key frames that took no part fit better to what was seen a long path before than as tracked."""
+def predicts_better(before: Frames, after: Frames, local: LocalMaps, config: Config) -> bool:
+    """Return whether scans that took no part fit better to what was seen a long path before, at the poses ``after``."""
     worst_m, gain_m2 = config.robust.expert.truncate_m, 0.0
-    for j, i in sorted({pair for some in (keys, tracked) for pair in revisits(some, local)}):
-        middle, part = local.around(i)
-        poses = np.array([some[middle].map_T_laser.between(some[j].map_T_laser) for some in (tracked, keys)])
-        before, after = (part.lines.costs(keys[j].points, pose[None, :2], pose[2:], worst_m)[0, 0] for pose in poses)
-        gain_m2 += before - after
+    for j, i in sorted({*revisits(before, local), *revisits(after, local)}):
+        (middle, part), points = local.around(i), before[1][j].points
+        poses = np.array([keys[middle].map_T_laser.between(others[j].map_T_laser) for keys, others in (before, after)])
+        costs = [part.lines.costs(points, pose[None, :2], pose[2:], worst_m)[0, 0] for pose in poses]
+        gain_m2 += costs[0] - costs[1]
     return gain_m2 > 0.0
 
 
-def revisits(keys: Sequence[KeyFrame], local: LocalMaps) -> Iterator[tuple[int, int]]:
-    """Yield the key frames that take no part, each with the one of a long path before that saw most of the same."""
+def revisits(frames: Frames, local: LocalMaps) -> Iterator[tuple[int, int]]:
+    """Yield the scans that take no part, each with the key frame of a long path before that saw most of the same."""
+    keys, others = frames
     xy_m, paths_m = np.array([k.map_T_laser[:2] for k in keys]), np.array([k.path_m for k in keys])
     seen = Visibility(keys, local)
-    for j, key in enumerate(keys):
-        if not takes_part(j) and nearest_old(xy_m, paths_m, j) is not None:
-            seen.grow(int(np.searchsorted(paths_m, key.path_m - LOOP_M)))
-            yield j, seen.reference(key)
+    for j, frame in enumerate(others):
+        if nearest_old(xy_m, paths_m, np.array(frame.map_T_laser[:2]), frame.path_m) is not None:
+            seen.grow(int(np.searchsorted(paths_m, frame.path_m - LOOP_M)))
+            yield j, seen.reference(frame)
 
 
 def track_confirmed(corrections: Sequence[Pose]) -> bool:
