@@ -267,7 +267,7 @@ class Robust:
         return self._whole_budget.spend(self._work(points, self._free))
 
     def relocalize(self, scan: Scan, match: Match, motion: Motion) -> Match | None:
-        """Find the scan anywhere in the map; None unless exactly one pose fits, and a vehicle can be there."""
+        """Find the scan anywhere in the map; None unless exactly one pose fits."""
         points = self.match_points(scan)
         if len(points) < self.config.robust.min_points:
             return None
@@ -280,7 +280,7 @@ class Robust:
         if best.ambiguous or self.acceptance.conflicts_after_gap(best, motion, elapsed_s):
             return None
         excluded = self._pauses.exclude(best.map_T_laser, motion, scan.stamp_ns)
-        return best if self.acceptance.is_acceptable(best, motion, elapsed_s) and not excluded else None
+        return best if self.acceptance.is_good(best) and not excluded else None
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Insert every valid point of the de-skewed scan into lines and grid."""

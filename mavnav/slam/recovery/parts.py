@@ -1,7 +1,9 @@
 """Parts of a log that was lost for good: each is tracked on a separate map, and joined to the largest if possible.
 
-A part is joined if several of its scans are found in the map of the largest part by the whole-map search, and agree on
-the transform between the two maps. A part that is not joined is neither in the trajectory nor in the map.
+A part is joined where what was seen before and after the gap beside it agrees; else if several of its scans are found
+in the map of the largest part by the whole-map search, and agree on the transform between the two maps; else by
+odometry.
+A part that is not joined is neither in the trajectory nor in the map.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from mavnav.slam.matching.steps import LOST_SCANS, Step, Steps, lost_intervals, 
 from mavnav.slam.methods.pauses import first_found_late, highest_speeds, pauses
 from mavnav.slam.recovery.across_gap import LOCAL_SCANS, pose_across_gap, reach_across
 from mavnav.slam.recovery.part_by_odometry import neighbours, placed_warning, pose_by_odometry
-from mavnav.slam.retries.beginning import count_accepted, until_missing
+from mavnav.slam.retries.beginning import MISSED_SCANS, count_accepted, until_missing
 from mavnav.units import NS, pluralize
 
 if TYPE_CHECKING:
@@ -35,9 +37,6 @@ if TYPE_CHECKING:
 
 MOST_TRACKED = 4
 """Maximum number of stretches of lost scans that are tracked on separate maps."""
-
-GIVE_UP_SCANS = 16
-"""Number of successive usable scans without a match that ends the track of a part."""
 
 SEARCHED_SCANS, LEAST_AGREEING = 6, 3
 """Number of scans of a part that are searched in the largest map, and minimum number of them that must agree."""
@@ -119,11 +118,11 @@ def lost_parts(track: Track) -> list[Track]:
 
 
 def track_stretch(track: Track, stretch: range) -> Track:
-    """Track a stretch of scans from an empty map, until ``GIVE_UP_SCANS`` in a row do not match it."""
+    """Track a stretch of scans from an empty map, until ``MISSED_SCANS`` in a row do not match it."""
     least_points = track.config.robust.min_points
     part = replace(track.with_findings(parts=()), begin=stretch.start)
     scans = islice(track.log_scans(), stretch.stop)
-    return part.over(scans, "track again", lambda steps: until_missing(steps, least_points, GIVE_UP_SCANS, np.inf))
+    return part.over(scans, "track again", lambda steps: until_missing(steps, least_points, MISSED_SCANS, np.inf))
 
 
 def lost_stretches(steps: Steps, within: range) -> list[range]:
