@@ -60,10 +60,11 @@ LEVELS: dict[str, tuple[float, ...]] = {
     "noise": (0.005, 0.01, 0.02),
     "mask": (0, 1, 2),
     "far": (0.5, 0.75),
+    "short": (0.1,),
 }
 """Kinds of disturbance with their levels: share of dropped scans; keep every n-th scan; length of two gaps, s; standard
 deviation of range noise, m; index of the masked third of the beams (with a tenth of the scans dropped); quantile of the
-ranges that are kept."""
+ranges that are kept; share of ranges that something in front shortens."""
 
 SEEDS = {"drop": 4, "every": 2, "none": 2}
 
@@ -95,6 +96,8 @@ def disturbed(scans: list[Scan], period_s: float, kind: str, level: float, seed:
     if kind == "far":
         far_m = float(np.nanquantile(np.concatenate([s.ranges_m for s in scans[::10]]), level + 0.05 * rng.random()))
         return [changed(s, np.where(s.ranges_m <= far_m, s.ranges_m, np.nan)) for s in scans], period_s
+    if kind == "short":
+        return [changed(s, shortened(s.ranges_m, level, rng)) for s in scans], period_s
     return list(scans), period_s
 
 
@@ -132,10 +135,16 @@ def read(folder: Path, log: str, odom: str) -> tuple[list[Scan], float, Trajecto
 def recorded(folder: Path, name: str) -> Case:
     """Return a run of a recorded log. Every second pair of seeds has the log's odometry, if it has any."""
     log, kind, level, seed = name.split("/")
-    with_odometry = int(seed) // 2 % 2 == 1 or kind in ("cut", "far", "none")
+    with_odometry = int(seed) // 2 % 2 == 1 or kind in ("cut", "far", "none", "short")
     scans, period_s, odometry = read(folder, log, "auto" if with_odometry else "off")
     some, period_s = disturbed(scans, period_s, kind, float(level), int(seed))
     return Case(some, period_s, odometry, undisturbed(folder, log))
+
+
+def shortened(ranges_m: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarray:
+    """Return ranges of which a random share ends anywhere before."""
+    shares = np.where(rng.random(len(ranges_m)) < share, rng.random(len(ranges_m)), 1.0)
+    return ranges_m * shares
 
 
 SHORT = LaserSpec(URG_04LX.angle_min_rad, URG_04LX.angle_step_rad, 681, 0.02, 4.0, 0.0, 0.1)
