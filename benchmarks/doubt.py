@@ -27,12 +27,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from doubt_corpus import case_of, every_name, flown, largest_errors
+from doubt_corpus import WINDOWS_S, case_of, every_name, flown, largest_errors, largest_offset_m
 from matplotlib.figure import Figure
 from msgspec.structs import replace
 from scipy.optimize import minimize
 
-from mavnav.config.models import Config
+from mavnav.pose import motions
 from mavnav.slam import pipeline
 from mavnav.slam.doubt.features import (
     DISAGREEMENT,
@@ -41,6 +41,7 @@ from mavnav.slam.doubt.features import (
     TWO_TRACKS,
     WRONG_M,
     WRONG_RAD,
+    TrackEvidence,
     Weights,
     evidence_of,
     resampled_poses,
@@ -49,7 +50,7 @@ from mavnav.slam.doubt.judge import FEWEST, WORTH_A_TRACK, contributions, doubli
 from mavnav.slam.findings import HIGH
 from mavnav.slam.methods.registry import Refiner
 from mavnav.slam.track import Track
-from mavnav.units import DEG
+from mavnav.units import DEG, NS
 
 Run = dict[str, Any]
 
@@ -69,7 +70,49 @@ def features_of(track: Track, refiner: Refiner) -> dict[str, float]:
     resampled = resampled_poses(track)
     evidence = evidence_of(track, refiner)
     evidence = evidence if resampled is None else replace(evidence, resampled=resampled)
-    return {name: feature.total(feature.of(evidence)) for name, feature in FEATURES.items()}
+    values = {name: feature.total(feature.of(evidence)) for name, feature in FEATURES.items()}
+    return values | candidates(evidence)
+
+
+def candidates(evidence: TrackEvidence) -> dict[str, float]:
+    """Return features that might be better."""
+    stamps_s, n = evidence.stamps_ns * NS, len(evidence.stamps_ns)
+    ends = np.searchsorted(stamps_s, stamps_s + 2.0)
+    weak = 0.01 / np.maximum(evidence.observed, 1e-5)
+    weak_2s = np.array([np.median(weak[k:end]) for k, end in enumerate(ends.tolist())])
+    with_odometry = evidence.odometry.mean() > 0.5
+    back = np.maximum(np.searchsorted(stamps_s, stamps_s - 1.0), 0)
+    moved = motions(evidence.xyyaw, back, np.arange(n))
+    moving = (np.hypot(moved[:, 0], moved[:, 1]) > 0.1) | (np.abs(moved[:, 2]) > 10 * DEG)
+    conflicts = np.where(moving, evidence.conflicts, 0.0) / 0.05
+    conflicts_10s = [
+        np.median(conflicts[k:end]) for k, end in enumerate(np.searchsorted(stamps_s, stamps_s + 10.0).tolist())
+    ]
+    values = {
+        "weak_2s": weak_2s.max(),
+        "conflicts_q90": np.quantile(conflicts, 0.9),
+        "conflicts_q50": np.quantile(conflicts, 0.5),
+        "conflicts_10s": np.max(conflicts_10s),
+    }
+    named = {
+        f"{name}{'_wheels' if odo else ''}": v * (odo == with_odometry)
+        for name, v in values.items()
+        for odo in (False, True)
+    }
+    window = {"minute_disagrees": disagreement_over(evidence, 60.0)}
+    return {name: float(value) for name, value in (named | window).items()}
+
+
+def disagreement_over(evidence: TrackEvidence, window_s: float) -> float:
+    """Return the largest difference of two tracks in the motion over a window, as a multiple of the bound for wrong."""
+    common = np.flatnonzero(np.isfinite(evidence.resampled[:, 0]))
+    if not len(common):
+        return np.nan
+    stamps_s, start = evidence.stamps_ns[common] * NS, np.arange(len(common))
+    end = np.minimum(np.searchsorted(stamps_s, stamps_s + window_s), len(common) - 1)
+    off = motions(evidence.xyyaw[common], start, end) - motions(evidence.resampled[common], start, end)
+    off_rad = np.abs((off[:, 2] + np.pi) % (2.0 * np.pi) - np.pi)
+    return float(np.maximum(np.hypot(off[:, 0], off[:, 1]) / WRONG_M, off_rad / WRONG_RAD).max())
 
 
 def made(folder: Path, name: str) -> Run:
@@ -86,11 +129,20 @@ def made(folder: Path, name: str) -> Run:
     case = None if name.startswith("mission-") else case_of(folder, name)
     pipeline.CHECKING = tuple(keep if some is judge_track else some for some in PASSES)
     if case:
-        slam, truth = pipeline.run_slam(lambda: case.scans, Config(), case.period_s, case.odometry), case.reference
+        slam, truth = case.track(), case.reference
     else:
         slam, truth = flown(name)
-    off_m, off_deg = largest_errors(slam.trajectory, truth) if truth is not None else (0.0, 0.0)
-    return {"name": name, "lost": slam.lost_for_good, "off_m": off_m, "off_deg": off_deg, "features": features[0]}
+    errors = [largest_errors(slam.trajectory, truth, windows_s) for windows_s in (WINDOWS_S[:2], WINDOWS_S[2:])]
+    return {
+        "name": name,
+        "lost": slam.lost_for_good,
+        "off_m": errors[0][0],
+        "off_deg": errors[0][1],
+        "minute": errors[1],
+        "whole_m": largest_offset_m(slam.trajectory, truth),
+        "tracked": slam.tracked_share,
+        "features": features[0] if features else {},
+    }
 
 
 def collect(file: Path, folder: Path, jobs: int, only: str) -> None:
