@@ -24,6 +24,7 @@ from mavnav.slam.result import summarize
 from mavnav.slam.retries.attempt import COARSER_VOXELS, try_again
 from mavnav.slam.retries.beam_order import REVERSED_BEAMS
 from mavnav.slam.retries.beginning import track_from_good_beginning
+from mavnav.slam.retries.levelling import as_recorded
 from mavnav.slam.retries.odometry import FITTING_ODOMETRY
 from mavnav.slam.track import Track
 
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 SHORTEST_PERIOD_S = 1e-3
 """Minimum scan period, s, also that of a log of one scan, whose period is unknown."""
 
-ATTEMPTS: Final = (*FITTING_ODOMETRY, REVERSED_BEAMS, COARSER_VOXELS)
+ATTEMPTS: Final = (REVERSED_BEAMS, COARSER_VOXELS)
 """Attempts to track the log again, where an input check fails ("Input checks") or scans are sparse (step 10)."""
 
 RECOVERING: Final[tuple[Pass, ...]] = (rematch_beginning, drop_late_poses, rematch_rejected, join_lost_parts)
@@ -69,6 +70,7 @@ def run_slam(
     rotation: Rotation | None = None,
     last: tuple[Pass, ...] = DRAWING,
     base_T_laser: Pose | None = None,
+    recorded: LogScans | None = None,
 ) -> SlamResult:
     """Run the configured method over a recorded log.
 
@@ -84,6 +86,7 @@ def run_slam(
         evidence of motion that is not planar
     last : the passes that end the run
     base_T_laser : the mounting of the laser, for which odometry is scaled where it should be
+    recorded : returns the scans as recorded, where those of ``log_scans`` are levelled by a tilt that may be wrong
     """
     method = make_method(config, prior_map)
     given: LogOdometry | None = None
@@ -96,7 +99,9 @@ def run_slam(
     motion = Motion(max(period_s, SHORTEST_PERIOD_S), odometry, method.expects_rest, rotation=rotation, fastest=fastest)
     start = Track(log_scans, config, motion, method, prior_map=prior_map, on_step=on_step, log_odometry=given)
     start = start.with_findings(odometry=fit)
-    track = try_again(track_from_good_beginning(start), ATTEMPTS)  # steps 1 to 8 first
+    unlevelled = (as_recorded(recorded),) if recorded else ()
+    attempts = (*FITTING_ODOMETRY, *unlevelled, *ATTEMPTS)
+    track = try_again(track_from_good_beginning(start), attempts)  # steps 1 to 8 first
     return summarize(after(track, (*RECOVERING, *CHECKING, *last)))
 
 
