@@ -10,6 +10,7 @@ from mavnav.slam.loop_closure.detection import close_loops
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, LogOdometry, in_meters
 from mavnav.slam.methods.registry import make_method
+from mavnav.slam.recovery.own_map import OWN_MAP, place_in_given_map
 from mavnav.slam.recovery.parts import drop_late_poses, join_lost_parts
 from mavnav.slam.recovery.rematch import rematch_beginning, rematch_rejected
 from mavnav.slam.refinement.contradicted import drop_contradicted
@@ -38,13 +39,17 @@ if TYPE_CHECKING:
 SHORTEST_PERIOD_S = 1e-3
 """Minimum scan period, s, also that of a log of one scan, whose period is unknown."""
 
-ATTEMPTS: Final = (REVERSED_BEAMS, COARSER_VOXELS)
-"""Attempts to track the log again, where an input check fails ("Input checks") or scans are sparse (step 10)."""
+ATTEMPTS: Final = (OWN_MAP, *FITTING_ODOMETRY, REVERSED_BEAMS, COARSER_VOXELS)
+"""Attempts to track the log again, where an input check fails ("Input checks") or scans are sparse (step 10).
+
+Odometry is fitted before them, too.
+"""
 
 RECOVERING: Final[tuple[Pass, ...]] = (rematch_beginning, drop_late_poses, rematch_rejected, join_lost_parts)
 """Passes that match the lost scans of a track once more: "Parts", and `rematch_rejected`, step 9."""
 
 CHECKING: Final[tuple[Pass, ...]] = (
+    place_in_given_map,  # "Localization in a given map"
     close_loops,  # step 11
     drop_contradicted,  # "Localization in a given map"
     remove_dynamic_cells,  # step 12
