@@ -10,7 +10,7 @@ from mavnav.slam.loop_closure.detection import close_loops
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, LogOdometry, in_meters
 from mavnav.slam.methods.registry import make_method
-from mavnav.slam.recovery.own_map import OWN_MAP, place_in_given_map
+from mavnav.slam.recovery.own_map import or_with_own_map, place_in_given_map
 from mavnav.slam.recovery.parts import drop_late_poses, join_lost_parts
 from mavnav.slam.recovery.rematch import rematch_beginning, rematch_rejected
 from mavnav.slam.refinement.contradicted import drop_contradicted
@@ -39,11 +39,8 @@ if TYPE_CHECKING:
 SHORTEST_PERIOD_S = 1e-3
 """Minimum scan period, s, also that of a log of one scan, whose period is unknown."""
 
-ATTEMPTS: Final = (OWN_MAP, *FITTING_ODOMETRY, REVERSED_BEAMS, COARSER_VOXELS)
-"""Attempts to track the log again, where an input check fails ("Input checks") or scans are sparse (step 10).
-
-Odometry is fitted before them, too.
-"""
+ATTEMPTS: Final = (REVERSED_BEAMS, COARSER_VOXELS)
+"""Attempts to track the log again, where an input check fails ("Input checks") or scans are sparse (step 10)."""
 
 RECOVERING: Final[tuple[Pass, ...]] = (rematch_beginning, drop_late_poses, rematch_rejected, join_lost_parts)
 """Passes that match the lost scans of a track once more: "Parts", and `rematch_rejected`, step 9."""
@@ -105,8 +102,8 @@ def run_slam(
     start = Track(log_scans, config, motion, method, prior_map=prior_map, on_step=on_step, log_odometry=given)
     start = start.with_findings(odometry=fit)
     unlevelled = (as_recorded(recorded),) if recorded else ()
-    attempts = (*FITTING_ODOMETRY, *unlevelled, *ATTEMPTS)
-    track = try_again(track_from_good_beginning(start), attempts)  # steps 1 to 8 first
+    track = try_again(track_from_good_beginning(start), (*FITTING_ODOMETRY, *unlevelled))  # steps 1 to 8 first
+    track = try_again(or_with_own_map(track, start), ATTEMPTS)
     return summarize(after(track, (*RECOVERING, *CHECKING, *last)))
 
 

@@ -297,9 +297,9 @@ def apart(a: Pose, b: Pose, least_m: float = SEPARATE_M) -> bool:
 
 
 def is_near_start(pose: Pose, start: Pose) -> bool:
-    """Return whether a pose is one that is searched for a given start pose."""
+    """Return whether a pose is as near to a given start pose as that may be wrong."""
     off_m, off_rad = start.gap(pose)
-    return off_m <= START_M and off_rad <= START_RAD
+    return off_m <= FARTHEST_M and off_rad <= START_RAD
 
 
 def minima(costs: Floats, xy_m: Floats, yaws_rad: Floats, most: int = CANDIDATES) -> list[Start]:

@@ -18,7 +18,9 @@ from mavnav.slam.matching.steps import Steps, lost_intervals, tracked_trajectory
 from mavnav.slam.methods.acceptance import Acceptance
 from mavnav.slam.methods.registry import make_method
 from mavnav.slam.recovery.parts import SEARCHED_AFTER_PAUSE, evenly, lost_for_good
-from mavnav.slam.retries.attempt import Attempt, rank
+from mavnav.slam.retries.attempt import rank, try_again
+from mavnav.slam.retries.beginning import track_from_good_beginning
+from mavnav.slam.retries.odometry import FITTING_ODOMETRY
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -29,20 +31,22 @@ if TYPE_CHECKING:
     from mavnav.slam.track import Track
 
 
-def map_alone(track: Track) -> Track | None:
-    """Return the track with a map of its own if the laser was lost for good in the given one."""
-    given = track.prior_map
-    if given is None or not track.refiner or not lost_for_good(track.steps, list(lost_intervals(track.steps))):
-        return None
-    return replace(track, prior_map=None, around_map=given)
+OWN_MAP: Final = "own map"
 
 
-def fits_given_map(other: Track, track: Track) -> bool:
-    """Return whether a track with a map of its own loses fewer scans, and has one place in the given map."""
-    return rank(other) < rank(track) and place_of(other) is not None
+def or_with_own_map(track: Track, start: Track) -> Track:
+    """Return the track, or if the laser was lost for good in the given map, one with a map of its own that fits it.
 
-
-OWN_MAP: Final = Attempt("own map", map_alone, fits_given_map)
+    ``start`` is the track before its first scan. Another track is taken if it loses fewer scans, and has one place in
+    the given map.
+    """
+    if not start.prior_map or not track.refiner or not lost_for_good(track.steps, list(lost_intervals(track.steps))):
+        return track
+    method = make_method(track.config)
+    alone = replace(start, log_scans=track.log_scans, method=method, prior_map=None, around_map=start.prior_map)
+    other = try_again(track_from_good_beginning(alone), FITTING_ODOMETRY)
+    kept = rank(other) < rank(track) and place_of(other) is not None
+    return (other if kept else track).with_attempt(OWN_MAP, kept=kept)
 
 
 def place_of(track: Track) -> Pose | None:

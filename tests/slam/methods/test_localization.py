@@ -157,7 +157,7 @@ def test_a_laser_lost_in_the_map_is_mapped_by_itself_and_placed_as_a_whole(monke
     known = prior_map_of(rooms_grid(), Pose())
     outcome = localised(visit(), known)
     assert len(outcome.trajectory) == len(visit().scans)
-    assert TrackedAgain(OWN_MAP.name, kept=True) in outcome.attempts
+    assert TrackedAgain(OWN_MAP, kept=True) in outcome.attempts
     assert any("placed in the given one as a whole" in text for text in outcome.warnings)
     assert off_m(outcome, visit().world_T_laser).max() < 0.06
     hit = np.argwhere(outcome.grid.hits > 3)[:, ::-1] * outcome.grid.cell_m + np.array(outcome.grid.origin_xy_m)
