@@ -17,7 +17,7 @@ from mavnav.slam.matching.scan_matching import empty_line_map
 from mavnav.slam.matching.steps import Steps, lost_intervals, tracked_trajectory
 from mavnav.slam.methods.acceptance import Acceptance
 from mavnav.slam.methods.registry import make_method
-from mavnav.slam.recovery.parts import SEARCHED_AFTER_PAUSE, evenly, lost_for_good
+from mavnav.slam.recovery.parts import evenly, lost_for_good
 from mavnav.slam.retries.attempt import rank, try_again
 from mavnav.slam.retries.beginning import track_from_good_beginning
 from mavnav.slam.retries.odometry import FITTING_ODOMETRY
@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 
 
 OWN_MAP: Final = "own map"
+
+PLACED_SCANS: Final = 24
+"""Number of scans that are placed together."""
 
 
 def or_with_own_map(track: Track, start: Track) -> Track:
@@ -63,7 +66,7 @@ def place_of(track: Track) -> Pose | None:
 def _key_scans(track: Track) -> Iterator[PosedScan]:
     """Yield some scans of the track, at places all along it, with their poses."""
     rows, _ = key_rows(tracked_trajectory(track.steps).xyyaw)
-    some = {rows[k] for k in evenly(len(rows), SEARCHED_AFTER_PAUSE)}
+    some = {rows[k] for k in evenly(len(rows), PLACED_SCANS)}
     for row, (step, scan, motion) in enumerate(track.placed_scans()):
         if row in some and track.refiner:
             yield step.match.map_T_laser, track.refiner.match_points(scan, motion)
