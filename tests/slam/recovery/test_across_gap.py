@@ -110,8 +110,8 @@ def test_a_cut_at_a_door_loses_no_log() -> None:
     kept = [scan for k, scan in enumerate(full.scans) if not 70 < k < 92]
     run, truth = run_slam(lambda: iter(kept), Config(), 0.1), full.map_T_laser
     assert run.tracked_share == 1.0
-    found = run.trajectory[0].between(run.trajectory[len(run.trajectory) - 1])
-    off_m, off_rad = found.gap(truth[0].between(truth[len(truth) - 1]))
+    moved = run.trajectory[0].between(run.trajectory[len(run.trajectory) - 1])
+    off_m, off_rad = moved.gap(truth[0].between(truth[len(truth) - 1]))
     assert off_m < 0.05
     assert off_rad < 1.0 * DEG
 
