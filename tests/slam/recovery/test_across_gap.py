@@ -17,8 +17,9 @@ from mavnav.slam.matching.steps import Step, Steps
 from mavnav.slam.methods.pauses import LEAST_SPEED_M_S, highest_speeds
 from mavnav.slam.methods.registry import make_method
 from mavnav.slam.pipeline import run_slam
+from mavnav.slam.recovery import parts
 from mavnav.slam.recovery.across_gap import LONGEST_GAP_S, pose_across_gap, reach_across
-from mavnav.slam.recovery.parts import is_reached
+from mavnav.slam.recovery.parts import is_reached, join_parts
 from mavnav.slam.track import Track
 from mavnav.units import DEG, NS
 from support.synthetic import TOUR, Recording, along, box, furnished_rooms, record, room
@@ -102,6 +103,16 @@ def test_no_vehicle_leaps(x_m: float, *, reached: bool) -> None:
     steps = Steps((Step(0, 0, here, True), Step(1, 500_000_000, later, False)))
     fast = replace(track(Motion(0.1, fastest=(3.0, 5.0))), steps=steps)
     assert is_reached([steps[1]], Pose(x_m), steps, fast) == reached
+
+
+def test_a_part_whose_scans_have_poses_already_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The beginning of a log was a part, and matched backwards since: placed by odometry, it ended the run."""
+    steps = side(range(5))
+    monkeypatch.setattr(parts, "_next_placed", lambda waiting, *_: (waiting[0], Pose(), 0.1) if waiting else None)
+    whole = replace(track(), log_scans=lambda: iter(drive().scans), steps=Steps(steps))
+    joined = join_parts(whole, [tuple(steps[:3])])
+    assert list(joined.steps) == steps
+    assert not joined.findings.warnings
 
 
 def test_a_cut_at_a_door_loses_no_log() -> None:
