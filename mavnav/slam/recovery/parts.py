@@ -150,7 +150,8 @@ def join_parts(track: Track, others: list[tuple[Step, ...]]) -> Track:
 
     A part that shows nothing of the map is placed by odometry if that can be relied on.
     """
-    steps, waiting = Steps(track.steps), sorted(others, key=len, reverse=True)
+    steps, longest_first = Steps(track.steps), sorted(others, key=len, reverse=True)
+    waiting = [part for part in longest_first if not all(steps[step.index].tracked for step in part)]
     warnings, errors_m = list(track.findings.warnings), np.zeros(len(steps))
     scans = _scans_near(others, steps, track) if others else {}
     while (placed := _next_placed(waiting, steps, scans, track)) is not None:

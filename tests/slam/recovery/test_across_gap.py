@@ -17,8 +17,9 @@ from mavnav.slam.matching.steps import Step, Steps
 from mavnav.slam.methods.pauses import LEAST_SPEED_M_S, highest_speeds
 from mavnav.slam.methods.registry import make_method
 from mavnav.slam.pipeline import run_slam
+from mavnav.slam.recovery import parts
 from mavnav.slam.recovery.across_gap import LONGEST_GAP_S, pose_across_gap, reach_across
-from mavnav.slam.recovery.parts import is_reached
+from mavnav.slam.recovery.parts import is_reached, join_parts
 from mavnav.slam.track import Track
 from mavnav.units import DEG, NS
 from support.synthetic import TOUR, Recording, along, box, furnished_rooms, record, room
@@ -104,14 +105,24 @@ def test_no_vehicle_leaps(x_m: float, *, reached: bool) -> None:
     assert is_reached([steps[1]], Pose(x_m), steps, fast) == reached
 
 
+def test_a_part_whose_scans_have_poses_already_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The beginning of a log was a part, and matched backwards since: placed by odometry, it ended the run."""
+    steps = side(range(5))
+    monkeypatch.setattr(parts, "_next_placed", lambda waiting, *_: (waiting[0], Pose(), 0.1) if waiting else None)
+    whole = replace(track(), log_scans=lambda: iter(drive().scans), steps=Steps(steps))
+    joined = join_parts(whole, [tuple(steps[:3])])
+    assert list(joined.steps) == steps
+    assert not joined.findings.warnings
+
+
 def test_a_cut_at_a_door_loses_no_log() -> None:
     """Few walls of one side are seen from the other: the parts before and after the door were not joined."""
     full = record(furnished_rooms(), along(TOUR[:7], speed_m_s=0.8), replace(SPEC, range_max_m=4.0), 0.003)
     kept = [scan for k, scan in enumerate(full.scans) if not 70 < k < 92]
     run, truth = run_slam(lambda: iter(kept), Config(), 0.1), full.map_T_laser
     assert run.tracked_share == 1.0
-    found = run.trajectory[0].between(run.trajectory[len(run.trajectory) - 1])
-    off_m, off_rad = found.gap(truth[0].between(truth[len(truth) - 1]))
+    moved = run.trajectory[0].between(run.trajectory[len(run.trajectory) - 1])
+    off_m, off_rad = moved.gap(truth[0].between(truth[len(truth) - 1]))
     assert off_m < 0.05
     assert off_rad < 1.0 * DEG
 
