@@ -141,7 +141,7 @@ def test_a_doubtful_track_calibrates_nothing(mavnav, tmp_path) -> None:
     record(Recording(corridor, odometry_of(robot, path, rng), Trajectory.of([], [])), tmp_path / "corridor.mcap")
     code, out, err = mavnav("calibrate", tmp_path / "corridor.mcap", "-q", "-o", tmp_path / "found.json")
     assert (code, out) == (1, "")
-    assert "the walls leave a direction open, from 0" in err
+    assert "the walls leave a direction open" in err
     assert json.loads((tmp_path / "found.json").read_text())["verdict"]["word"] in {"suspect", "wrong"}
     found = json.loads((tmp_path / "found.json").read_text())
     assert found["tracking"]["doubt"] > 0.5

@@ -19,6 +19,7 @@ from mavnav.config.loading import load_config
 from mavnav.metrics.fields import text
 from mavnav.metrics.gates import VERDICTS
 from mavnav.slam.findings import HIGH, NOT_PLANAR, SECOND_MOTION
+from mavnav.slam.recovery.parts import LEAST_SCANS
 from mavnav.units import pluralize
 
 Run: TypeAlias = Mapping[str, Any]
@@ -44,6 +45,12 @@ MOST_NAMED: Final = 3
 """Maximum number of settings that advice names."""
 
 LOOK: Final = "compare map.png with the place"
+
+IN_MISSIONS: Final = "compare map.png with true_map.png"
+"""All that can be done about a mission, whose truth is known."""
+
+EVERYWHERE: Final = 0.9
+"""Share of a log from which a reason holds everywhere."""
 
 SYMPTOM: Final = "two tracks disagree"
 
@@ -76,7 +83,8 @@ def verdict_of(run: Run) -> Verdict:
     """Return the verdict on a run, of the sections of its run.json; sections that are missing say nothing."""
     for word, cause in RULES:
         if (known := cause(run)) is not None:
-            return Verdict(word, *known)
+            reason, advice = known
+            return Verdict(word, reason, IN_MISSIONS if run.get("mission") else advice)
     return Verdict("good", "no sign of an error in path or map", "")
 
 
@@ -164,8 +172,9 @@ def _evidence(run: Run) -> str:
         return "many weak signs together"
     most = max((each for each in causes if each["reason"] == causes[0]["reason"]), key=lambda each: each["value"])
     from_s, to_s = most["from_s"], most["to_s"]
-    where = f"at {from_s:.1f} s" if to_s - from_s < 1.0 else f"from {from_s:.1f} to {to_s:.1f} s"
-    return f"{MEANINGS.get(most['reason'], most['reason'])}, {where}"
+    where = f", at {from_s:.1f} s" if to_s - from_s < 1.0 else f", from {from_s:.1f} to {to_s:.1f} s"
+    where = "" if to_s - from_s >= EVERYWHERE * run["input"]["duration_s"] else where
+    return f"{MEANINGS.get(most['reason'], most['reason'])}{where}"
 
 
 def _advice_if_doubted(run: Run) -> str:
@@ -203,7 +212,8 @@ def _ended(run: Run) -> Cause:
 
 
 def _left_out(run: Run) -> Cause:
-    parts = [part for part in run["tracking"].get("parts", []) if not part["joined"]]
+    left_out = [part for part in run["tracking"].get("parts", []) if not part["joined"]]
+    parts = [part for part in left_out if part["scans"] >= LEAST_SCANS]
     if not parts:
         return None
     start_s, end_s = floor(100.0 * parts[0]["from_s"]) / 100.0, ceil(100.0 * parts[0]["to_s"]) / 100.0

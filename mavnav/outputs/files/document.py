@@ -99,6 +99,7 @@ def run_verdict(run: RunResult) -> Verdict:
         localisation=run.localisation,
         continued=run.continued,
         partial=run.stopped is not None,
+        mission=run.mission is not None,
     )
 
 

@@ -63,6 +63,24 @@ def test_the_cause_is_the_strongest_stretch_of_the_first_reason_that_is_no_sympt
     assert verdict_of(doubtful(0.6)).reason.endswith("many weak signs together")
 
 
+def test_a_reason_that_holds_everywhere_has_no_place() -> None:
+    assert verdict_of(doubtful(0.6, ("unclosed loop", 0.0, 60.0, 2.0))).reason.endswith("seen again does not fit")
+    assert verdict_of(doubtful(0.6, ("unclosed loop", 0.0, 50.0, 2.0))).reason.endswith("fit, from 0.0 to 50.0 s")
+
+
+def test_a_mission_has_no_options_that_cut_it_and_its_truth_is_known() -> None:
+    for run_ in (doubtful(0.8, ("slip", 3.0, 3.1, 2.0)), lost()):
+        assert verdict_of(run_ | {"mission": True}).advice == "compare map.png with true_map.png"
+        assert verdict_of(run_ | {"mission": False}).advice != "compare map.png with true_map.png"
+    assert verdict_of(GOOD | {"mission": True}).advice == ""
+
+
+def test_a_part_of_a_few_scans_is_no_loss() -> None:
+    few = {"from_s": 0.0, "to_s": 1.8, "scans": 19, "joined": False}
+    assert verdict_of(run(parts=[few])).word == "good"
+    assert verdict_of(run(parts=[few | {"scans": 20}])).word == "suspect"
+
+
 def test_every_reason_of_the_doubt_has_a_meaning() -> None:
     assert {feature.reason for feature in FEATURES.values()} == set(MEANINGS)
 
