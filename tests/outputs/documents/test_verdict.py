@@ -99,8 +99,14 @@ def test_every_reason_of_the_doubt_has_a_meaning() -> None:
             "replay it alone with --start 9.10 --end 12.01",
         ),
         (
-            GOOD | {"map_quality": {"meaningful": False, "why": ["0.3 m of straight wall, 2 m are needed"]}},
-            "the map cannot be measured: 0.3 m of straight wall, 2 m are needed",
+            GOOD
+            | {
+                "map_quality": {
+                    "meaningful": False,
+                    "why": ["0.3 m of its occupied cells lie on straight lines, 2 m are needed"],
+                }
+            },
+            "the map cannot be measured: 0.3 m of its occupied cells lie on straight lines, 2 m are needed",
             "compare map.png with the place",
         ),
         (doubtful(None), "the path is not checked without the final pass", "replay it without --online"),
