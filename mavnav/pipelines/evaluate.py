@@ -16,6 +16,7 @@ from mavnav.kernels.machine.building import prepare
 from mavnav.logs import open_log
 from mavnav.mapping.occupancy_grid import occupied_xy_m
 from mavnav.metrics.fields import ABSENT
+from mavnav.metrics.gates import stored_verdict
 from mavnav.metrics.ghost_walls import GhostWall
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import MapQuality, measure_map
@@ -47,7 +48,8 @@ Place = TypeVar("Place", GhostWall, StraightWall)
 class Subject(Struct, frozen=True):
     """What is measured: a map, where its cells lie in the map frame, and the scans behind it where they are known.
 
-    ``begins_late`` is set where the map frame is that of a later scan than the first one of the log.
+    ``verdict`` is that of the run, if it has one. ``begins_late`` is set where the map frame is that of a later scan
+    than the first one of the log.
     """
 
     kind: str
@@ -55,6 +57,7 @@ class Subject(Struct, frozen=True):
     map_T_grid: Pose
     journey: Journey | None = None
     begins_late: bool = False
+    verdict: dict[str, str] | None = None
 
     @property
     def has_counts(self) -> bool:
@@ -118,7 +121,7 @@ def _run(directory: Path) -> Subject:
     except (OSError, ValueError, KeyError, TypeError, MavnavError) as error:
         reason = reason_of(error)
         raise UsageError(f"{directory} is no whole run: {reason}; make it again with mavnav replay --force") from error
-    return Subject("run", grid, Pose(), journey, late)
+    return Subject("run", grid, Pose(), journey, late, stored_verdict(document))
 
 
 def _begins_late(document: dict[str, Any], map_T_laser: Trajectory) -> bool:
@@ -159,6 +162,7 @@ def _document(path: Path, what: Subject, references: References) -> dict[str, An
         {
             "path": str(path),
             "kind": what.kind,
+            "verdict": what.verdict or ABSENT,
             "cell_mm": grid.cell_m / MM,
             "wall_thickness": wall_report(sections, measured.published, measured.cuts, grid.cell_m),
             "map_quality": _to_map_frame(measured.quality, what.map_T_grid),

@@ -12,7 +12,7 @@ from mavnav.slam.matching.observability import covariances_of
 from mavnav.slam.matching.odometry_fit import fit_odometry, with_noise
 from mavnav.slam.matching.steps import LostInterval, Steps, jumps, lost_intervals, tracked_trajectory
 from mavnav.slam.methods.pauses import pause_warnings
-from mavnav.slam.recovery.parts import Part, lost_for_good, part_warnings, parts_of
+from mavnav.slam.recovery.parts import LEAST_BEFORE_END, Part, lost_for_good, part_warnings, parts_of
 from mavnav.slam.retries.attempt import COARSER_VOXELS
 from mavnav.slam.retries.odometry import odometry_warnings
 from mavnav.units import NS
@@ -71,8 +71,11 @@ class SlamResult(Struct, frozen=True):
 
     @property
     def lost_for_good(self) -> bool:
-        """Whether the track ended before the log, has too few of its scans, or too many are in parts not joined."""
-        return lost_for_good(self.steps, self.lost, self.parts)
+        """Whether the track has too few of its scans or too many are in parts not joined.
+
+        So too where it ended before the log, unless nearly all scans have a pose.
+        """
+        return lost_for_good(self.steps, self.lost, self.parts, LEAST_BEFORE_END)
 
     @property
     def planar(self) -> bool:

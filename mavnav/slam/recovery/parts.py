@@ -63,11 +63,19 @@ class Part(Struct, frozen=True):
     joined: bool
 
 
-def lost_for_good(steps: Steps, lost: Sequence[LostInterval], parts: Sequence[Part] = ()) -> bool:
-    """Return whether the track ended before the log, has too few of its scans, or too many are in parts not joined."""
-    ended = bool(lost) and not lost[-1].recovered
+LEAST_BEFORE_END = 0.9
+"""Share of scans with a pose from which a log whose end does not match is not lost: the robot was lifted, say."""
+
+
+def lost_for_good(steps: Steps, lost: Sequence[LostInterval], parts: Sequence[Part] = (), most: float = 1.0) -> bool:
+    """Return whether the track ended before the log, has too few of its scans, or too many are in parts not joined.
+
+    A track with a share ``most`` of the scans or more may end before the log.
+    """
+    share = float(steps.share("tracked"))
+    ended = bool(lost) and not lost[-1].recovered and share < most
     left_out = sum(part.scans for part in parts if not part.joined)
-    few = bool(steps.share("tracked") < LEAST_TRACKED_SHARE) or left_out > MOST_LEFT_OUT * len(steps)
+    few = share < LEAST_TRACKED_SHARE or left_out > MOST_LEFT_OUT * len(steps)
     return ended or (bool(steps) and few)
 
 
