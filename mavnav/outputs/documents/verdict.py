@@ -19,12 +19,14 @@ from mavnav.config.loading import load_config
 from mavnav.metrics.fields import text
 from mavnav.metrics.gates import VERDICTS
 from mavnav.slam.findings import HIGH, NOT_PLANAR, SECOND_MOTION
-from mavnav.slam.recovery.parts import LEAST_SCANS
 from mavnav.units import pluralize
 
 Run: TypeAlias = Mapping[str, Any]
 Cause: TypeAlias = "tuple[str, str] | None"
 """A reason with its advice, None where it does not hold."""
+
+NOTABLE_SCANS: Final = 20
+"""Number of scans of a part that is missed if it is left out."""
 
 CERTAIN: Final = 0.9
 """Doubt above which a track is called wrong; above `HIGH` it is suspect."""
@@ -213,7 +215,7 @@ def _ended(run: Run) -> Cause:
 
 def _left_out(run: Run) -> Cause:
     left_out = [part for part in run["tracking"].get("parts", []) if not part["joined"]]
-    parts = [part for part in left_out if part["scans"] >= LEAST_SCANS]
+    parts = [part for part in left_out if part["scans"] >= NOTABLE_SCANS]
     if not parts:
         return None
     start_s, end_s = floor(100.0 * parts[0]["from_s"]) / 100.0, ceil(100.0 * parts[0]["to_s"]) / 100.0
