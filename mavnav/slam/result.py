@@ -9,7 +9,7 @@ from msgspec import Struct, field
 
 from mavnav.slam.findings import NOT_PLANAR, Loops
 from mavnav.slam.matching.observability import covariances_of
-from mavnav.slam.matching.odometry_fit import fit_odometry, with_noise
+from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, fit_odometry, with_noise
 from mavnav.slam.matching.steps import LostInterval, Steps, jumps, lost_intervals, tracked_trajectory
 from mavnav.slam.methods.pauses import pause_warnings
 from mavnav.slam.recovery.parts import LEAST_BEFORE_END, Part, lost_for_good, part_warnings, parts_of
@@ -107,14 +107,15 @@ def summarize(track: Track) -> SlamResult:
 
 
 def used_odometry(track: Track) -> OdometryFit | None:
-    """Return what makes the odometry that is used fit the finished path, with its noise; None if none is."""
+    """Return what corrects the odometry that is used, estimated beside the finished path; None if none is."""
     used = track.findings.odometry
     if track.motion.odometry is None:
         return None
     if track.log_odometry is None:  # the commands of a mission
         return used
     path = tracked_trajectory(track.steps)
-    return fit_odometry(track.log_odometry, path, used) or with_noise(track.log_odometry, path, used)
+    corrected = fit_odometry(track.log_odometry, path, used) if used != GOOD_ODOMETRY else None
+    return corrected or with_noise(track.log_odometry, path, used)
 
 
 def _late_warnings(track: Track, parts: Sequence[Part], lost: Sequence[LostInterval]) -> Iterator[str]:
