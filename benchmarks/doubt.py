@@ -3,14 +3,15 @@
     python benchmarks/doubt.py collect RUNS.jsonl [--logs FOLDER] [--jobs N] [--only TEXT]
     python benchmarks/doubt.py fit RUNS.jsonl [--only TEXT]
     python benchmarks/doubt.py report RUNS.jsonl [--plot FILE.png]
+    python benchmarks/doubt.py held-out RUNS.jsonl
 
 ``collect`` makes the runs missing in the file: disturbed recorded logs, compared with the undisturbed track, and scenes
 and missions, compared with ground truth. Each line contains the features of a run, always with a second track, and its
 errors. A run is wrong if the motion over any window of 2 or 10 s has an error over 0.2 m or 5 deg. ``fit`` fits the
 coefficients to the even seeds and prints them for mavnav/slam/doubt/features.py; with ``--only`` those of the
 features with a text in the name, and the others stay. ``report`` evaluates all runs with the coefficients in that file,
-with the second track only if the doubt of the first one requires it. It prints both halves, and then every simulated
-scene with all seeds.
+with the second track only if the doubt of the first one requires it. ``held-out`` fits them to all logs, scenes and
+missions but one, judges that one, and reports all of these together, beside the coefficients in the file.
 """
 
 from __future__ import annotations
@@ -26,12 +27,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from doubt_corpus import case_of, every_name, flown, largest_errors
+from doubt_corpus import WINDOWS_S, case_of, every_name, flown, largest_errors, largest_offset_m
 from matplotlib.figure import Figure
 from msgspec.structs import replace
 from scipy.optimize import minimize
 
-from mavnav.config.models import Config
+from mavnav.pose import motions
 from mavnav.slam import pipeline
 from mavnav.slam.doubt.features import (
     DISAGREEMENT,
@@ -40,6 +41,7 @@ from mavnav.slam.doubt.features import (
     TWO_TRACKS,
     WRONG_M,
     WRONG_RAD,
+    TrackEvidence,
     Weights,
     evidence_of,
     resampled_poses,
@@ -48,7 +50,7 @@ from mavnav.slam.doubt.judge import FEWEST, WORTH_A_TRACK, contributions, doubli
 from mavnav.slam.findings import HIGH
 from mavnav.slam.methods.registry import Refiner
 from mavnav.slam.track import Track
-from mavnav.units import DEG
+from mavnav.units import DEG, NS
 
 Run = dict[str, Any]
 
@@ -68,7 +70,49 @@ def features_of(track: Track, refiner: Refiner) -> dict[str, float]:
     resampled = resampled_poses(track)
     evidence = evidence_of(track, refiner)
     evidence = evidence if resampled is None else replace(evidence, resampled=resampled)
-    return {name: feature.total(feature.of(evidence)) for name, feature in FEATURES.items()}
+    values = {name: feature.total(feature.of(evidence)) for name, feature in FEATURES.items()}
+    return values | candidates(evidence)
+
+
+def candidates(evidence: TrackEvidence) -> dict[str, float]:
+    """Return features that might be better."""
+    stamps_s, n = evidence.stamps_ns * NS, len(evidence.stamps_ns)
+    ends = np.searchsorted(stamps_s, stamps_s + 2.0)
+    weak = 0.01 / np.maximum(evidence.observed, 1e-5)
+    weak_2s = np.array([np.median(weak[k:end]) for k, end in enumerate(ends.tolist())])
+    with_odometry = evidence.odometry.mean() > 0.5
+    back = np.maximum(np.searchsorted(stamps_s, stamps_s - 1.0), 0)
+    moved = motions(evidence.xyyaw, back, np.arange(n))
+    moving = (np.hypot(moved[:, 0], moved[:, 1]) > 0.1) | (np.abs(moved[:, 2]) > 10 * DEG)
+    conflicts = np.where(moving, evidence.conflicts, 0.0) / 0.05
+    conflicts_10s = [
+        np.median(conflicts[k:end]) for k, end in enumerate(np.searchsorted(stamps_s, stamps_s + 10.0).tolist())
+    ]
+    values = {
+        "weak_2s": weak_2s.max(),
+        "conflicts_q90": np.quantile(conflicts, 0.9),
+        "conflicts_q50": np.quantile(conflicts, 0.5),
+        "conflicts_10s": np.max(conflicts_10s),
+    }
+    named = {
+        f"{name}{'_wheels' if odo else ''}": v * (odo == with_odometry)
+        for name, v in values.items()
+        for odo in (False, True)
+    }
+    window = {"minute_disagrees": disagreement_over(evidence, 60.0)}
+    return {name: float(value) for name, value in (named | window).items()}
+
+
+def disagreement_over(evidence: TrackEvidence, window_s: float) -> float:
+    """Return the largest difference of two tracks in the motion over a window, as a multiple of the bound for wrong."""
+    common = np.flatnonzero(np.isfinite(evidence.resampled[:, 0]))
+    if not len(common):
+        return np.nan
+    stamps_s, start = evidence.stamps_ns[common] * NS, np.arange(len(common))
+    end = np.minimum(np.searchsorted(stamps_s, stamps_s + window_s), len(common) - 1)
+    off = motions(evidence.xyyaw[common], start, end) - motions(evidence.resampled[common], start, end)
+    off_rad = np.abs((off[:, 2] + np.pi) % (2.0 * np.pi) - np.pi)
+    return float(np.maximum(np.hypot(off[:, 0], off[:, 1]) / WRONG_M, off_rad / WRONG_RAD).max())
 
 
 def made(folder: Path, name: str) -> Run:
@@ -85,11 +129,20 @@ def made(folder: Path, name: str) -> Run:
     case = None if name.startswith("mission-") else case_of(folder, name)
     pipeline.CHECKING = tuple(keep if some is judge_track else some for some in PASSES)
     if case:
-        slam, truth = pipeline.run_slam(lambda: case.scans, Config(), case.period_s, case.odometry), case.reference
+        slam, truth = case.track(), case.reference
     else:
         slam, truth = flown(name)
-    off_m, off_deg = largest_errors(slam.trajectory, truth) if truth is not None else (0.0, 0.0)
-    return {"name": name, "lost": slam.lost_for_good, "off_m": off_m, "off_deg": off_deg, "features": features[0]}
+    errors = [largest_errors(slam.trajectory, truth, windows_s) for windows_s in (WINDOWS_S[:2], WINDOWS_S[2:])]
+    return {
+        "name": name,
+        "lost": slam.lost_for_good,
+        "off_m": errors[0][0],
+        "off_deg": errors[0][1],
+        "minute": errors[1],
+        "whole_m": largest_offset_m(slam.trajectory, truth),
+        "tracked": slam.tracked_share,
+        "features": features[0] if features else {},
+    }
 
 
 def collect(file: Path, folder: Path, jobs: int, only: str) -> None:
@@ -153,16 +206,44 @@ def fit(runs: list[Run], only: str) -> None:
         print("".join(f"    {name}: {weight}\n" for name, weight in weights.weights.items()))
 
 
-def judged(run: Run) -> float:
+Model = tuple[Weights, Weights]
+"""The coefficients without and with a second track."""
+
+
+def judged(run: Run, model: Model = (ONE_TRACK, TWO_TRACKS)) -> float:
     """Return the doubt of a run, with the second track if the doubt of the first one is high."""
-    one = probability({**run["features"], DISAGREEMENT: np.nan})
-    return one if one < WORTH_A_TRACK else probability(run["features"])
+    one = probability({**run["features"], DISAGREEMENT: np.nan}, *model)
+    return one if one < WORTH_A_TRACK else probability(run["features"], *model)
 
 
-def outcomes(runs: list[Run]) -> str:
+def held_out(runs: list[Run]) -> None:
+    """Print how well each log, scene and mission is judged by coefficients that are fitted to the others."""
+    live = [run for run in runs if run["features"] and not run["lost"]]
+    doubts: dict[str, float] = {}
+    for _, some in grouped(live, source):
+        named = {run["name"] for run in some}
+        rest = [run for run in live if run["name"] not in named]
+        one, two = (fitted(rest, list(now.weights), Weights(-3.0, {})) for now in (ONE_TRACK, TWO_TRACKS))
+        doubts |= {run["name"]: judged(run, (one, two)) for run in some}
+    for title, doubt_of in (("as released", judged), ("held out", lambda run: doubts[run["name"]])):
+        print(f"\n| {title} | runs | right | right, marked | wrong, marked | exit 5 | silently wrong |\n|" + "---|" * 7)
+        print(f"| **all** {outcomes(runs, doubt_of)}")
+        for what, some in grouped(runs, source):
+            print(f"| {what} {outcomes(some, doubt_of)}")
+        print("\n| doubt | runs | mean doubt | wrong |\n|---|---|---|---|")
+        for low, high, count, mean, share in reliability(live, doubt_of):
+            print(f"| {low:g} to {high:g} | {count} | {mean:.2f} | {share:.2f} |")
+
+
+def source(name: str) -> str:
+    """Return the log, scene or mission of a run."""
+    return name.partition("/")[0]
+
+
+def outcomes(runs: list[Run], doubt_of: Callable[[Run], float] = judged) -> str:
     """Return a table row with the numbers of correct, marked, lost and silently wrong runs."""
     live = [run for run in runs if not run["lost"] and run["features"]]
-    right, wrong = ([judged(r) > HIGH for r in live if is_wrong(r) == w] for w in (False, True))
+    right, wrong = ([doubt_of(r) > HIGH for r in live if is_wrong(r) == w] for w in (False, True))
     silent, false = len(wrong) - sum(wrong), sum(right)
     return (
         f"| {len(runs)} | {len(right) - false} | {false} ({100 * false / max(len(right), 1):.1f} %) | {sum(wrong)} "
@@ -221,9 +302,11 @@ def report(runs: list[Run], plot: Path | None) -> None:
         print(f"| {what} {outcomes(some)} {main_reason(some)} |")
 
 
-def reliability(runs: list[Run]) -> list[tuple[float, float, int, float, float]]:
+def reliability(
+    runs: list[Run], doubt_of: Callable[[Run], float] = judged
+) -> list[tuple[float, float, int, float, float]]:
     """Return for each bin its limits, the number of runs, their mean doubt and the share of wrong ones."""
-    doubts, wrong = np.array([judged(r) for r in runs]), np.array([is_wrong(r) for r in runs])
+    doubts, wrong = np.array([doubt_of(r) for r in runs]), np.array([is_wrong(r) for r in runs])
     rows = []
     for low, high in pairwise(BINS):
         inside = (doubts >= low) & ((doubts < high) | (high == 1.0))
@@ -247,7 +330,7 @@ def draw(rows: list[tuple[float, float, int, float, float]], path: Path) -> None
 def main() -> None:
     """Collect, fit or report."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("action", choices=("collect", "fit", "report"))
+    parser.add_argument("action", choices=("collect", "fit", "report", "held-out"))
     parser.add_argument("runs", type=Path)
     parser.add_argument("--logs", type=Path, default=Path("../shared/logs"))
     parser.add_argument("--jobs", type=int, default=2)
@@ -258,6 +341,8 @@ def main() -> None:
         collect(args.runs, args.logs, args.jobs, args.only)
     elif args.action == "fit":
         fit(read(args.runs), args.only)
+    elif args.action == "held-out":
+        held_out(read(args.runs))
     else:
         report(read(args.runs), args.plot)
 

@@ -1,12 +1,12 @@
 """The runs to which the doubt is fitted: recorded logs with disturbances, and simulated scenes with ground truth.
 
-The name of a run is ``LOG/KIND/LEVEL/SEED``. Even seeds are for fitting, odd ones for the report.
+The name of a run is ``LOG/KIND/LEVEL/SEED``; odd seeds have the odometry of the log, if it has any.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
 
@@ -16,14 +16,13 @@ from msgspec.structs import replace
 
 from mavnav.config.models import Config
 from mavnav.logs import open_log
-from mavnav.pose import Pose, Trajectory
+from mavnav.pose import Pose, Trajectory, correct_path, rigid_fit, transform_points
 from mavnav.scan import LaserSpec, Scan
 from mavnav.simulation.mission import fly
 from mavnav.simulation.world.scenario_file import load_scenario
-from mavnav.slam.doubt.features import WINDOWS_S
-from mavnav.slam.pipeline import run_slam
+from mavnav.slam import pipeline
 from mavnav.slam.result import SlamResult
-from mavnav.units import DEG
+from mavnav.units import DEG, NS
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
@@ -43,29 +42,41 @@ from support.synthetic import (
 LOGS = {
     "ccny_demo": ("ccny_demo/ccny_demo.mcap", None, None),
     "lego_robot4": ("lego_robot4/lego_robot4.mcap", None, None),
-    "urg_exp1": ("urg_exp1/urg_exp1.mcap", None, None),
+    "urg_exp1": ("urg_exp1/urg_exp1.mcap", 0.0, 40.0),
     "turtlebot4_mac2": ("turtlebot4_mac2/turtlebot4_mac2_ros2", None, None),
     "slambot_rplidar": ("slambot_rplidar/slambot_rplidar.mcap", None, None),
-    "fr079": ("fr079/fr079.mcap", 0.0, 80.0),
-    "fr079b": ("fr079/fr079.mcap", 300.0, 360.0),
+    "fr079": ("fr079/fr079.mcap", 0.0, 60.0),
+    "fr079b": ("fr079/fr079.mcap", 300.0, 350.0),
+    "fr079c": ("fr079/fr079.mcap", 600.0, 650.0),
     "ydlidar_194415": ("ydlidar_194415/ydlidar_194415.mcap", None, None),
+    "kidnap_expt09": ("field/kidnap_expt09/kidnap_expt09.bag", 0.0, 40.0),
+    "wean_1": ("field/wean_1/wean_1.log.gz", 0.0, 60.0),
+    "wean_1b": ("field/wean_1/wean_1.log.gz", 70.0, 130.0),
+    "wean_4": ("field/wean_4/wean_4.log.gz", None, None),
+    "neato_first": ("field/neato_first/neato_first.bag", None, None),
+    "neato_wall": ("field/neato_wall/neato_wall.bag", None, None),
+    "neato_square": ("field/neato_square/neato_square.bag", None, None),
+    "rss26_t1r": ("field/rss26_t1r/rss26_t1r.db3", None, None),
+    "rss26_loopfast": ("field/rss26_loopfast/rss26_loopfast.db3", None, None),
+    "carto_hokuyo": ("field/carto_hokuyo/carto_hokuyo.bag", None, None),
+    "lidarme": ("field/lidarme/lidarme.bag", None, None),
+    "selfdrv_nav": ("field/selfdrv_nav/selfdrv_nav.db3", None, None),
 }
 """Name of a log -> its file in the folder of logs, and start and end of the part that is used, s."""
 
 LEVELS: dict[str, tuple[float, ...]] = {
     "none": (0,),
-    "drop": (0.1, 0.2, 0.3, 0.4, 0.5),
-    "every": (2, 3, 4, 5, 6, 8, 10, 12),
-    "cut": (0.5, 1.0, 2.0, 3.0),
-    "noise": (0.005, 0.01, 0.02),
+    "drop": (0.2, 0.35, 0.5),
+    "every": (2, 4, 8, 12),
+    "cut": (1.0, 2.0, 3.0),
+    "noise": (0.01, 0.02),
     "mask": (0, 1, 2),
     "far": (0.5, 0.75),
+    "short": (0.1,),
 }
 """Kinds of disturbance with their levels: share of dropped scans; keep every n-th scan; length of two gaps, s; standard
 deviation of range noise, m; index of the masked third of the beams (with a tenth of the scans dropped); quantile of the
-ranges that are kept."""
-
-SEEDS = {"drop": 4, "every": 2, "none": 2}
+ranges that are kept; share of ranges that something in front shortens."""
 
 
 class Case(Struct, frozen=True):
@@ -74,7 +85,14 @@ class Case(Struct, frozen=True):
     scans: list[Scan]
     period_s: float
     odometry: Trajectory | None
-    reference: Trajectory | None
+    reference: Trajectory
+    base_T_laser: Pose | None = None
+
+    def track(self) -> SlamResult:
+        """Return the track of the scans."""
+        stamps_ns = np.array([scan.stamp_ns for scan in self.scans])
+        options = {"base_T_laser": self.base_T_laser, "scans_ns": stamps_ns}
+        return pipeline.run_slam(lambda: self.scans, Config(), self.period_s, self.odometry, **options)
 
 
 def disturbed(scans: list[Scan], period_s: float, kind: str, level: float, seed: int) -> tuple[list[Scan], float]:
@@ -95,6 +113,8 @@ def disturbed(scans: list[Scan], period_s: float, kind: str, level: float, seed:
     if kind == "far":
         far_m = float(np.nanquantile(np.concatenate([s.ranges_m for s in scans[::10]]), level + 0.05 * rng.random()))
         return [changed(s, np.where(s.ranges_m <= far_m, s.ranges_m, np.nan)) for s in scans], period_s
+    if kind == "short":
+        return [changed(s, shortened(s.ranges_m, level, rng)) for s in scans], period_s
     return list(scans), period_s
 
 
@@ -117,25 +137,33 @@ def recorded_names(logs: tuple[str, ...] = tuple(LOGS)) -> list[str]:
         for log in logs
         for kind, levels in LEVELS.items()
         for level in levels
-        for seed in range(SEEDS.get(kind, 2))
+        for seed in range(2)
     ]
 
 
 @lru_cache(maxsize=2)
-def read(folder: Path, log: str, odom: str) -> tuple[list[Scan], float, Trajectory | None]:
-    """Read a log: scans, period and odometry."""
+def read(folder: Path, log: str, odom: str) -> Case:
+    """Read a log, without a reference."""
     file, start_s, end_s = LOGS[log]
-    opened = open_log(folder / file, odom=odom, start_s=start_s, end_s=end_s)
-    return list(opened.scans()), opened.period_s, opened.odometry.odom_T_laser if opened.odometry else None
+    topic = "/scan" if log.startswith("neato") else None
+    opened = open_log(folder / file, odom=odom, start_s=start_s, end_s=end_s, topic=topic)
+    poses = opened.odometry.odom_T_laser if opened.odometry else None
+    odometry = correct_path(poses, -round(opened.mid_sweep_s / NS)) if poses else None
+    return Case(list(opened.scans()), opened.period_s, odometry, Trajectory.of([], []), opened.base_T_laser)
 
 
 def recorded(folder: Path, name: str) -> Case:
-    """Return a run of a recorded log. Every second pair of seeds has the log's odometry, if it has any."""
+    """Return a run of a recorded log; those of odd seeds have its odometry, if there is any."""
     log, kind, level, seed = name.split("/")
-    with_odometry = int(seed) // 2 % 2 == 1 or kind in ("cut", "far", "none")
-    scans, period_s, odometry = read(folder, log, "auto" if with_odometry else "off")
-    some, period_s = disturbed(scans, period_s, kind, float(level), int(seed))
-    return Case(some, period_s, odometry, undisturbed(folder, log))
+    case = read(folder, log, "auto" if int(seed) % 2 else "off")
+    scans, period_s = disturbed(case.scans, case.period_s, kind, float(level), int(seed))
+    return replace(case, scans=scans, period_s=period_s, reference=undisturbed(folder, log))
+
+
+def shortened(ranges_m: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarray:
+    """Return ranges of which a random share ends anywhere before."""
+    shares = np.where(rng.random(len(ranges_m)) < share, rng.random(len(ranges_m)), 1.0)
+    return ranges_m * shares
 
 
 SHORT = LaserSpec(URG_04LX.angle_min_rad, URG_04LX.angle_step_rad, 681, 0.02, 4.0, 0.0, 0.1)
@@ -207,18 +235,32 @@ def mission_names(seeds: int = 20) -> list[str]:
     return [f"mission-{scenario}/fly/0/{seed}" for scenario in MISSIONS for seed in range(seeds)]
 
 
-def largest_errors(poses: Trajectory, reference: Trajectory) -> tuple[float, float]:
-    """Return the largest error of the relative motion over windows of 2 and 10 s: position in m, heading in deg."""
+WINDOWS_S = (2.0, 10.0, 60.0)
+"""Lengths of the windows over which a track is compared with the truth."""
+
+
+def largest_errors(
+    poses: Trajectory, reference: Trajectory, windows_s: Sequence[float] = WINDOWS_S[:2]
+) -> tuple[float, float]:
+    """Return the largest error of the relative motion over windows: position in m, heading in deg."""
     rows = np.searchsorted(reference.stamps_ns, poses.stamps_ns)
     same = (rows < len(reference)) & (reference.stamps_ns[np.minimum(rows, len(reference) - 1)] == poses.stamps_ns)
-    stamps, found, true = poses.stamps_ns[same], poses.xyyaw[same], reference.xyyaw[rows[same]]
+    stamps, mine, true = poses.stamps_ns[same], poses.xyyaw[same], reference.xyyaw[rows[same]]
     off_m = off_deg = 0.0
-    for window_s in WINDOWS_S:
+    for window_s in windows_s:
         end = np.minimum(np.searchsorted(stamps, stamps + int(window_s * 1e9)), len(stamps) - 1)
         for k, m in enumerate(end.tolist()):
-            gap = Pose(*true[k]).between(Pose(*true[m])).between(Pose(*found[k]).between(Pose(*found[m])))
+            gap = Pose(*true[k]).between(Pose(*true[m])).between(Pose(*mine[k]).between(Pose(*mine[m])))
             off_m, off_deg = max(off_m, gap.distance_m), max(off_deg, abs(gap.yaw_rad) / DEG)
     return off_m, off_deg
+
+
+def largest_offset_m(poses: Trajectory, reference: Trajectory) -> float:
+    """Return the largest error of the positions after the best rigid motion, m."""
+    same = np.isin(poses.stamps_ns, reference.stamps_ns)
+    mine = poses.xyyaw[same, :2]
+    true = reference.xyyaw[np.searchsorted(reference.stamps_ns, poses.stamps_ns[same]), :2]
+    return float(np.hypot(*(transform_points(rigid_fit(mine, true), mine) - true).T).max()) if len(mine) > 1 else 0.0
 
 
 INTEL = "intel_sparse"
@@ -241,8 +283,7 @@ def sparse(folder: Path, name: str) -> Case:
 @lru_cache(maxsize=8)
 def undisturbed(folder: Path, log: str) -> Trajectory:
     """Return the track of the undisturbed log, with its odometry."""
-    scans, period_s, odometry = read(folder, log, "auto")
-    return run_slam(lambda: scans, Config(), period_s, odometry).trajectory
+    return read(folder, log, "auto").track().trajectory
 
 
 def case_of(folder: Path, name: str) -> Case:

@@ -38,10 +38,10 @@ mavnav replay drive.bag --method paper --grid 20x20 --azimuth 40
 mavnav compare drive.mcap --grid 5x5 --grid 10x10 --grid 20x20
 mavnav batch logs/ -j 4 --gate 'map.accepted_share>=0.95'
 mavnav simulate corner.yaml
-[bold]Exit codes[/bold]  0 done; 1 the mission or a quality gate failed, a session did not join (merge), the maps \
-cannot be aligned (diff), or nothing could be estimated (calibrate); 2 usage or configuration; 3 done but the input \
-was damaged; 4 no usable scans; 5 tracking was lost for good; 6 the output cannot be written; 70 a bug; \
-130 interrupted; 143 terminated.
+[bold]Exit codes[/bold]  0 done; 1 the mission, a quality gate or the verdict (batch, check) failed, a session did \
+not join (merge), the maps cannot be aligned (diff), or nothing could be estimated (calibrate); 2 usage or \
+configuration; 3 done but the input was damaged; 4 no usable scans; 5 tracking was lost for good; 6 the output cannot \
+be written; 70 a bug; 130 interrupted; 143 terminated.
 """
 
 

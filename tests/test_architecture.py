@@ -44,7 +44,7 @@ ALLOWED: dict[str, set[str]] = {
     | {"simulation.world"},
     "commands": SHARED
     | {"batch", "comparison", "config", "ground_truth", "jobs", "kernels", "logs", "metrics", "outputs", "pipelines"}
-    | {"simulation.world", "slam"},
+    | {"simulation.world"},
     "api": SHARED
     | {
         "batch",

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 import shutil
 import sys
 from functools import cache
 from importlib.util import module_from_spec, spec_from_file_location
+from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -21,7 +23,7 @@ from mavnav.batch.manifest import read_manifest
 from mavnav.cli import app_for, run
 from mavnav.comparison.document import RELATIVE_COSTS
 from mavnav.config.loading import fields, load_config
-from mavnav.metrics.gates import check_names, parse_gate
+from mavnav.metrics.gates import check_names, judge, parse_gate, renaming
 from mavnav.outputs.documents.schema import number_names, run_keys
 from mavnav.pipelines.diff import NUMBERS as DIFF_NUMBERS
 from mavnav.simulation.world import load_scenario
@@ -142,7 +144,8 @@ def test_tables_are_whole(page: Path) -> None:
 
 def test_commands_and_options_in_texts_exist() -> None:
     known = {"show", "schema", *program().commands}
-    options = {"--help", *(name for command in commands() for param in command.params for name in param.opts)}
+    given = [param for command in commands() for param in command.params]
+    options = {"--help", *(name for param in given for name in (*param.opts, *param.secondary_opts))}
     for page in PAGES:
         text = page.read_text()
         assert set(re.findall(r"`mavnav ([a-z]+)", text)) <= known, page
@@ -225,3 +228,30 @@ def pages(nav: object) -> set[str]:
 def test_every_page_is_in_the_navigation() -> None:
     nav = yaml.load((ROOT / "mkdocs.yml").read_text(), Loader=yaml.BaseLoader)["nav"]
     assert pages(nav) == {path.name for path in DOCS.glob("*.md")} | {"commands.md", "run_json.md"}
+
+
+def shown_gates() -> set[str]:
+    """Return every gate on a page: of a command or of a manifest."""
+    commands = [words for page in PAGES for words in shown_commands(page)]
+    given = {gate for words in commands for flag, gate in pairwise(words) if flag == "--gate"}
+    manifests = [yaml.safe_load(block) for block in blocks("ci.md", "yaml")]
+    sections = [block for block in manifests if isinstance(block, dict)]
+    listed = [entry for block in sections for entry in (block, *(block.get("logs") or [])) if isinstance(entry, dict)]
+    texts = [entry.get("gates") or [] for entry in listed]
+    return given | {gate for text in texts for gate in ([text] if isinstance(text, str) else text)}
+
+
+def test_every_gate_on_a_page_is_judged_on_a_run(tmp_path: Path) -> None:
+    """Each finds its number in the documents that the page says it is for: a run, a comparison, or a diff."""
+    log, truth = ROOT / "sample_logs/corridor.mcap", ROOT / "configs/corridor.yaml"
+    assert run(["replay", str(log), "--end", "3", "-q", "--truth-map", str(truth), "-o", str(tmp_path / "r")]) == 0
+    document = json.loads((tmp_path / "r" / "run.json").read_text())
+    document["price"] = dict.fromkeys(RELATIVE_COSTS, 1.0)
+    document |= dict.fromkeys(DIFF_NUMBERS, 0.0)
+    document["reference"]["ate"] = {"rmse_m": 0.01}
+    gates = [parse_gate(gate) for gate in shown_gates() - {"baseline"}]
+    assert len(gates) >= 12
+    assert {"verdict", "verdict==good", "wall_thickness.p95_mm<=150"} <= {gate.text for gate in gates}
+    for result in judge(gates, document):
+        assert result.value is not None, result.gate.text
+        assert not renaming(result.gate.name), result.gate.text

@@ -65,6 +65,11 @@ class Run:
         return bool(self.metrics["tracking"]["lost"])
 
     @property
+    def verdict(self) -> dict[str, str]:
+        """Whether the run can be used: ``word`` (good, suspect, wrong or lost), ``reason`` and ``advice``."""
+        return dict(self.metrics["verdict"])
+
+    @property
     def doubt(self) -> float | None:
         """The probability, 0 to 1, that the trajectory is wrong although it was tracked; None if it was not judged."""
         doubt = self.metrics["tracking"].get("doubt")

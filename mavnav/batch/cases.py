@@ -23,7 +23,7 @@ from mavnav.ground_truth.references import load_references
 from mavnav.jobs.run_cache import PlannedRun, make_run, references_sha256
 from mavnav.logs import content_sha256
 from mavnav.logs.formats.detect import SUFFIXES, is_named_like_a_log
-from mavnav.metrics.gates import Gate, parse_gate
+from mavnav.metrics.gates import Gate, parse_gate, read_accept
 from mavnav.outputs.directory import MERGE_FILE, RUN_FILE
 from mavnav.outputs.documents.addresses import is_address, public_address
 from mavnav.pipelines.replay import ReplayRequest
@@ -149,7 +149,7 @@ class Case(Struct, frozen=True):
     setting: Setting
     run: PlannedRun | None
     gates: tuple[Gate, ...] = ()
-    accept: frozenset[int] = frozenset()
+    accept: frozenset[int | str] = frozenset()
     has_references: bool = False
     baseline_gate: bool = False
     error: str = ""
@@ -225,7 +225,7 @@ def _cases(request: BatchRequest, entry: BatchLogs, log: str, name: str) -> Iter
     shared: dict[str, Any] = {
         "log": name,
         "gates": tuple(parse_gate(text) for text in entry.gates if text != BASELINE_GATE),
-        "accept": frozenset(entry.accept),
+        "accept": frozenset(map(read_accept, entry.accept)),
         "has_references": not entry.options.keys().isdisjoint(REFERENCES),
         "baseline_gate": BASELINE_GATE in entry.gates,
     }

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.batch.baseline import ChangeKind, changes, lacking, lacking_text
 from mavnav.errors import SEVERITY, ExitCode, worst
-from mavnav.metrics.gates import judge_some
+from mavnav.metrics.gates import VERDICTS, accepts_code, failure_text, judge_some, judge_verdict
+from mavnav.outputs.documents.quantities import verdict_texts
 from mavnav.version import __version__
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 SCHEMA_VERSION: Final = 1
 BATCH_FILE: Final = "batch.json"
 
-_MEASURED: Final = ("scans", "tracking", "search", "map", "wall_thickness", "map_quality", "reference")
+_MEASURED: Final = ("verdict", "scans", "tracking", "search", "map", "wall_thickness", "map_quality", "reference")
 SECTIONS: Final = (*_MEASURED, "timing", "exit_code")
 """Sections of run.json that the document of a comparison or a batch repeats for every run."""
 
@@ -30,24 +31,26 @@ def judged_row(result: CaseResult, request: BatchRequest) -> dict[str, Any]:
     """Return the row of a run in batch.json, with the results of its gates.
 
     This is the row of comparison.json with ``setting``, ``seconds``, ``gates``, ``baseline`` (None without one),
-    ``accepted`` and ``verdict``. The verdict is the worst exit code of the gates and of the run; the run's own code is
-    ignored if it is accepted. A gate on a number that the run does not have fails.
+    ``accepted`` and ``code``. The code is the worst exit code of the gates and of the run; the run's own code is
+    ignored if it is accepted. The verdict is a gate, too. A gate on a number that the run does not have fails.
     """
     case, rules, outcome = result.case, request.rules, result.outcome
     own = {"log": case.log, "setting": case.setting.name, "seconds": outcome.seconds if outcome else None}
     row = run_row(result, request.directory) | own
-    verdicts = [] if result.document is None else judge_some((*rules.gates, *case.gates), result.document)
-    gates = [verdict.row() for verdict in verdicts]
+    accept = rules.accept | case.accept
+    bounds, run = (*rules.gates, *case.gates), result.document
+    results = [] if run is None else [*judge_verdict(accept, run), *judge_some(bounds, run)]
+    gates = [each.row() for each in results]
     change = None
     if rules.baseline:
         absent = [] if request.new_baseline else lacking(row, rules.baseline, rules.watched)
         change = changes(row, rules.baseline, rules.watched) | {"lacking": absent}
         if rules.baseline_gate or (case.baseline_gate and request.new_baseline is None):
             gates.append(_baseline_verdict(change, rules.baseline.path))
-    accepted = row["exit_code"] in rules.accept | case.accept
+    accepted = accepts_code(accept, row["exit_code"])
     codes = [] if accepted else [row["exit_code"]]
     codes += [ExitCode.GATE_FAILED for gate in gates if not gate["passed"]]
-    return row | {"gates": gates, "baseline": change, "accepted": accepted, "verdict": int(worst(codes))}
+    return row | {"gates": gates, "baseline": change, "accepted": accepted, "code": int(worst(codes))}
 
 
 def run_row(result: CaseResult, directory: Path) -> dict[str, Any]:
@@ -93,7 +96,7 @@ def batch_document(
 ) -> dict[str, Any]:
     """Return batch.json of these rows; runs that only the baseline has, ``missing_runs``, fail the baseline gate."""
     runs = [row["run"] for row in rows]
-    codes = [*(row["verdict"] for row in rows), *(ExitCode.GATE_FAILED for _ in missing_runs if baseline_gate)]
+    codes = [*(row["code"] for row in rows), *(ExitCode.GATE_FAILED for _ in missing_runs if baseline_gate)]
     return {
         "schema_version": SCHEMA_VERSION,
         "mavnav_version": __version__,
@@ -107,11 +110,13 @@ def batch_document(
 
 
 def _counts(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    status, verdicts = Counter(row["status"] for row in rows), Counter(row["verdict"] for row in rows)
+    status, codes = Counter(row["status"] for row in rows), Counter(row["code"] for row in rows)
+    words = Counter(verdict_texts(row["run"])[0] for row in rows)
     return {
         "runs": len(rows),
         **{name: status[name] for name in ("done", "cached", "failed")},
-        "verdicts": {str(int(code)): verdicts[code] for code in SEVERITY if verdicts[code]},
+        "verdicts": {word: words[word] for word in VERDICTS if words[word]},
+        "codes": {str(int(code)): codes[code] for code in SEVERITY if codes[code]},
     }
 
 
@@ -124,19 +129,29 @@ def _since(rows: Sequence[Mapping[str, Any]], baseline: Baseline, missing_runs: 
 
 
 def worst_first(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return rows from the worst verdict to the best; among equal ones, those worse than the baseline come first."""
+    """Return rows from the worst code to the best; of one code, those of worse verdicts and changes come first."""
 
-    def rank(row: dict[str, Any]) -> tuple[int, int]:
+    def rank(row: dict[str, Any]) -> tuple[int, int, bool]:
         change = (row["baseline"] or {}).get("change")
-        return -SEVERITY.index(ExitCode(row["verdict"])), 0 if change == ChangeKind.WORSE else 1
+        word = verdict_texts(row["run"])[0] or VERDICTS[0]
+        return -SEVERITY.index(ExitCode(row["code"])), -VERDICTS.index(word), change != ChangeKind.WORSE
 
     return sorted(rows, key=rank)
 
 
 def why(row: Mapping[str, Any]) -> list[str]:
     """Return the reasons why a run did not pass, one line each: its error or exit code, and its failed gates."""
-    own = [row["error"] or ENDS[ExitCode(row["exit_code"])]] if row["exit_code"] else []
-    return own + [f"gate {gate['gate']} failed: {gate['why']}" for gate in row["gates"] if not gate["passed"]]
+    failed = list(dict.fromkeys(failure_text(gate) for gate in row["gates"] if not gate["passed"]))
+    code = row["exit_code"]
+    known = code == ExitCode.TRACKING_LOST and any(gate["value"] == VERDICTS[-1] for gate in row["gates"])
+    own = [row["error"] or ENDS[ExitCode(code)]] if code and not known else []
+    return own + failed
+
+
+def remark(row: Mapping[str, Any]) -> str:
+    """Say why a run did not pass, or what is suspect of it; empty for others."""
+    word, reason = verdict_texts(row["run"])
+    return "; ".join(why(row)) or (f"{word}: {reason}" if word not in ("", VERDICTS[0]) else "")
 
 
 ENDS: Final = {

@@ -23,7 +23,7 @@ from mavnav.config.named_files import read_json
 from mavnav.errors import ExitCode, OutputError, UsageError
 from mavnav.jobs.run_cache import RUNS_FOLDER
 from mavnav.outputs.directory import RUN_FILE, check_apart
-from mavnav.outputs.documents.quantities import NAMED, PATH, TIME, number
+from mavnav.outputs.documents.quantities import NAMED, PATH, TIME, UNUSABLE, number, verdict_texts
 from mavnav.outputs.files.document import to_json
 from mavnav.outputs.report.html import environment, facts, inline
 from mavnav.outputs.report.markdown import inert
@@ -58,7 +58,7 @@ FIGURES: Final = (
 )
 """Numbers of run.json that have a column in batch.csv."""
 
-_HEAD: Final = ("name", "log", "setting", "method", "grid", "azimuth", "status", "exit_code", "verdict", "error")
+_HEAD: Final = ("name", "log", "setting", "method", "grid", "azimuth", "status", "exit_code", "code", "error")
 
 
 def write_batch(document: dict[str, Any], directory: Path) -> None:
@@ -105,10 +105,16 @@ def batch_csv(document: dict[str, Any]) -> str:
     """Return CSV with one line per run: its settings, its result, and its metrics under their names in run.json."""
     rows = io.StringIO()
     table = csv.writer(rows, lineterminator="\n")
-    table.writerow([*_HEAD, "gates_failed", "baseline", "seconds", "directory", *FIGURES])
+    table.writerow([*_HEAD, "verdict", "reason", "gates_failed", "baseline", "seconds", "directory", *FIGURES])
     for row in document["cells"]:
         failed = " ".join(gate["gate"] for gate in row["gates"] if not gate["passed"])
-        more = [failed, (row["baseline"] or {}).get("change"), row["seconds"], row["directory"]]
+        more = [
+            *verdict_texts(row["run"]),
+            failed,
+            (row["baseline"] or {}).get("change"),
+            row["seconds"],
+            row["directory"],
+        ]
         texts = [inert(value) for value in (*(row[key] for key in _HEAD), *more)]
         table.writerow([*texts, *(number(row["run"], name) for name in FIGURES)])
     return rows.getvalue()
@@ -152,14 +158,16 @@ def _line(row: dict[str, Any], directory: Path) -> dict[str, Any]:
     the address of the run's page; ``change`` is the change since the baseline; ``fields`` are the metrics of `COLUMNS`.
     """
     path = directory / row["directory"] if row["directory"] else None
-    verdict = ExitCode(row["verdict"])
-    end = "passed" if not verdict else ENDS[verdict]
+    code, (word, reason) = ExitCode(row["code"]), verdict_texts(row["run"])
+    end = "passed" if not code else "failed" if word in UNUSABLE else ENDS[code]
     return {
         "name": row["name"],
-        "kind": "passed" if not verdict else "failed" if row["run"] else "broken",
+        "kind": "passed" if not code else "failed" if row["run"] else "broken",
         "end": end,
+        "word": word,
+        "reason": reason,
         "facts": _facts(path) if path else "",
-        "reasons": [reason for reason in why(row) if reason != end],
+        "reasons": [line for line in why(row) if line not in (end, f"{word}: {reason}")],
         "link": _link(path, row["directory"]) if path else None,
         "picture": thumbnail(path) if path else None,
         "change": str((row["baseline"] or {}).get("change") or ""),

@@ -14,7 +14,7 @@ from xml.etree import ElementTree as XML  # noqa: N814  short, because many line
 
 from mavnav.batch.document import why
 from mavnav.batch.files import FIGURES
-from mavnav.outputs.documents.quantities import number
+from mavnav.outputs.documents.quantities import number, verdict_texts
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -52,7 +52,7 @@ def _seconds(row: Mapping[str, Any]) -> float:
 
 
 def _kind(row: Mapping[str, Any]) -> str | None:
-    return None if not row["verdict"] else "failure" if row["run"] else "error"
+    return None if not row["code"] else "failure" if row["run"] else "error"
 
 
 def _suite(log: str, rows: Sequence[Mapping[str, Any]]) -> XML.Element:
@@ -66,11 +66,12 @@ def _case(log: str, row: Mapping[str, Any]) -> XML.Element:
     case = XML.Element("testcase", {"name": _text(name), "classname": _text(log), "time": f"{_seconds(row):.3f}"})
     kind, reasons = _kind(row), [_text(reason) for reason in why(row)]
     if kind:
-        about = {"message": reasons[0], "type": f"exit code {row['verdict']}"}
+        about = {"message": reasons[0], "type": f"exit code {row['code']}"}
         XML.SubElement(case, kind, about).text = "\n".join(reasons)
     figures = ((name, number(row["run"], name)) for name in FIGURES)
     if known := [f"{name} {value:.6g}" for name, value in figures if value is not None]:
-        XML.SubElement(case, "system-out").text = "\n".join(known)
+        word, reason = verdict_texts(row["run"])
+        XML.SubElement(case, "system-out").text = _text("\n".join([f"verdict {word}: {reason}", *known]))
     return case
 
 

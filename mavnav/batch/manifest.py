@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     ``tolerances`` and its value (a tolerance: its full name).
     """
 
-GATE_EXAMPLE: Final = "write for example wall_thickness.spread.p95_mm<=150, or baseline"
+GATE_EXAMPLE: Final = "write for example wall_thickness.p95_mm<=150, or baseline"
 
 
 Size = Annotated[float, Meta(ge=-1e9, le=1e9)]
@@ -63,8 +63,8 @@ else:
 class LogEntry(_Options, frozen=True):
     """Logs with the same options, and gates for them in addition to those of the batch."""
 
-    gates: Annotated[Texts, setting("bounds such as wall_thickness.spread.p95_mm<=150")] = ()
-    accept: Annotated[Codes, setting("exit codes that count as done, such as 3 for a log known to be damaged")] = ()
+    gates: Annotated[Texts, setting("bounds such as wall_thickness.p95_mm<=150")] = ()
+    accept: Annotated[Accepted, setting("what counts as done: exit codes, such as 3, and the worst verdict")] = ()
 
     def __post_init__(self) -> None:
         """Make lists of single items; raise ValueError if the pose of the laser cannot be meant."""
@@ -81,11 +81,11 @@ class LogEntry(_Options, frozen=True):
 
 if TYPE_CHECKING:
     Texts = tuple[str, ...]
-    Codes = tuple[int, ...]
+    Accepted = tuple[int | str, ...]
     Entries = tuple[LogEntry, ...]
 else:
     Texts = tuple[str, ...] | str
-    Codes = tuple[int, ...] | int
+    Accepted = tuple[int | str, ...] | int | str
     Entries = tuple[LogEntry | str, ...]
 """Lists, which may be written as their only item, and entries of logs, which may be the log alone."""
 
@@ -96,7 +96,9 @@ class Manifest(Strict, frozen=True):
     logs: Annotated[Entries, setting("paths, or sections with log")] = ()
     runs: Annotated[tuple[dict[str, Any], ...], setting("keys of a configuration, with name and config (a file)")] = ()
     gates: Annotated[Texts, setting("bounds for every run; the word baseline: no run may be worse than in it")] = ()
-    accept: Annotated[Codes, setting("exit codes that count as done")] = ()
+    accept: Annotated[
+        Accepted, setting("what counts as done: exit codes, and the worst verdict (default suspect)")
+    ] = ()
     baseline: Annotated[str | None, setting("an earlier batch: its directory, batch.json, or a baseline file")] = None
     tolerances: Annotated[dict[str, Size | str], setting("number: tolerance, as 5, 5% or 5%,high")] = field(
         default_factory=dict

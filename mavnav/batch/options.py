@@ -15,10 +15,10 @@ from mavnav.batch.manifest import GATE_EXAMPLE, Manifest, errors_at, origins_of,
 from mavnav.batch.request import BatchLogs, BatchPart, BatchRequest, Rules, RunLimits, crossed_settings, listed_settings
 from mavnav.config.layers import Layer
 from mavnav.config.options import ReplayOptions, given_options, restore_options, settings_of
-from mavnav.errors import ExitCode, UsageError
+from mavnav.errors import UsageError
 from mavnav.jobs import usable_cores
 from mavnav.jobs.dask import LOCAL
-from mavnav.metrics.gates import Gate, full_name, parse_gate
+from mavnav.metrics.gates import Gate, full_name, parse_gate, read_accept
 from mavnav.outputs.documents.addresses import is_address
 from mavnav.outputs.documents.provenance import Typed
 
@@ -48,7 +48,7 @@ class BatchOptions(Struct, frozen=True):
     sets: Sequence[str] = ()
     options: ReplayOptions[Path] = field(default_factory=ReplayOptions[Path])
     gates: Sequence[str] = ()
-    accept: Sequence[int] = ()
+    accept: Sequence[int | str] = ()
     baseline: Path | None = None
     tolerances: Sequence[str] = ()
     directory: Path | None = None
@@ -148,7 +148,7 @@ def _rules(options: BatchOptions, manifest: Manifest, origins: Origins, path: Pa
     gated = BASELINE_GATE in texts
     for entry in manifest.logs:  # before any log is read
         _gates(entry.gates, origins)
-        _codes(entry.accept, origins)
+        list(_accept(entry.accept, origins))
     needed = gated or options.update_baseline or any(BASELINE_GATE in entry.gates for entry in manifest.logs)
     if path is None and needed:
         raise UsageError("no baseline; name one with --baseline, an earlier batch or a file")
@@ -161,7 +161,7 @@ def _rules(options: BatchOptions, manifest: Manifest, origins: Origins, path: Pa
     fresh = options.update_baseline and path is not None and not path.exists()
     return Rules(
         gates=tuple(_gates(texts, origins)),
-        accept=frozenset(_codes([*manifest.accept, *options.accept], origins)),
+        accept=frozenset(_accept([*manifest.accept, *options.accept], origins)),
         baseline=None if path is None or fresh else read_baseline(path),
         watched=tolerances([*_parse(manifest.tolerances, origins), *(_tolerance(text) for text in options.tolerances)]),
         baseline_gate=gated and not options.update_baseline,
@@ -177,15 +177,11 @@ def _gate(text: str, where: str | None) -> Gate:
         return parse_gate(text) if where is None else parse_gate(text, "gate", GATE_EXAMPLE)
 
 
-def _codes(codes: Sequence[int], origins: Origins) -> list[int]:
-    known = {int(code) for code in ExitCode}
-    for code in codes:
-        if code not in known:
-            where = origins.get(("accept", code))
-            with errors_at(where):
-                what = "--accept" if where is None else "accept:"
-                raise UsageError(f"{what} {code}: mavnav has no such exit code; see docs/cli.md")
-    return list(codes)
+def _accept(given: Sequence[int | str], origins: Origins) -> Iterator[int | str]:
+    for each in given:
+        where = origins.get(("accept", each))
+        with errors_at(where):
+            yield read_accept(each, "--accept" if where is None else "accept:")
 
 
 def _parse(named: Mapping[str, float | str], origins: Origins) -> Iterator[Tolerance]:

@@ -134,12 +134,12 @@ class RunLimits(Struct, frozen=True):
 class Rules(Struct, frozen=True):
     """Gates of every run, in addition to those of its log.
 
-    ``accept`` are exit codes that count as done; ``watched`` are the tolerances of the metrics compared with
-    ``baseline``. With ``baseline_gate``, nothing may be worse than in the baseline.
+    ``accept`` are exit codes and verdicts that count as done; ``watched`` are the tolerances of the metrics compared
+    with ``baseline``. With ``baseline_gate``, nothing may be worse than in the baseline.
     """
 
     gates: tuple[Gate, ...] = ()
-    accept: frozenset[int] = frozenset()
+    accept: frozenset[int | str] = frozenset()
     baseline: Baseline | None = None
     watched: tuple[Tolerance, ...] = ()
     baseline_gate: bool = False
@@ -167,12 +167,12 @@ class BatchPart(Struct, frozen=True):
 
 
 class BatchLogs(Struct, frozen=True):
-    """Logs with the same options, and gates and accepted exit codes for them in addition to those of the batch."""
+    """Logs with the same options, and gates and what is accepted of them, in addition to those of the batch."""
 
     log: tuple[str, ...]
     options: ReplayOptions[Path] = field(default_factory=ReplayOptions[Path])
     gates: tuple[str, ...] = ()
-    accept: tuple[int, ...] = ()
+    accept: tuple[int | str, ...] = ()
 
 
 class BatchRequest(Struct, frozen=True):

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.batch.baseline import ChangeKind, lacking_text
 from mavnav.batch.document import why, worst_first
-from mavnav.outputs.documents.quantities import NAMED, TIME
+from mavnav.metrics.gates import VERDICTS
+from mavnav.outputs.documents.quantities import NAMED, TIME, verdict_texts
 from mavnav.outputs.report.markdown import escape, table_row
 
 if TYPE_CHECKING:
@@ -26,9 +27,10 @@ FIGURES: Final = (
 def batch_headline(document: Mapping[str, Any]) -> str:
     """Return the result of a batch in one line."""
     rows = document["cells"]
-    bad = sum(bool(row["verdict"]) for row in rows)
+    bad = sum(bool(row["code"]) for row in rows)
     counts, since = document["counts"], document["baseline"]
     parts = [f"{len(rows) - bad} of {len(rows)} runs passed"]
+    parts += [f"{count} {word}" for word, count in counts["verdicts"].items() if word != VERDICTS[0]]
     parts += [f"{counts['failed']} could not be made"] if counts["failed"] else []
     parts += [f"{counts['cached']} reused"] if counts["cached"] else []
     if since:
@@ -42,11 +44,11 @@ def to_summary(document: Mapping[str, Any]) -> str:
     rows = worst_first(document["cells"])
     mark = "✅" if document["exit_code"] == 0 else "❌"
     lines = [f"## {mark} mavnav batch", "", batch_headline(document) + ".", ""]
-    bad = [row for row in rows if row["verdict"]]
+    bad = [row for row in rows if row["code"]]
     lines += [f"- **{escape(row['name'])}**: {escape('; '.join(why(row)))}" for row in bad[:MAX_ROWS]]
     lines += [f"- **{escape(name)}**: in the baseline, not in this batch" for name in _missing(document)[:MAX_ROWS]]
     lines += [""] if bad or _missing(document) else []
-    titles = ["", "run", *(figure.head for figure in FIGURES)]
+    titles = ["", "run", "verdict", *(figure.head for figure in FIGURES)]
     titles += ["since the baseline"] if document["baseline"] else []
     lines += [table_row(titles), table_row(["---"] * len(titles))]
     lines += [table_row(_cells(row, since=bool(document["baseline"]))) for row in rows[:MAX_ROWS]]
@@ -72,7 +74,8 @@ def _missing(document: Mapping[str, Any]) -> list[str]:
 
 
 def _cells(row: Mapping[str, Any], *, since: bool) -> list[str]:
-    texts = ["❌" if row["verdict"] else "✅", escape(row["name"]), *(f.text_of(row["run"]) for f in FIGURES)]
+    mark = "❌" if row["code"] else "✅"
+    texts = [mark, escape(row["name"]), verdict_texts(row["run"])[0] or "-", *(f.text_of(row["run"]) for f in FIGURES)]
     return [*texts, change_text(row)] if since else texts
 
 
@@ -86,7 +89,7 @@ def change_text(row: Mapping[str, Any]) -> str:
 
 def github_commands(document: Mapping[str, Any]) -> list[str]:
     """Return the workflow commands that show the failures of a batch on GitHub, one line each."""
-    bad = [row for row in worst_first(document["cells"]) if row["verdict"]]
+    bad = [row for row in worst_first(document["cells"]) if row["code"]]
     places = [f"file={_property(row['log'])},title={_property(row['name'])}" for row in bad]
     errors = [f"::error {place}::{_data('; '.join(why(row)))}" for place, row in zip(places, bad, strict=True)]
     return errors + [f"::{kind} title=mavnav::{_data(text)}" for kind, text in missing_lines(document)]

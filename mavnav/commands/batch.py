@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mavnav.commands import shared, signals
-from mavnav.commands.batch_rows import print_verdict, row_printer
+from mavnav.commands.batch_rows import print_batch, row_printer
 from mavnav.commands.progress import loading_modules, reporting, watching
 from mavnav.commands.terminal import emit_json, note
 from mavnav.config.options import READING, read_options
@@ -72,10 +72,7 @@ def batch(
     ] = False,
     quiet: shared.Quiet = False,
     gates: shared.Gates = None,
-    accept: Annotated[
-        list[int] | None,
-        shared.check_option("--accept", metavar="CODE", help="Exit code that counts as done (0 does); repeatable."),
-    ] = None,
+    accept: shared.Accept = None,
     baseline: Annotated[
         Path | None, shared.check_option(metavar="DIR|FILE", help="Compare with an earlier batch.")
     ] = None,
@@ -161,7 +158,7 @@ def batch(
     try:
         _write_for_ci(document, junit, summary, annotations=annotations)
     finally:
-        print_verdict(document, _results(plan.request), json=json)
+        print_batch(document, _results(plan.request), json=json)
     raise typer.Exit(document["exit_code"])
 
 
@@ -169,8 +166,12 @@ def _plan(options: BatchOptions, report: Progress) -> BatchPlan:
     """Read manifest and logs, and load the kernels here."""
     from mavnav.batch.options import request_of
     from mavnav.batch.runner import load_kernels, plan_batch
+    from mavnav.metrics.gates import renaming
 
     plan = plan_batch(request_of(options), report)
+    gates = [*plan.request.rules.gates, *(gate for case in plan.cases for gate in case.gates)]
+    for old in dict.fromkeys(filter(None, (renaming(gate.name) for gate in gates))):
+        note(f"mavnav: {old}")
     load_kernels(plan, report)
     return plan
 
@@ -192,8 +193,8 @@ def _run(plan: BatchPlan, *, json: bool, quiet: bool) -> dict[str, Any]:
 
 def _print_baseline(document: dict[str, Any], path: Path) -> None:
     """Print on stderr which baseline file was written, and how many of its runs failed."""
-    verdicts = [row["verdict"] for row in document["cells"]]
-    note(f"mavnav: wrote the baseline {path}; {sum(map(bool, verdicts))} of {len(verdicts)} runs in it failed")
+    codes = [row["code"] for row in document["cells"]]
+    note(f"mavnav: wrote the baseline {path}; {sum(map(bool, codes))} of {len(codes)} runs in it failed")
 
 
 def _results(request: BatchRequest) -> Path:

@@ -9,7 +9,7 @@ import typer
 
 from mavnav.commands import shared
 from mavnav.commands.progress import REPLAY, loading_modules, reporting
-from mavnav.commands.terminal import Rows, emit, emit_json, note, note_problems, print_table
+from mavnav.commands.terminal import Rows, emit, emit_json, note, note_problems, print_verdict
 from mavnav.config.options import read_options, settings_of
 
 EPILOG = """
@@ -77,7 +77,7 @@ def calibrate(
         emit_json(document)
     else:
         if not document["refused"]:
-            print_table(_rows(document))
+            print_verdict(document, _rows(document))
             for line in filter(None, document["lines"].values()):
                 emit(f"\n{line}")
         note_problems(document)

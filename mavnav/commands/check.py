@@ -23,7 +23,7 @@ WHOLE_FILES: Final = ("batch.json", "comparison.json")
 
 EPILOG = """
 [bold]Examples[/bold]
-mavnav check runs/drive-robust-20-10x10 --gate 'wall_thickness.spread.p95_mm<=150'
+mavnav check runs/drive-robust-20-10x10 --gate 'wall_thickness.p95_mm<=150'
 mavnav check runs/* --gate 'map.accepted_share>=0.95' --gate 'tracking.lost==false'
 """
 
@@ -35,27 +35,32 @@ def check(
     ],
     *,
     gates: shared.Gates = None,
+    accept: shared.Accept = None,
     json: shared.Json = False,
 ) -> None:
-    """Check finished runs against quality gates; exits with the worst code of the runs and their gates."""
-    from mavnav.metrics.gates import check_known
+    """Check finished runs: their verdicts, and quality gates; exits with the worst code of the runs and their gates."""
+    from mavnav.metrics.gates import check_known, read_accept
 
-    bounds = shared.gates_of(gates)
+    bounds, accepted = shared.gates_of(gates), frozenset(map(read_accept, accept or ()))
     finished = [run for path in runs for run in _runs_at(path)]
     check_known(bounds, [run.document for run in finished if run.document is not None])
-    rows = [_judge(run, bounds) for run in finished]
+    rows = [_judge(run, bounds, accepted) for run in finished]
     code = worst(row["exit_code"] for row in rows)
     _print_result(rows, code, json=json)
     raise typer.Exit(code)
 
 
 class _CheckedRun(NamedTuple):
-    """A finished run; or one that a batch could not make: it has no ``document``, and ``error`` says why."""
+    """A finished run; or one that a batch could not make: it has no ``document``, and ``error`` says why.
+
+    ``accept`` are the verdicts that the batch accepts.
+    """
 
     name: str
     exit_code: ExitCode
     document: dict[str, Any] | None
-    error: str | None
+    accept: frozenset[int | str] = frozenset()
+    error: str = ""
 
 
 def _runs_at(path: Path) -> list[_CheckedRun]:
@@ -87,24 +92,30 @@ def _runs_of(file: Path) -> list[_CheckedRun]:
             accepted = bool(cell.get("accepted"))
             if cell["directory"] is None:
                 code = ExitCode.DONE if accepted else ExitCode(cell["exit_code"])
-                runs.append(_CheckedRun(cell["name"], code, None, cell["error"] if code else None))
+                runs.append(_CheckedRun(cell["name"], code, None, error=cell["error"] if code else ""))
             else:
-                run = _run(file.parent / cell["directory"], accepted=accepted)
+                run = _run(file.parent / cell["directory"])._replace(accept=_accepted(cell))
                 if costs and run.document is not None:
                     run.document["price"] = {name: each[k] for name, each in costs.items()}
                 runs.append(run)
     return runs
 
 
-def _run(directory: Path, *, accepted: bool = False) -> _CheckedRun:
+def _accepted(cell: dict[str, Any]) -> frozenset[int | str]:
+    """Return the exit code and the verdict that a batch accepts of a run."""
+    words = [
+        name.rpartition("=")[2] for gate in cell.get("gates", []) if (name := gate["gate"]).startswith("verdict<=")
+    ]
+    return frozenset([*words, *([cell["exit_code"]] if cell.get("accepted") else [])])
+
+
+def _run(directory: Path) -> _CheckedRun:
     from mavnav.outputs.directory import RUN_FILE
 
     file = directory / RUN_FILE
     with _reading(file):
         document: dict[str, Any] = read_json(file)
-        code = ExitCode(document["exit_code"])
-    code = ExitCode.DONE if accepted else code
-    return _CheckedRun(str(directory), code, document, f"it ended with exit code {code}" if code else None)
+        return _CheckedRun(str(directory), ExitCode(document["exit_code"]), document)
 
 
 @contextmanager
@@ -118,28 +129,36 @@ def _reading(file: Path) -> Iterator[None]:
         raise UsageError(f"{file} is not one of mavnav's; {advice}") from error
 
 
-def _judge(run: _CheckedRun, bounds: list[Gate]) -> dict[str, Any]:
-    from mavnav.metrics.gates import judge_some
+def _judge(run: _CheckedRun, bounds: list[Gate], given: frozenset[int | str]) -> dict[str, Any]:
+    """Return the row of a run; what is ``given`` is accepted instead of what its batch accepts, if anything is."""
+    from mavnav.metrics.gates import accepts_code, judge_some, judge_verdict, stored_verdict
 
-    verdicts = [] if run.document is None else judge_some(bounds, run.document)
-    code = worst([run.exit_code, *(ExitCode.GATE_FAILED for v in verdicts if not v.passed)])
+    document, accept = run.document or {}, given or run.accept
+    results = [*judge_verdict(accept, document), *judge_some(bounds, document)] if document else []
+    code = ExitCode.DONE if accepts_code(accept, run.exit_code) else run.exit_code
+    verdict = stored_verdict(document)
+    lost = code == ExitCode.TRACKING_LOST and verdict is not None  # the verdict says it
     return {
         "run": run.name,
-        "gates": [verdict.row() for verdict in verdicts],
-        "error": run.error,
-        "exit_code": int(code),
+        "verdict": verdict,
+        "gates": [each.row() for each in results],
+        "error": run.error or (f"it ended with exit code {code}" if code and not lost else None),
+        "exit_code": int(worst([code, *(ExitCode.GATE_FAILED for each in results if not each.passed)])),
     }
 
 
 def _print_result(rows: list[dict[str, Any]], code: ExitCode, *, json: bool) -> None:
-    """Print the verdicts on stdout, and what failed on stderr too with ``json``."""
+    """Print the results on stdout, and what failed on stderr too with ``json``."""
+    from mavnav.metrics.gates import failure_text
+
     if json:
         emit_json({"schema_version": 1, "runs": rows, "exit_code": int(code)})
     for row in rows:
         if not json:
-            emit(f"{printable(row['run'])}: {'passed' if not row['exit_code'] else 'failed'}")
+            verdict = f", {row['verdict']['word']}" if row["verdict"] else ""
+            emit(f"{printable(row['run'])}: {'failed' if row['exit_code'] else 'passed'}{verdict}")
         for gate in row["gates"]:
             if not gate["passed"]:
-                note(f"mavnav: error: {row['run']}: gate {gate['gate']} failed: {gate['why']}")
+                note(f"mavnav: error: {row['run']}: {failure_text(gate)}")
         if row["error"]:
             note(f"mavnav: error: {row['run']}: {row['error']}")

@@ -23,7 +23,7 @@ EPILOG = """
 mavnav compare drive.mcap --grid 5x5 --grid 10x10 --grid 20x20
 mavnav compare --grid 20x20
 mavnav compare a.bag b.mcap --method robust --method paper -j 4 -o grids
-mavnav compare drive.mcap --grid 40x40 --azimuth 40 --gate 'wall_thickness.spread.p95_mm<=150'
+mavnav compare drive.mcap --grid 40x40 --azimuth 40 --gate 'wall_thickness.p95_mm<=150'
 """
 
 
@@ -50,7 +50,9 @@ def compare(
     ] = None,
     force: shared.RunAgain = False,
     jobs: shared.Jobs = None,
-    preview: shared.Preview = False,
+    preview: Annotated[
+        bool, shared.output_option("--preview", help="Print the maps as text (on stderr with --json).")
+    ] = False,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
     gates: shared.Gates = None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING, Any
 
-from mavnav.commands.terminal import can_print, printable, table_console
+from mavnav.commands.terminal import can_print, printable, table_console, verdict_mark
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -19,7 +19,7 @@ METRICS_WITH_BAR = {"wall_thickness.spread.p95_mm", "timing.cpu_s"}
 BAR_WIDTH = 6
 EIGHTHS = " ▏▎▍▌▋▊▉█"
 
-BARS, LOGS, REMARKS, EVALUATIONS, CPU = "bars", "logs", "remarks", "evals x", "cpu x"
+BARS, LOGS, WORDS, SIGNS, REMARKS, EVALUATIONS, CPU = "bars", "logs", "verdict", "signs", "remarks", "evals x", "cpu x"
 
 NARROWER = (
     BARS,
@@ -31,6 +31,7 @@ NARROWER = (
     "map.accepted_share",
     "wall_thickness.spread.median_mm",
     "timing.cpu_s",
+    WORDS,
     REMARKS,
     CPU,
     LOGS,
@@ -39,13 +40,15 @@ NARROWER = (
     "reference.ate.rmse_m",
     "reference.map_distance.mean_mm",
     "wall_thickness.spread.p95_mm",
+    SIGNS,
 )
 """What makes the table narrower, in this order; the files and the report contain all columns.
 
-Metrics, relative costs and bars are left out; the names of logs and the remarks are folded.
+Metrics, relative costs and bars are left out, and of verdicts first the words; the names of logs and the remarks are
+folded.
 """
 
-FOLDED = {LOGS: 14, REMARKS: 12}
+FOLDED = {LOGS: 10, REMARKS: 12}
 """Width in characters of a column that is folded."""
 
 
@@ -54,6 +57,8 @@ def print_comparison(document: dict[str, Any]) -> None:
     from mavnav.comparison.document import cell_size_notes
 
     out = table_console()
+    out.print(_text(document["headline"]), soft_wrap=False)
+    out.print()
     unbounded = out.options.update_width(1000)
     less: set[str] = set()
     table = _table(document, less)
@@ -71,6 +76,7 @@ def _table(document: dict[str, Any], less: set[str]) -> Table:
     from rich.table import Table
 
     from mavnav.comparison.document import ratio
+    from mavnav.outputs.documents.quantities import verdict_texts
 
     table = Table(box=None, pad_edge=False, header_style="bold")
     known = [figure for figure in _known_quantities(document) if figure.name not in less]
@@ -79,7 +85,7 @@ def _table(document: dict[str, Any], less: set[str]) -> Table:
     several = len(document["logs"]) > 1
     if several:
         table.add_column("log", overflow="fold", max_width=FOLDED[LOGS] if LOGS in less else None)
-    for title in ("method", "grid"):
+    for title in ("method", "grid", *([] if SIGNS in less else ["" if WORDS in less else WORDS])):
         table.add_column(title, no_wrap=True)
     for title in (*(figure.head for figure in known), *shown):
         table.add_column(title, justify="right", no_wrap=True)
@@ -89,7 +95,9 @@ def _table(document: dict[str, Any], less: set[str]) -> Table:
         figures = [_figure(document, k, figure, bars=BARS not in less) for figure in known]
         ratios = [_text(ratio(document, name, k)) for name in shown.values()]
         grid = _text(f"{cell['azimuth']}/{cell['grid']}")
-        table.add_row(*log, _text(cell["method"]), grid, *figures, *ratios, _text(_state(cell)))
+        marked, style = verdict_mark(verdict_texts(cell["run"])[0])
+        word = [] if SIGNS in less else [_text(marked[:1] if WORDS in less else marked, style)]
+        table.add_row(*log, _text(cell["method"]), grid, *word, *figures, *ratios, _text(_state(cell)))
     return table
 
 
@@ -130,13 +138,11 @@ def bar(number: float, largest: float) -> str:
 
 
 def _state(cell: dict[str, Any]) -> str:
-    """Return the status of a run in words: failed, reused, map not meaningful, track lost."""
+    """Return the status of a run in words: failed, reused, not meaningful."""
     if cell["status"] == "failed":
         return "failed"
     remarks = ["reused"] if cell["status"] == "cached" else []
     quality = cell["run"].get("map_quality") or {}
     if quality.get("meaningful", True) is False:
-        remarks.append("map not meaningful")
-    if cell["run"]["tracking"]["lost"]:
-        remarks.append("track lost")
+        remarks.append("not meaningful")
     return ", ".join(remarks)

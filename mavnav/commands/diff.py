@@ -11,7 +11,6 @@ from mavnav.commands import shared
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.terminal import LISTED, Rows, emit, emit_json, note, print_table
 from mavnav.errors import UsageError
-from mavnav.units import pluralize
 
 EPILOG = """
 [bold]Examples[/bold]
@@ -61,11 +60,11 @@ def diff(
 
 
 def _rows(document: dict[str, Any]) -> Rows:
-    pose, same = document["alignment"], f"{100 * document['same_share']:.1f} %"
-    for kind in ("gone", "new"):
-        yield kind, f"{document[f'{kind}_m2']:.3f} m² of wall cells in {pluralize(document[kind], 'place')}"
-    yield "moved", pluralize(document["moved"], "object")
-    yield "compared", f"{document['compared_m2']:.1f} m²; {same} of the walls are the same"
+    pose = document["alignment"]
+    yield "result", document["headline"]
+    for name, known in document["verdicts"].items():
+        if known and known["word"] != "good":
+            yield f"map {name.upper()}", f"{document[name]} is {known['word']}: {known['reason']}"
     place = f"{pose['x_m']:z.3f} m, {pose['y_m']:z.3f} m, {pose['yaw_deg']:z.2f} deg"
     yield "B in A", f"{place}; rms {pose['rms_mm']:.0f} mm"
     for change in document["changes"][:LISTED]:

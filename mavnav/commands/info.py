@@ -223,7 +223,7 @@ def _rows(document: dict[str, Any]) -> Rows:
             yield "imu", f"{imu['topic']}, {imu['messages']} messages, {imu['rate_hz']:.0f} Hz"
         yield "attitude", _attitude_text(topic["attitude"])
         yield "mounting", _mounting_text(topic["mounting"])
-    yield "verdict", _verdict(document)
+    yield "state", _state(document)
 
 
 def _list(name: str, lines: list[str], otherwise: str = "none") -> Rows:
@@ -231,7 +231,7 @@ def _list(name: str, lines: list[str], otherwise: str = "none") -> Rows:
     return zip_longest([name], lines or [otherwise], fillvalue="")
 
 
-def _verdict(document: dict[str, Any]) -> str:
+def _state(document: dict[str, Any]) -> str:
     """Say in a line what to make of the log."""
     match document["exit_code"]:
         case ExitCode.DONE:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,7 +10,7 @@ import typer
 
 from mavnav.commands import shared
 from mavnav.commands.progress import loading_modules, reporting
-from mavnav.commands.terminal import note, print_result
+from mavnav.commands.terminal import emit_json, note, print_verdict
 from mavnav.units import pluralize
 
 EPILOG = """
@@ -46,10 +47,13 @@ def merge(
         request = MergeRequest(tuple(inputs), directory, chosen, force, report_page, file)
         document = merged(request, report)
     for session in document["sessions"]:
-        if not session["joined"]:
+        if not session["joined"] and (json or not sys.stdout.isatty()):
             note(f"mavnav: error: {_label(session)} did not join: {session['why']}")
         _note_input(session)
-    print_result(document, [*map(_row, document["sessions"]), ("written", str(directory))], json=json)
+    if json:
+        emit_json(document)
+    else:
+        print_verdict(document, [*map(_row, document["sessions"]), ("written", str(directory))])
     raise typer.Exit(document["exit_code"])
 
 
@@ -70,6 +74,13 @@ def _note_input(session: dict[str, Any]) -> None:
 
 
 def _row(session: dict[str, Any]) -> tuple[str, str]:
+    """Return the row of a session; a verdict that is not good is part of it."""
+    name, text = _joined_text(session)
+    known = session["verdict"]
+    return name, text if not known or known["word"] == "good" else f"{text}; {known['word']}: {known['reason']}"
+
+
+def _joined_text(session: dict[str, Any]) -> tuple[str, str]:
     if not session["joined"]:
         return session["name"], f"{session['input']}, not joined: {session['why']}"
     scans = f"{session['input']}, {session['scans']} scans"

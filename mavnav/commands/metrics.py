@@ -10,7 +10,7 @@ import typer
 from mavnav.commands import shared
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.quality_rows import more_rows, quality_rows, reference_rows, wall_rows
-from mavnav.commands.terminal import Rows, emit, emit_json, note, print_table
+from mavnav.commands.terminal import Rows, emit, emit_json, note, print_table, verdict_rows
 from mavnav.config.options import REFERENCES, read_options, reference_files
 from mavnav.errors import UsageError
 
@@ -61,6 +61,8 @@ def metrics(
 
 def _summary(entry: dict[str, Any]) -> Rows:
     """Yield the rows of the table on one map."""
+    if "verdict" in entry:
+        yield from verdict_rows(entry["verdict"])
     yield entry["kind"], entry["path"]
     yield from wall_rows(entry)
     yield from quality_rows(entry["map_quality"])

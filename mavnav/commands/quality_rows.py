@@ -2,41 +2,30 @@
 
 from __future__ import annotations
 
-from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from mavnav.units import MM
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from mavnav.commands.terminal import Rows
-
-
-def doubt_rows(doubt: dict[str, Any]) -> Rows:
-    """Yield the row on ``tracking.doubt`` of a summary table, where the doubt is high."""
-    from mavnav.slam.findings import HIGH
-
-    probability = doubt["probability"]
-    if probability is not None and probability > HIGH:
-        reasons = ", ".join(dict.fromkeys(reason["reason"] for reason in doubt["reasons"]))
-        yield "doubtful", f"{100 * probability:.0f} %: {reasons}"
 
 
 def wall_rows(document: dict[str, Any]) -> Rows:
     """Yield the rows on wall thickness of a summary table."""
     walls = document["wall_thickness"]
     if "spread" in walls:
-        yield "wall thickness", _spread(walls["spread"])
+        yield "wall thickness", spread_text(walls["spread"])
     paper = walls.get("paper_cells")
     if paper and paper["max"] is not None:
         counted = f"median {paper['median']:.1f}, p95 {paper['p95']:.1f}, max {paper['max']:.1f} cells"
         yield "cells across walls", f"{counted} of >= {paper['min_hits']} hits"
     published = walls["published_map"]
-    yield "walls in map.pgm", _thickness(published) if published["sections"] else "no straight wall"
+    length = f"{published['length_m']:.1f} m of occupied cells along straight lines"
+    yield "walls in map.pgm", f"{_thickness(published)} ({length})" if published["sections"] else "no straight wall"
 
 
-def _spread(spread: dict[str, Any]) -> str:
+def spread_text(spread: dict[str, Any]) -> str:
+    """Describe the wall thickness, and the length and share of the walls that it was measured on."""
     if spread["median_mm"] is None:
         return "no straight wall to measure"
     share = f"{spread['length_m']:.1f} m, {100 * spread['measured_share']:.0f} % of the straight walls in the scans"
@@ -47,27 +36,14 @@ def _thickness(walls: dict[str, Any]) -> str:
     return f"median {walls['median_mm']:.0f} mm, p95 {walls['p95_mm']:.0f} mm"
 
 
-def closing_rows(directory: Path, document: dict[str, Any], other: str) -> Rows:
-    """Yield the rows that end a summary: pictures (``map.png``, another, that of the slices), page, run, next step."""
-    here, outputs = quote(str(directory)), document["outputs"]
-    if pictures := [str(directory / name) for name in ("map.png", other, "map_3d.png") if name in outputs]:
-        yield "pictures", ", ".join(pictures)
-    if (page := directory / "report.html").exists():
-        yield "report", str(page)
-    yield "run directory", str(directory)
-    measurable = outputs.keys() >= {"trajectory.tum", "hits.npz", "result.mcap"}
-    yield "next", f"mavnav metrics {here}" if measurable else f"mavnav check {here} --gate 'tracking.lost==false'"
-
-
 def quality_rows(quality: dict[str, Any]) -> Rows:
     """Yield the rows on ``map_quality`` of a document that a summary shows."""
-    ghosts, revisits, support = quality["ghost_walls"], quality["revisits"], quality["support"]
+    ghosts, revisits = quality["ghost_walls"], quality["revisits"]
     apart = f"{ghosts['length_m']:.1f} m, up to {ghosts['worst_offset_mm']:.0f} mm apart" if ghosts["count"] else ""
     yield "ghost walls", f"{ghosts['count']}, {apart}" if apart else "none"
     if revisits and revisits["nn_l_mm"] is not None:
         near = "" if revisits["nn_s_mm"] is None else f", neighbors {revisits['nn_s_mm']:.1f} mm"
         yield "revisits", f"{revisits['nn_l_mm']:.1f} mm apart{near}"
-    yield "straight walls", f"{support['wall_m']:.1f} m in the occupied cells of the map"
     for why in quality["why"]:
         yield "not meaningful", why
 

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mavnav.commands import shared, signals
-from mavnav.commands.lost_advice import lost_line
 from mavnav.commands.progress import REPLAY, loading_modules, reporting
-from mavnav.commands.quality_rows import closing_rows, doubt_rows, quality_rows, reference_rows, wall_rows
+from mavnav.commands.quality_rows import reference_rows
+from mavnav.commands.run_screen import log_rows, map_rows, print_run
 from mavnav.commands.sources import local_log
-from mavnav.commands.terminal import Rows, emit, note, print_result
+from mavnav.commands.terminal import Rows, emit, note
 from mavnav.config.options import OPTIONS, REFERENCES, read_options, settings_of
-from mavnav.errors import ExitCode, UsageError
+from mavnav.errors import UsageError
 from mavnav.units import pluralize
 
 if TYPE_CHECKING:
@@ -49,7 +49,8 @@ def replay(
     force: shared.Force = False,
     report: shared.WriteReport = False,
     outputs: shared.Outputs = None,
-    preview: shared.Preview = False,
+    preview: shared.Preview = None,
+    verbose: shared.Verbose = False,
     profile: Annotated[bool, shared.output_option("--profile", help="Print the time of each stage.")] = False,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
@@ -80,14 +81,14 @@ def replay(
             fields |= {"address": source.address} if source else {}
             request = ReplayRequest(path, target, chosen, options, force, **fields)
             _, document = replay_log(request, progress, compile_s, signals.deferring, startup_s)
-        print_result(document, _summary(document, target), json=json)
-        _note_problems(document)
+        about, measures = log_rows(document), _measures(document)
+        print_run(document, target, about, measures, json=json, preview=preview, verbose=verbose)
+        if "continued" in document:
+            _note_continued(document["continued"])
         if again:
             shared.note_repetition(again, document)
         if profile:
             print_stages(document["timing"]["stages"], stderr=json)
-        if preview:
-            shared.show_preview(target, stderr=json)
         raise typer.Exit(shared.gated_code(document, bounds))
 
 
@@ -123,84 +124,22 @@ def _check_files(log: Path, options: ReplayOptions[Path]) -> None:
         raise UsageError(f"{log}: no such file; name a log")
 
 
-def _note_problems(document: dict[str, Any]) -> None:
-    """Print on stderr what the user must not miss."""
-    for warning in document["warnings"]:
-        note(f"mavnav: warning: {warning}")
-    if document["damage"]:
-        first, places = document["damage"][0], pluralize(len(document["damage"]), "place")
-        note(
-            f"mavnav: warning: the input is damaged in {places}, the first: {first['what']}, {first['where']}; "
-            "what is intact was used"
-        )
-    if "continued" in document:
-        _note_continued(document["continued"], document["input"]["path"])
-    if document["tracking"]["lost"] and document["exit_code"] == ExitCode.TRACKING_LOST:
-        from mavnav.outputs.files.document import with_picture
-
-        note(with_picture(lost_line(document), document["outputs"]))
-    if document["partial"]:
-        done, usable = document["scans"]["processed"], document["scans"]["usable"]
-        where = f"after {done} of {usable} scans" if done < usable else "in the passes over the whole log"
-        note(f"mavnav: stopped {where}; the run is partial")
-
-
-def _note_continued(continued: dict[str, Any], log: str) -> None:
-    """Print what the user must not miss of a run to which a log was added."""
+def _note_continued(continued: dict[str, Any]) -> None:
+    """Print the warning where the run to which a log was added is of another version."""
     from mavnav.pipelines.sessions import run_to_continue, version_warning
 
     if warning := version_warning(run_to_continue(Path(continued["run"]))):
         note(f"mavnav: warning: {warning}")
-    if not continued["joined"]:
-        note(
-            f"mavnav: error: {continued['name']} ({log}) did not join {continued['run']}: {continued['why']}; "
-            "it is written alone, in a frame of its own"
-        )
 
 
-def _summary(document: dict[str, Any], directory: Path) -> Rows:
-    """Yield the rows of the table that ends a run."""
-    scans, tracking, timing = document["scans"], document["tracking"], document["timing"]
-    lost = sum(interval["scans"] for interval in tracking["intervals"])
-    yield "scans", f"{scans['processed']} of {scans['total']}"
-    yield "accepted", f"{100 * scans['accepted'] / max(scans['processed'], 1):.1f} %"
-    yield "rejected", f"{scans['rejected']} scans" + (f", {lost} of them lost" if lost else "")
-    stretches = pluralize(len(tracking["intervals"]), "stretch")
-    yield "lost", f"{lost} scans in {stretches}" if tracking["intervals"] else "never"
-    if text := left_out_text(tracking.get("parts", [])):
-        yield "left out", text
-    yield "path", f"{tracking['path_length_m']:.2f} m"
-    if "odometry" in tracking:
-        yield "odometry", _odometry_text(tracking["odometry"])
-    yield from doubt_rows(tracking["doubt"])
+def _measures(document: dict[str, Any]) -> Rows:
+    """Yield the rows below the map."""
+    yield from map_rows(document)
     if "continued" in document and document["continued"]["joined"]:
         yield "continued", _continuation_text(document["continued"])
     if "localisation" in document:
         yield "found in the map", _pose_text(document["localisation"])
-    yield from wall_rows(document)
-    yield from quality_rows(document["map_quality"])
     yield from reference_rows(document.get("reference"))
-    yield "speed", f"{timing['scans_per_s']:.0f} scans/s, {timing['realtime_factor']:.1f} times real time"
-    yield from closing_rows(directory, document, "wall_thickness.png")
-
-
-def left_out_text(parts: list[dict[str, Any]]) -> str:
-    """Name the parts of the log that are not in the map, by their times."""
-    times = [f"{part['scans']} at {part['from_s']:.1f} to {part['to_s']:.1f} s" for part in parts if not part["joined"]]
-    return f"scans tracked on other maps: {', '.join(times)}" if times else ""
-
-
-def _odometry_text(odometry: dict[str, Any]) -> str:
-    """Describe what was corrected of the odometry, and its errors."""
-    if not odometry["used"]:
-        return "not used: it contradicts the scans"
-    changes = [f"{odometry['offset_s']:+.2f} s"] if odometry["offset_s"] else []
-    for name in ("distance", "turn"):
-        scale = odometry[f"{name}_scale"]
-        changes += [f"{name}s x {scale:.3g}"] if round(scale, 2) != 1.0 else []
-    noise = odometry["noise"]["m_per_m"]
-    text = f"used, corrected by {', '.join(changes)}" if changes else "used as recorded"
-    return text + (f"; wrong by {100 * noise:.0f} % of the distance" if noise is not None else "")
 
 
 def _continuation_text(continued: dict[str, Any]) -> str:

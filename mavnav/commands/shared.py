@@ -158,7 +158,13 @@ Jobs = Annotated[
 ]
 
 
-Preview = Annotated[bool, output_option("--preview", help="Print the map as text (on stderr with --json).")]
+Preview = Annotated[
+    bool | None,
+    output_option(
+        "--preview/--no-preview", help="Print the map as text, on stderr with --json (default on a terminal)."
+    ),
+]
+Verbose = Annotated[bool, output_option("--verbose", "-v", help="Print every metric and warning.")]
 Gates = Annotated[
     list[str] | None,
     check_option(
@@ -169,7 +175,19 @@ Gates = Annotated[
 ]
 
 
-def output_values(outputs: str | None, *, report: bool, preview: bool) -> dict[str, Any]:
+Accept = Annotated[
+    list[str] | None,
+    check_option(
+        "--accept",
+        metavar="VERDICT|CODE",
+        help="Worst verdict that passes: good, suspect, wrong or lost (default suspect); or an exit code that counts "
+        "as done. Repeatable.",
+        autocompletion=completion.words("good", "suspect", "wrong", "lost"),
+    ),
+]
+
+
+def output_values(outputs: str | None, *, report: bool, preview: bool | None) -> dict[str, Any]:
     """Return ``report``, and ``outputs`` as the names that ``--outputs`` lists; raises UsageError."""
     if outputs is None:
         return {"report": report}
@@ -210,7 +228,19 @@ def _check_again(context: typer.Context, target: Path, *free: str) -> None:
     if kept.is_relative_to(replaced):
         what = "is" if kept == replaced else "contains"
         raise UsageError(f"{target} {what} the run to repeat; choose another directory with -o")
-    allowed = {"again", "directory", "force", "report", "outputs", "preview", "json", "quiet", "gates", *free}
+    allowed = {
+        "again",
+        "directory",
+        "force",
+        "report",
+        "outputs",
+        "preview",
+        "verbose",
+        "json",
+        "quiet",
+        "gates",
+        *free,
+    }
     for parameter in context.command.params:
         source = context.get_parameter_source(parameter.name or "")
         if parameter.name not in allowed and source is not None and source.name == "COMMANDLINE":
@@ -236,9 +266,12 @@ def gates_of(texts: list[str] | None) -> list[Gate]:
     """Read the gates; raises UsageError, before the work."""
     if not texts:
         return []
-    from mavnav.metrics.gates import parse_gate
+    from mavnav.metrics.gates import parse_gate, renaming
 
-    return [parse_gate(text) for text in texts]
+    gates = [parse_gate(text) for text in texts]
+    for old in filter(None, (renaming(gate.name) for gate in gates)):
+        note(f"mavnav: {old}")
+    return gates
 
 
 def check_gates(gates: list[Gate], *sections: str) -> None:
@@ -262,17 +295,17 @@ def gated_code(document: dict[str, Any], gates: list[Gate]) -> ExitCode:
     """
     from mavnav.metrics.gates import judge
 
-    failed = [verdict for verdict in judge(gates, document) if not verdict.passed]
-    for verdict in failed:
-        note(f"mavnav: error: gate {verdict.gate.text} failed: {verdict.why}")
+    failed = [result for result in judge(gates, document) if not result.passed]
+    for result in failed:
+        note(f"mavnav: error: gate {result.gate.text} failed: {result.why}")
     return worst([document["exit_code"], *(ExitCode.GATE_FAILED for _ in failed)])
 
 
-def show_preview(directory: Path, title: str = "", *, stderr: bool = False) -> None:
-    """Print the map of a run directory as a few lines of text, under a title if one is given."""
+def show_preview(directory: Path, title: str = "", lines: int = 24, *, stderr: bool = False) -> None:
+    """Print the map of a run directory as so many lines of text at most, under a title if one is given."""
     from mavnav.outputs.files.gridmap import read_npz
     from mavnav.outputs.pictures.preview import preview
 
     stream = sys.stderr if stderr else sys.stdout
-    lines = preview(read_npz(directory / "hits.npz"), braille=can_print("\u28ff", stream))
-    print(*["", *([printable(title)] if title else []), *lines], sep="\n", file=stream, flush=True)
+    drawn = preview(read_npz(directory / "hits.npz"), lines=lines, braille=can_print("\u28ff", stream))
+    print(*["", *([printable(title)] if title else []), *drawn], sep="\n", file=stream, flush=True)

@@ -10,8 +10,8 @@ import typer
 
 from mavnav.commands import completion, shared
 from mavnav.commands.progress import MISSION, loading_modules, reporting
-from mavnav.commands.quality_rows import closing_rows, doubt_rows, wall_rows
-from mavnav.commands.terminal import Rows, emit_json, note, print_result, print_table
+from mavnav.commands.run_screen import map_rows, print_run
+from mavnav.commands.terminal import Rows, emit_json, note, print_table
 from mavnav.config.options import SEARCHING, read_options, settings_of
 from mavnav.errors import ExitCode, UsageError
 from mavnav.units import DEG
@@ -81,7 +81,8 @@ def simulate(
     force: shared.Force = False,
     report: shared.WriteReport = False,
     outputs: shared.Outputs = None,
-    preview: shared.Preview = False,
+    preview: shared.Preview = None,
+    verbose: shared.Verbose = False,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
     gates: shared.Gates = None,
@@ -119,12 +120,11 @@ def simulate(
         fields = {"typed": Typed(context.obj, config, tuple(sets or ())), **written, **fields}
         request = SimulationRequest(chosen, path, target, record, animate, force, **fields)
         _, document = simulate_mission(request, progress, compile_s)
-    print_result(document, _summary(document, target), json=json)
+    about, measures = _flight_rows(document), _measures(document)
+    print_run(document, target, about, measures, json=json, preview=preview, verbose=verbose)
     _note_failure(document, target)
     if again:
         shared.note_repetition(again, document)
-    if preview:
-        shared.show_preview(target, stderr=json)
     raise typer.Exit(shared.gated_code(document, bounds))
 
 
@@ -143,7 +143,7 @@ def _load(scenario: str, sets: Sequence[str], config: str | None, options: dict[
 
 def _note_failure(document: dict[str, Any], directory: Path) -> None:
     """Print on stderr why a mission failed."""
-    if document["exit_code"] in (ExitCode.GATE_FAILED, ExitCode.TRACKING_LOST):
+    if not document["mission"]["reached"]:
         from mavnav.outputs.files.document import MAP_PICTURE, OTHER_PICTURE
 
         picture = directory / MAP_PICTURE if MAP_PICTURE in document["outputs"] else OTHER_PICTURE
@@ -152,8 +152,6 @@ def _note_failure(document: dict[str, Any], directory: Path) -> None:
 
 def _failure(document: dict[str, Any]) -> str:
     mission, lost = document["mission"], document["exit_code"] == ExitCode.TRACKING_LOST
-    if mission["reached"]:
-        return "tracking was lost for good, although the goal was reached"
     also = ", and tracking was lost for good" if lost and mission["reason"] != "tracking lost" else ""
     return f"the mission failed: {mission['reason']}{also}"
 
@@ -165,22 +163,23 @@ def _outcome(document: dict[str, Any]) -> str:
     return "goal reached, but tracking was lost for good" if lost else "goal reached"
 
 
-def _summary(document: dict[str, Any], directory: Path) -> Rows:
-    """Yield the rows of the table that ends a mission."""
-    mission, truth = document["mission"], document["truth"]
+def _flight_rows(document: dict[str, Any]) -> Rows:
+    """Yield the rows on how a mission went."""
+    mission = document["mission"]
     steps, least_m = mission["steps"], mission["min_clearance_m"]
-    yield "mission", _outcome(document)
-    yield "scans", f"{steps}, {100 * document['scans']['accepted'] / steps:.0f} % of them accepted"
     clearance = "no wall at flight height" if least_m is None else f"clearance {least_m:.2f} m at least"
-    yield "path", f"{mission['path_length_m']:.2f} m, {clearance}"
-    yield from doubt_rows(document["tracking"]["doubt"])
+    yield "mission", f"{_outcome(document)}; {mission['path_length_m']:.2f} m flown, {clearance}"
+    yield "used", f"{100 * document['scans']['accepted'] / steps:.0f} % of {steps} scans have a pose"
+
+
+def _measures(document: dict[str, Any]) -> Rows:
+    """Yield the rows below the map."""
+    truth = document["truth"]
+    yield from map_rows(document)
     if "ate_rmse_m" in truth:
         yield from _truth_rows(truth)
     else:
         yield "error", f"not measurable, {truth['ate_poses']} poses"
-    yield from wall_rows(document)
-    yield "speed", f"{steps / document['timing']['wall_s']:.0f} scans/s"
-    yield from closing_rows(directory, document, "true_map.png")
 
 
 def _truth_rows(truth: dict[str, Any]) -> Rows:

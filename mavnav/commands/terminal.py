@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, TextIO
 
@@ -19,6 +20,19 @@ LISTED: Final = 10
 
 UNFOLDED: Final = 200
 """Width in characters of a table if the output is no terminal, so that no line is folded."""
+
+
+VERDICT_MARKS: Final = {
+    "good": ("✓", "+", "bold green"),
+    "suspect": ("?", "?", "bold yellow"),
+    "wrong": ("✗", "x", "bold red"),
+    "lost": ("✗", "x", "bold red"),
+}
+"""Word of a verdict -> its sign, a sign of ASCII, and its style."""
+
+
+COLOURS: Final = {"mavnav: error:": "\x1b[1;31m", "mavnav: warning:": "\x1b[33m"}
+"""Beginning of a message -> its colour, as an escape sequence."""
 
 
 def printable(text: object) -> str:
@@ -58,6 +72,13 @@ def console(*, stderr: bool = False) -> Console:
     return Console(stderr=stderr, highlight=False, markup=False, soft_wrap=True)
 
 
+def verdict_mark(word: str, stream: TextIO | None = None) -> tuple[str, str]:
+    """Return the word of a verdict after its sign, of ASCII where the stream has no other, and its style."""
+    sign, plain, style = VERDICT_MARKS.get(word, ("", "", ""))
+    shown = sign if can_print(sign, stream or sys.stdout) else plain
+    return f"{shown} {word}".strip(), style
+
+
 def table_console() -> Console:
     """Return a console for a table on stdout; where that is no terminal, it is so wide that no line is folded."""
     out = console()
@@ -69,7 +90,14 @@ def table_console() -> Console:
 def note(text: str) -> None:
     """Print one line on stderr; errors of a full or closed stream are ignored, and the exit code stays the same."""
     with suppress(OSError, ValueError):
-        print(_visible(text), file=sys.stderr, flush=True)  # noqa: T201  only the command line prints
+        print(_coloured(_visible(text)), file=sys.stderr, flush=True)  # noqa: T201  only the command line prints
+
+
+def _coloured(line: str) -> str:
+    """Colour what a line is, an error or a warning, where stderr is a terminal that shows colours."""
+    kind = next((kind for kind in COLOURS if line.startswith(kind)), "")
+    shown = kind and sys.stderr.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
+    return f"{COLOURS[kind]}{kind}\x1b[0m{line.removeprefix(kind)}" if shown else line
 
 
 def print_traceback(error: BaseException) -> None:
@@ -118,17 +146,34 @@ def print_result(document: dict[str, Any], rows: Rows, *, json: bool) -> None:
         print_table(rows)
 
 
-def print_table(rows: Rows) -> None:
-    """Print names and values on stdout: on a terminal as a table, else as plain lines, which need no imports."""
+def print_verdict(document: dict[str, Any], rows: Rows) -> None:
+    """Print the verdict of a document, its headline and its rows as one table."""
+    name, style = verdict_mark(document["verdict"]["word"])
+    print_table([*verdict_rows(document["verdict"]), ("result", document["headline"]), *rows], styles={name: style})
+
+
+def verdict_rows(verdict: dict[str, str]) -> Rows:
+    """Yield the rows of a verdict: the word with its reason, and what to do, if there is anything."""
+    yield verdict_mark(verdict["word"])[0], verdict["reason"]
+    if verdict["advice"]:
+        yield "  try", verdict["advice"]
+
+
+def print_table(rows: Rows, width: int = 0, styles: Mapping[str, str] | None = None) -> None:
+    """Print names and values on stdout: on a terminal as a table, else as plain lines, which need no imports.
+
+    The names are as wide as the longest one, at least ``width`` characters. ``styles`` are those of some names.
+    """
     rows = list(rows)
+    width = max([width, *(len(name) for name, _ in rows)])
     if not sys.stdout.isatty():
-        width = max((len(name) for name, _ in rows), default=0)
         emit("\n".join(f"{name:<{width}}  {printable(value)}" for name, value in rows))
         return
     from rich.table import Table
     from rich.text import Text
 
     table = Table(show_header=False, box=None, pad_edge=False)
+    table.add_column(min_width=width)
     for name, value in rows:
-        table.add_row(Text(name, style="bold"), Text(printable(value), overflow="fold"))
+        table.add_row(Text(name, style=(styles or {}).get(name, "bold")), Text(printable(value), overflow="fold"))
     console().print(table)

@@ -7,14 +7,25 @@ from __future__ import annotations
 
 import csv
 import io
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from mavnav.atomic_files import beside
 from mavnav.batch.document import ENDS, run_row
 from mavnav.errors import ExitCode, OutputError, worst
-from mavnav.metrics.gates import judge_some
-from mavnav.outputs.documents.quantities import QUANTITIES, comparable, number, ranked_values, size_note, winners
-from mavnav.outputs.files.document import to_json
+from mavnav.metrics.gates import failure_text, judge_some, stored_verdict
+from mavnav.outputs.documents.quantities import (
+    QUANTITIES,
+    UNUSABLE,
+    comparable,
+    number,
+    ranked_values,
+    size_note,
+    verdict_texts,
+    winners,
+)
+from mavnav.outputs.documents.verdict import Verdict, worst_verdict
+from mavnav.outputs.files.document import plain, to_json
+from mavnav.outputs.report.headline import headline
 from mavnav.outputs.report.markdown import escape, inert, table_row
 from mavnav.version import __version__
 
@@ -55,6 +66,8 @@ def comparison_document(results: Sequence[CaseResult], directory: Path, gates: S
     return {
         "schema_version": SCHEMA_VERSION,
         "mavnav_version": __version__,
+        "verdict": plain(worst_verdict(Verdict(**known) for run in runs if run and (known := stored_verdict(run)))),
+        "headline": " ".join(f"{log['log']}: {log['headline']}" if len(logs) > 1 else log["headline"] for log in logs),
         "profile": next((run["map_quality"]["profile"] for run in runs if run and run.get("map_quality")), None),
         "cells": rows,
         "winners": one_best(runs) if len(logs) == 1 else dict.fromkeys(one_best(runs)),
@@ -65,14 +78,25 @@ def comparison_document(results: Sequence[CaseResult], directory: Path, gates: S
     }
 
 
+class _NamedRun(NamedTuple):
+    name: str
+    document: dict[str, Any]
+
+
+def _name(run: Run) -> str:
+    """Return the name of a run within its log: method, yaw samples and search grid."""
+    return f"{run['method']} {run['azimuth']}/{run['grid']}"
+
+
 def _logs(planned: Sequence[PlannedRun], runs: Sequence[dict[str, Any] | None]) -> list[dict[str, Any]]:
-    """Return the runs of every log, and the best of them by each metric."""
+    """Return what was found out about every log, its runs, and the best of them by each metric."""
     groups: dict[Path, list[int]] = {}
     for k, run in enumerate(planned):
         groups.setdefault(run.request.log, []).append(k)
     return [
         {
             "log": str(log),
+            "headline": headline([_NamedRun(_name(run), run) for run in (runs[k] for k in group) if run]),
             "cells": group,
             "best": {name: [group[k] for k in places] for name, places in best([runs[k] for k in group]).items()},
         }
@@ -149,18 +173,30 @@ def comparison_csv(document: dict[str, Any]) -> str:
     table = csv.writer(rows, lineterminator="\n")
     head = ("log", "method", "grid", "azimuth", "status", "exit_code", "error", "directory")
     names = [*(figure.name for figure in QUANTITIES), *HIT_QUANTITIES]
-    table.writerow([*head, *names, *(f"price.{name}" for name in RELATIVE_COSTS)])
+    costs = [f"price.{name}" for name in RELATIVE_COSTS]
+    table.writerow([*head, "verdict", "reason", *names, *costs, "finding"])
+    findings = {k: log["headline"] for log in document["logs"] for k in log["cells"]}
     for k, cell in enumerate(document["cells"]):
         figures = [number(cell["run"], name) for name in names]
-        texts = [inert(cell[key]) for key in head]
-        table.writerow([*texts, *figures, *(document["price"][name][k] for name in RELATIVE_COSTS)])
+        texts = [inert(text) for text in (*(cell[key] for key in head), *verdict_texts(cell["run"]))]
+        ratios = [document["price"][name][k] for name in RELATIVE_COSTS]
+        table.writerow([*texts, *figures, *ratios, inert(findings[k])])
     return rows.getvalue()
 
 
 def comparison_markdown(document: dict[str, Any]) -> str:
     """Return a table in GitHub's Markdown with the best values in bold, and a list of failures below it."""
-    titles = ["log", "method", "yaw samples/grid", *(f.head for f in QUANTITIES), "evaluations ratio", "cpu ratio"]
-    lines = [f"# mavnav {document['mavnav_version']} compare", "", table_row(titles), table_row(["---"] * len(titles))]
+    titles = [
+        "log",
+        "method",
+        "yaw samples/grid",
+        "verdict",
+        *(f.head for f in QUANTITIES),
+        "evaluations ratio",
+        "cpu ratio",
+    ]
+    lines = [f"# mavnav {document['mavnav_version']} compare", "", escape(document["headline"]), ""]
+    lines += [table_row(titles), table_row(["---"] * len(titles))]
     lines += [table_row(_cells(document, k)) for k in range(len(document["cells"]))]
     failed = [f"- {escape(line)}" for line in (*problems(document), *remarks(document))]
     notes = [escape(line) for line in cell_size_notes(document)]
@@ -170,6 +206,7 @@ def comparison_markdown(document: dict[str, Any]) -> str:
 def _cells(document: dict[str, Any], k: int) -> list[str]:
     cell = document["cells"][k]
     texts = [escape(cell["log"]), cell["method"], f"{cell['azimuth']}/{cell['grid']}"]
+    texts.append(verdict_texts(cell["run"])[0] or "-")
     for figure in QUANTITIES:
         text = figure.text_of(cell["run"])
         texts.append(f"**{text}**" if k in winning(document, figure.name) else text)
@@ -198,7 +235,7 @@ def problems(document: dict[str, Any]) -> list[str]:
     """Return a line for every run that failed and every gate that did not hold."""
     failed = [f"{cell['name']}: {cell['error']}" for cell in document["cells"] if cell["status"] == "failed"]
     gates = [
-        f"{document['cells'][gate['cell']]['name']}: gate {gate['gate']} failed: {gate['why']}"
+        f"{document['cells'][gate['cell']]['name']}: {failure_text(gate)}"
         for gate in document["gates"]
         if not gate["passed"]
     ]
@@ -206,8 +243,10 @@ def problems(document: dict[str, Any]) -> list[str]:
 
 
 def remarks(document: dict[str, Any]) -> list[str]:
-    """Return a line for every run of a damaged log, and every one that lost its track for good."""
-    return [f"{c['name']}: {ENDS[c['exit_code']]}" for c in document["cells"] if c["run"] and c["exit_code"]]
+    """Return a line for every run that is wrong or lost, and every other one of a damaged log."""
+    runs = [(c["name"], c["exit_code"], *verdict_texts(c["run"])) for c in document["cells"] if c["run"]]
+    bad = [f"{name}: {word}: {reason}" for name, _, word, reason in runs if word in UNUSABLE]
+    return bad + [f"{name}: {ENDS[code]}" for name, code, word, _ in runs if code and word not in UNUSABLE]
 
 
 TEXTS: Final[dict[str, Callable[[dict[str, Any]], str]]] = {

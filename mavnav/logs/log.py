@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 from msgspec import Struct, field
+from msgspec.structs import replace
 
 from mavnav.logs.formats import detect
 from mavnav.logs.merging import Mounted, virtual_scans
@@ -181,6 +182,10 @@ class Log(Struct, frozen=True, eq=False, kw_only=True):
             with Stage("reading"):
                 self._kept.extend(self._level_scans())
         return iter(self._kept)
+
+    def as_recorded(self) -> Log:
+        """Return the log with scans that are not levelled."""
+        return replace(self, attitude=None, _kept=[])
 
     def _level_scans(self) -> Iterator[Scan]:
         return self._scans() if self.attitude is None else map(self.attitude.level, self._scans())

@@ -176,7 +176,9 @@ def reasons(support: Support, measured_share: float, journey: Journey | None) ->
     if journey and not journey.planar:
         texts.append("the laser did not move in a plane")
     if support.wall_m < LEAST_WALL_M:
-        texts.append(f"{support.wall_m:.1f} m of straight wall, {LEAST_WALL_M:g} m are needed")
+        texts.append(
+            f"{support.wall_m:.1f} m of its occupied cells lie on straight lines, {LEAST_WALL_M:g} m are needed"
+        )
     shares = (
         (support.mapped_share, LEAST_MAPPED_SHARE, "of the scans were accepted"),
         (support.explained_share, LEAST_EXPLAINED_SHARE, "of what the laser saw lies on the map"),

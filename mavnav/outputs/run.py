@@ -176,6 +176,6 @@ class RunResult(Struct, frozen=True, dict=True):
         return ExitCode.DAMAGED_INPUT if self.log.damage else ExitCode.DONE
 
 
-def base_frame(run: RunResult) -> str:
+def base_frame(log: Log) -> str:
     """Name the base's frame; an ``--extrinsic`` alone does not name it."""
-    return (run.log.base_frame or "base_link").lstrip("/")
+    return (log.base_frame or "base_link").lstrip("/")

@@ -95,6 +95,7 @@ def write_run(
         digests = {name: _write(write, folder / name) for name, write in writers.items()}
         document: dict[str, Any] = plain(run_document(run, digests))
         document["warnings"] = [with_picture(line, digests) for line in document["warnings"]]
+        document["verdict"]["advice"] = with_picture(document["verdict"]["advice"], digests)
         path = folder / RUN_FILE
         path.write_text(plain_json(document), encoding="utf-8")
         if report:

@@ -19,7 +19,7 @@ from mavnav.logs.formats.detect import log_name
 from mavnav.metrics.calibration.motion import motions_of
 from mavnav.metrics.calibration.quantities import LEAST_TURN_RAD, Calibration, calibration_of, motion_of, refusal
 from mavnav.outputs.directory import check_apart, check_file, write_file
-from mavnav.outputs.files.document import to_json
+from mavnav.outputs.files.document import plain, to_json, track_verdict
 from mavnav.outputs.pictures import calibration_picture
 from mavnav.outputs.report.summary_page import calibration_summary, draw_png, write_summary
 from mavnav.outputs.run import half_sweep_s
@@ -83,9 +83,12 @@ def calibrate(request: CalibrationRequest, progress: Progress) -> dict[str, Any]
     outcome = replace(outcome, warnings=(*warnings, *outcome.warnings))
     progress("calibrating", 0, None)
     motions = _motions(log, outcome)
-    why = _doubtful(outcome)
+    verdict = track_verdict(outcome, log, request.config)
+    doubtful = outcome.lost_for_good or (outcome.doubt is not None and outcome.doubt.high)
+    why = f"{verdict.reason}; {verdict.advice or 'try a part with --start and --end'}" if doubtful else ""
     result = refusal(why, motion_of(motions)) if why else calibration_of(motions)
     document = _document(request, log, outcome, result)
+    document |= {"verdict": plain(verdict), "headline": calibration_headline(document)}
     _write(request, document, result, motions)
     return document
 
@@ -137,17 +140,6 @@ def _motions(log: Log, outcome: SlamResult) -> Motions:
     return motions_of(track or outcome.trajectory, log.odometry.odom_T_base, 2.0 * half_sweep_s(log, outcome))
 
 
-def _doubtful(outcome: SlamResult) -> str:
-    """Return why no track of the laser can be compared with anything; empty where it can."""
-    if outcome.lost_for_good:
-        poses = f"{100 * outcome.tracked_share:.0f} % of the scans have a pose"
-        return f"tracking was lost: {poses}; try a part with --start, --end"
-    if outcome.doubt and outcome.doubt.high:
-        reasons = ", ".join(dict.fromkeys(reason.name for reason in outcome.doubt.reasons)) or "see mavnav replay"
-        return f"the track is doubtful ({reasons}); look at map.png of a replay, or try a part with --start and --end"
-    return ""
-
-
 def _document(request: CalibrationRequest, log: Log, outcome: SlamResult, result: Calibration) -> dict[str, Any]:
     quantities = [_row(quantity, log) for quantity in result.quantities]
     upside_down = None if result.mirrored is None else result.mirrored != log.upside_down
@@ -157,6 +149,8 @@ def _document(request: CalibrationRequest, log: Log, outcome: SlamResult, result
     return {
         "schema_version": SCHEMA_VERSION,
         "mavnav_version": __version__,
+        "verdict": None,
+        "headline": "",
         "input": _input(request, log),
         "tracking": {
             "scans": log.counts.usable,
@@ -179,6 +173,38 @@ def _document(request: CalibrationRequest, log: Log, outcome: SlamResult, result
         "exit_code": int(worst([*codes, *(ExitCode.DAMAGED_INPUT for _ in log.damage[:1])])),
     }
 
+
+def calibration_headline(document: dict[str, Any]) -> str:
+    """Say first what differs from what the log says, or that nothing does."""
+    if document["refused"]:
+        return str(document["refused"])
+    rows = {row["name"]: row for row in document["quantities"]}
+    differing = {name: row["difference"] for name, row in rows.items() if row["agrees"] is False}
+    texts = [_difference_text(name, differing[name]) for name in MOST_TELLING if name in differing]
+    texts += [f"the {name.replace('_', ' ')} differs" for name in differing if name not in MOST_TELLING]
+    texts += [text for name, text in SWITCHES.items() if document[name]["agrees"] is False]
+    known = sum(row["value"] is not None for row in rows.values())
+    text = "; ".join(texts) or f"the log agrees with all that is determined, {known} of {len(rows)} quantities"
+    return f"{text[0].upper()}{text[1:]}."
+
+
+def _difference_text(name: str, difference: float) -> str:
+    return MOST_TELLING[name].format(
+        abs(difference), *(("later", "too short") if difference > 0 else ("earlier", "too long"))
+    )
+
+
+MOST_TELLING: Final = {
+    "offset_s": "the laser's stamps are {0:.2f} s {1} than the odometry's",
+    "distance_scale": "the distances of the odometry are {2} by {0:.1%}",
+    "turn_scale": "the turns of the odometry are {2} by {0:.1%}",
+    "x_m": "the laser is {0:.3f} m off in x",
+    "y_m": "the laser is {0:.3f} m off in y",
+    "yaw_deg": "the laser is turned by {0:.1f} deg",
+}
+"""What differs, the most telling first -> how it is said: of the absolute difference, and of its sign in two words."""
+
+SWITCHES: Final = {"upside_down": "the laser is mounted the other way up", "beams_reversed": "the beams are in reverse"}
 
 _TURN: Final = f"the laser turns by less than {LEAST_TURN_RAD / DEG:.0f} deg in all"
 

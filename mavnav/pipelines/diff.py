@@ -2,30 +2,33 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 
 from mavnav.config.models import Config
+from mavnav.config.named_files import read_json
 from mavnav.errors import ExitCode, UsageError
 from mavnav.ground_truth.map_file import map_files, read_map
 from mavnav.kernels.machine.building import prepare
 from mavnav.kernels.maps import raycast  # noqa: F401  it is compiled with the others
 from mavnav.mapping.occupancy_grid import known_area, occupied_xy_m
+from mavnav.metrics.gates import stored_verdict
 from mavnav.metrics.map_difference import View, difference
-from mavnav.outputs.directory import check_apart, check_file, write_file
+from mavnav.outputs.directory import MERGE_FILE, RUN_FILE, check_apart, check_file, write_file
 from mavnav.outputs.files.gridmap import read_npz
 from mavnav.outputs.pictures import difference_picture
 from mavnav.outputs.report.summary_page import diff_summary, draw_png, write_summary
 from mavnav.pipelines.maps import rounded_pose
 from mavnav.sessions.map_alignment import align
 from mavnav.slam.matching.prior_map import PriorMap, prior_map_of
-from mavnav.units import MM
+from mavnav.units import MM, pluralize
 from mavnav.version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
     from mavnav.metrics.map_difference import Difference
@@ -109,13 +112,16 @@ def read_walls(path: Path) -> PriorMap:
 
 
 def _document(request: DiffRequest, alignment: Alignment | None, result: Difference | None) -> dict[str, Any]:
+    numbers = _numbers(result) if result else dict.fromkeys(NUMBERS)
     return {
         "schema_version": SCHEMA_VERSION,
         "mavnav_version": __version__,
         "a": str(request.a),
         "b": str(request.b),
+        "headline": diff_headline(numbers),
+        "verdicts": {"a": run_verdict_at(request.a), "b": run_verdict_at(request.b)},
         "alignment": alignment and _alignment(alignment),
-        **(_numbers(result) if result else dict.fromkeys(NUMBERS)),
+        **numbers,
         "changes": [
             {
                 "number": number,
@@ -130,6 +136,26 @@ def _document(request: DiffRequest, alignment: Alignment | None, result: Differe
         ],
         "exit_code": int(ExitCode.DONE if result else ExitCode.GATE_FAILED),
     }
+
+
+def run_verdict_at(path: Path) -> dict[str, str] | None:
+    """Return the verdict on the run or merge in a directory, None for a map file and for earlier versions."""
+    for name in (RUN_FILE, MERGE_FILE):
+        if (path / name).is_file():
+            with suppress(OSError, ValueError, AttributeError):
+                return stored_verdict(read_json(path / name))
+    return None
+
+
+def diff_headline(numbers: Mapping[str, Any]) -> str:
+    """Say first what changed, or that nothing did."""
+    if numbers["compared_m2"] is None:
+        return "The maps cannot be aligned: too few places of one fit the other."
+    compared = f"{100 * numbers['same_share']:.1f} % of the walls are the same on {numbers['compared_m2']:.1f} m²."
+    kinds = [(kind, numbers[kind], numbers[f"{kind}_m2"]) for kind in ("gone", "new")]
+    changed = [f"{pluralize(count, 'place')} {kind} ({m2:.3f} m²)" for kind, count, m2 in kinds if count]
+    moved = [f"{pluralize(numbers['moved'], 'object')} moved"] if numbers["moved"] else []
+    return f"{', '.join([*changed, *moved]) or 'No change'}; {compared}"
 
 
 def _numbers(result: Difference) -> dict[str, float]:

@@ -16,6 +16,7 @@ from mavnav.kernels.machine.building import prepare
 from mavnav.logs import open_log
 from mavnav.mapping.occupancy_grid import occupied_xy_m
 from mavnav.metrics.fields import ABSENT
+from mavnav.metrics.gates import stored_verdict
 from mavnav.metrics.ghost_walls import GhostWall
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import MapQuality, measure_map
@@ -47,8 +48,9 @@ Place = TypeVar("Place", GhostWall, StraightWall)
 class Subject(Struct, frozen=True):
     """What is measured: a map, where its cells lie in the map frame, and the scans behind it where they are known.
 
-    ``begins_late`` is set where the map frame is that of a later scan than the first one of the log. The poses hold
-    ``holds_s`` after their stamps, and a true pose with the stamp of a scan at its beam ``truth_at``.
+    ``verdict`` is that of the run, if it has one. ``begins_late`` is set where the map frame is that of a later scan
+    than the first one of the log. The poses hold ``holds_s`` after their
+    stamps, and a true pose with the stamp of a scan at its beam ``truth_at``.
     """
 
     kind: str
@@ -56,6 +58,7 @@ class Subject(Struct, frozen=True):
     map_T_grid: Pose
     journey: Journey | None = None
     begins_late: bool = False
+    verdict: dict[str, str] | None = None
     holds_s: float = 0.0
     truth_at: str = "first"
 
@@ -122,7 +125,7 @@ def _run(directory: Path) -> Subject:
         reason = reason_of(error)
         raise UsageError(f"{directory} is no whole run: {reason}; make it again with mavnav replay --force") from error
     holds_s, truth_at = _held(document)
-    return Subject("run", grid, Pose(), journey, late, holds_s, truth_at)
+    return Subject("run", grid, Pose(), journey, late, stored_verdict(document), holds_s, truth_at)
 
 
 def _held(document: dict[str, Any]) -> tuple[float, str]:
@@ -170,6 +173,7 @@ def _document(path: Path, what: Subject, references: References) -> dict[str, An
         {
             "path": str(path),
             "kind": what.kind,
+            "verdict": what.verdict or ABSENT,
             "cell_mm": grid.cell_m / MM,
             "wall_thickness": wall_report(sections, measured.published, measured.cuts, grid.cell_m),
             "map_quality": _to_map_frame(measured.quality, what.map_T_grid),

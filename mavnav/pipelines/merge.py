@@ -13,8 +13,10 @@ from mavnav.errors import ExitCode, NoScansError, SeveralTopicsError, TopicError
 from mavnav.logs import check_log
 from mavnav.logs.formats.detect import log_name
 from mavnav.mapping.occupancy_grid import known_area
+from mavnav.metrics.gates import stored_verdict
 from mavnav.outputs.directory import MERGE_FILE, RUN_FILE, atomic_directory, check_directory, file_sha256
 from mavnav.outputs.documents.sections import evidence
+from mavnav.outputs.documents.verdict import Verdict, worst_verdict
 from mavnav.outputs.files.document import plain, to_json
 from mavnav.outputs.files.gridmap import GridMap, write_npz, write_pgm, write_yaml
 from mavnav.outputs.files.trajectory import recording_file, trajectory_file, write_poses, write_scans
@@ -27,6 +29,7 @@ from mavnav.pipelines.sessions import UNREADABLE, FinishedRun, finished_run
 from mavnav.sessions.group import Join, frame_of, merged_map
 from mavnav.sessions.growth import join_sessions
 from mavnav.slam.methods.registry import load_kernels
+from mavnav.units import pluralize
 from mavnav.version import __version__
 
 if TYPE_CHECKING:
@@ -40,6 +43,8 @@ if TYPE_CHECKING:
 SCHEMA_VERSION: Final = 1
 TRACKING: Final = ("lost", "tracked_share", "intervals", "doubt")
 """What merge.json repeats of the tracking of each session."""
+
+OVERLAP: Final = "record it along 3 m or more of the way of another session"
 
 OF_LOGS: Final = (ExitCode.DAMAGED_INPUT, ExitCode.TRACKING_LOST)
 """Exit codes of a run that a merge takes over."""
@@ -174,7 +179,7 @@ def _write(request: MergeRequest, drawn: GridMap, members: list[Session], docume
         write_pgm(drawn, folder / "map.pgm")
         write_yaml(drawn, folder / "map.yaml")
         write_npz(drawn, folder / "hits.npz")
-        write_merged(drawn, paths, folder / "map.png")
+        write_merged(drawn, paths, Verdict(**document["verdict"]), folder / "map.png")
         for session in members:
             write_poses(session.map_T_laser, folder / trajectory_file(session.name))
             write_scans(session.scans, folder / recording_file(session.name))
@@ -192,9 +197,12 @@ def _document(request: MergeRequest, inputs: list[Input], joins: list[Join], mem
     rows = [_row(each, by_name.get(each.name) or Join(each.name, why=each.why), paths) for each in inputs]
     codes = [each.run["exit_code"] for each in inputs if each.run and each.run["exit_code"] in OF_LOGS]
     refused = len(inputs) - len(paths)
+    verdict = merge_verdict(rows)
     return {
         "schema_version": SCHEMA_VERSION,
         "mavnav_version": __version__,
+        "verdict": plain(verdict),
+        "headline": merge_headline(rows),
         "sessions": rows,
         "joined": len(paths),
         "refused": refused,
@@ -202,6 +210,24 @@ def _document(request: MergeRequest, inputs: list[Input], joins: list[Join], mem
         "config": request.config.document(),
         "exit_code": int(worst([ExitCode.GATE_FAILED if refused else ExitCode.DONE, *codes])),
     }
+
+
+def merge_verdict(sessions: list[dict[str, Any]]) -> Verdict:
+    """Return the verdict on the map of sessions: the worst of theirs; suspect where one did not join."""
+    known = [each for each in sessions if each["joined"] and each["verdict"]]
+    own = [Verdict(**each["verdict"] | {"reason": f"{each['name']}: {each['verdict']['reason']}"}) for each in known]
+    apart = [Verdict("suspect", f"{e['name']} did not join: {e['why']}", OVERLAP) for e in sessions if not e["joined"]]
+    worst = worst_verdict([*own, *apart])
+    return worst if worst and worst.word != "good" else Verdict("good", "every session joined and is good", "")
+
+
+def merge_headline(sessions: list[dict[str, Any]]) -> str:
+    """Say how many of the sessions are in one map."""
+    joined = [each for each in sessions if each["joined"]]
+    scans = pluralize(sum(each["scans"] for each in joined), "scan")
+    if len(joined) == 1:
+        return f"No session joined another; the map is that of {joined[0]['name']} alone, with {scans}."
+    return f"{len(joined)} of {len(sessions)} sessions are in one map, with {scans}."
 
 
 def _row(given: Input, join: Join, paths: dict[str, Trajectory]) -> dict[str, Any]:
@@ -212,6 +238,7 @@ def _row(given: Input, join: Join, paths: dict[str, Trajectory]) -> dict[str, An
         "input": str(given.path),
         "scans": len(own) if own else 0,
         "joined": joined,
+        "verdict": stored_verdict(run),
         "why": join.why or None,
         "trajectory": trajectory_file(given.name) if joined else None,
         "recording": recording_file(given.name) if joined else None,

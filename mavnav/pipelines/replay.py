@@ -31,8 +31,10 @@ from mavnav.pipelines.maps import check_references, known_map, localisation, mea
 from mavnav.pipelines.reach import with_reach
 from mavnav.pose import Pose, correct_path
 from mavnav.profiling import Progress, Stage, new_profile, timed
+from mavnav.slam.findings import TrackedAgain
 from mavnav.slam.methods.registry import load_kernels, uses_odometry
 from mavnav.slam.pipeline import run_slam
+from mavnav.slam.retries.levelling import AS_RECORDED
 from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
@@ -186,6 +188,7 @@ def _track_and_write(
     config, warnings = with_reach(request.config, log)
     outcome = _track(log, config, given.known, progress, stop)
     outcome = changed(outcome, warnings=(*warnings, *outcome.warnings))
+    log = log.as_recorded() if TrackedAgain(AS_RECORDED, kept=True) in outcome.attempts else log
     stopped = stop()
     if stopped is not None and not len(outcome.trajectory):
         raise StoppedError(f"{request.log}: stopped before the first pose; nothing is written", stopped)
@@ -268,8 +271,9 @@ def with_corrected_odometry(log: Log, config: Config) -> Log:
 
 def _track(log: Log, config: Config, known: PriorMap | None, progress: Progress, stop: Stop) -> SlamResult:
     """Run the method; odometry is taken at the middle of the sweeps, where the poses hold."""
+    going, plain = lambda _: stop() is None, log.as_recorded()
     return run_slam(
-        lambda: takewhile(lambda _: stop() is None, log.scans()),
+        lambda: takewhile(going, log.scans()),
         config,
         log.period_s,
         correct_path(log.odometry.odom_T_laser, -round(log.mid_sweep_s / NS)) if log.odometry else None,
@@ -278,4 +282,5 @@ def _track(log: Log, config: Config, known: PriorMap | None, progress: Progress,
         prior_map=known,
         base_T_laser=log.base_T_laser or Pose(),
         scans_ns=log.stamps_ns,
+        recorded=(lambda: takewhile(going, plain.scans())) if log.attitude and config.attitude == "auto" else None,
     )

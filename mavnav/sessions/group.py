@@ -19,7 +19,7 @@ from mavnav.pose import rigid_fit
 from mavnav.slam.findings import Edge
 from mavnav.slam.loop_closure.closure import SIGMA_M, SIGMA_RAD
 from mavnav.slam.loop_closure.detection import LOOP_M, follow
-from mavnav.slam.loop_closure.key_frames import KEY_M, KEY_RAD, KeyFrame, KeyFrameMap, Visibility, key_rows
+from mavnav.slam.loop_closure.key_frames import KEY_M, KEY_RAD, KeyFrame, KeyFrameMap, LocalMaps, Visibility, key_rows
 from mavnav.slam.loop_closure.pose_graph import PATH_SIGMA_M, PATH_SIGMA_RAD, root_information
 from mavnav.slam.matching.motion_model import USUAL_PERIOD_S, Motion, motions_along
 from mavnav.slam.matching.scan_matching import no_match
@@ -207,7 +207,7 @@ class GroupMap:
     def __init__(self, keys: Sequence[KeyFrame], config: Config) -> None:
         """Draw the map of some key frames."""
         self.keys, self.map, self.config = list(keys), KeyFrameMap(config), config
-        self.seen = Visibility(self.keys)
+        self.seen = Visibility(self.keys, LocalMaps(self.keys, config))
         self.map.grow(self.keys, len(self.keys))
         self.seen.grow(len(self.keys))
 

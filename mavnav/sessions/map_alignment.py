@@ -1,4 +1,4 @@
-"""Alignment of two maps: virtual scans of one are searched in the other, and must agree."""
+"""Alignment of two maps: virtual scans of one are searched in the other, one by one or together, and must agree."""
 
 from __future__ import annotations
 
@@ -9,9 +9,18 @@ import numpy as np
 
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, Grid, GridBuilder, cell_centres, occupancy
 from mavnav.pose import Pose, rigid_fit, transform_points
-from mavnav.slam.matching.relocalization import AMBIGUITY_MARGIN, apart, around, candidates, everywhere, unambiguous
+from mavnav.slam.matching.placement import place_together
+from mavnav.slam.matching.relocalization import (
+    AMBIGUITY_MARGIN,
+    MAP_CANDIDATES,
+    apart,
+    around,
+    candidates,
+    everywhere,
+    unambiguous,
+)
 from mavnav.slam.matching.scan_matching import Schedule, empty_line_map, search_lines
-from mavnav.slam.methods.localization import MAP_CANDIDATES
+from mavnav.slam.methods.acceptance import Acceptance
 from mavnav.slam.recovery.parts import consensus
 from mavnav.units import DEG
 
@@ -19,6 +28,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.config.models import Config
+    from mavnav.slam.matching.placement import PosedScan
     from mavnav.slam.matching.prior_map import PriorMap
     from mavnav.slam.matching.relocalization import Region
 
@@ -39,6 +49,12 @@ BEAMS, FAR_M = 360, 15.0
 
 NEAR_M, NEAR_RAD = 1.0, 15 * DEG
 """Half-widths of the first search, which assumes that both maps have nearly the same frame."""
+
+MOST_SEEN = 0.8
+"""Share of the free cells that fewer beams crossed than those from which a coarse map is searched.
+
+The others lie in rooms that were only looked into, of which another map may show another part.
+"""
 
 LEAST_INLIERS = 0.5
 """Minimum share of inliers of a virtual scan; the others may lie on changes, or beyond the other map."""
@@ -62,12 +78,14 @@ class Alignment(NamedTuple):
 def align(a: PriorMap, b: PriorMap, config: Config) -> Alignment | None:
     """Find map ``b`` in map ``a``, near the same frame and anywhere; return the better alignment.
 
-    None unless at least three virtual scans of ``b``, and most of those that are found in ``a``, agree.
+    None unless at least three virtual scans of ``b``, and most of those that are found in ``a``, agree, or all scans
+    fit together at just one place: in a coarse map each of them fits at many.
     """
     target, scans = _Target(a, config), virtual_scans(b, config)
     placed = (target.place_scans(scans, anywhere=anywhere) for anywhere in (False, True))
     alignments = [_alignment(target, pairs, b, len(scans)) for pairs in placed]
-    return min((alignment for alignment in alignments if alignment), key=attrgetter("cost_m2"), default=None)
+    best = min((alignment for alignment in alignments if alignment), key=attrgetter("cost_m2"), default=None)
+    return best or _together(a, b, config)
 
 
 def _alignment(target: _Target, pairs: list[Placed], b: PriorMap, taken: int) -> Alignment | None:
@@ -80,6 +98,22 @@ def _alignment(target: _Target, pairs: list[Placed], b: PriorMap, taken: int) ->
     return Alignment(refined, taken, len(agreeing), cost_m2)
 
 
+def _together(a: PriorMap, b: PriorMap, config: Config) -> Alignment | None:
+    """Return the alignment at which scans of the finer map, from where it was seen most, fit the coarser one together.
+
+    None if they do not fit, or fit at another place about as well.
+    """
+    if a.grid.cell_m < b.grid.cell_m:
+        swapped = _together(b, a, config)
+        return swapped and swapped._replace(a_T_b=swapped.a_T_b.inverse())
+    target, scans = _Target(a, config), virtual_scans(b, config, MOST_SEEN)
+    match = place_together(scans, target.lines, target.grid, config)
+    if match is None or not Acceptance(config.robust).is_good(match):
+        return None
+    refined, cost_m2 = target.refine(match.map_T_laser, b)
+    return Alignment(refined, len(scans), len(scans), cost_m2)
+
+
 class _Target:
     """The map in which another map is searched."""
 
@@ -88,7 +122,7 @@ class _Target:
         self.lines = empty_line_map(config, known.grid.cell_m)
         self.lines.insert(known.walls_xy_m)
 
-    def place_scans(self, scans: list[tuple[Pose, NDArray[np.float64]]], *, anywhere: bool) -> list[Placed]:
+    def place_scans(self, scans: list[PosedScan], *, anywhere: bool) -> list[Placed]:
         """Return the poses of those scans that fit the map at exactly one pose."""
         all_over = everywhere(self.grid) if anywhere else None
         places = ((pose, self._place(points, all_over or around(pose, NEAR_M, NEAR_RAD))) for pose, points in scans)
@@ -114,13 +148,18 @@ def fit_transform(pairs: list[Placed]) -> Pose:
     return rigid_fit(*(np.array([pair[k][:2] for pair in pairs]) for k in (0, 1)))
 
 
-def virtual_scans(known: PriorMap, config: Config) -> list[tuple[Pose, NDArray[np.float64]]]:
-    """Return virtual scans of a map: poses, and points (n, 2) in their frames, m, in shuffled order."""
+def virtual_scans(known: PriorMap, config: Config, seen_above: float = 0.0) -> list[PosedScan]:
+    """Return virtual scans of a map: poses, and points (n, 2) in their frames, m, in shuffled order.
+
+    They are taken from the free cells that are crossed by more beams than ``seen_above``, a share, of them.
+    """
     cells, angles_rad = occupancy(known.grid), np.arange(BEAMS) * (2 * np.pi / BEAMS)
     walls = Grid(known.grid.cell_m, known.grid.origin_xy_m, (cells == OCCUPIED).astype(np.uint16), known.grid.passes)
     directions, seen = np.column_stack((np.cos(angles_rad), np.sin(angles_rad))), GridBuilder.of(walls)
     scans = []
-    for x_m, y_m in viewpoints(walls, cells == FREE).tolist():
+    free = cells == FREE
+    free &= known.grid.passes >= np.quantile(known.grid.passes[free], seen_above) if free.any() else free
+    for x_m, y_m in viewpoints(walls, free).tolist():
         pose = Pose(x_m, y_m, 0.0)
         points = seen.virtual_scan(pose, directions, FAR_M, 0)[:, None] * directions
         points = _sample(points[np.isfinite(points).all(axis=1)])

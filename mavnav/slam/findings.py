@@ -61,7 +61,7 @@ class PoseGraph(Struct, frozen=True):
 
 
 class Loops(Struct, frozen=True):
-    """The closed loops, the number of refused candidates, and the corrected poses.
+    """The closed loops, the number of closures that were measured and refused, and the corrected poses.
 
     ``map_T_laser`` is None if the track does not change, ``graph`` is None if no loop was searched.
     """
@@ -70,10 +70,6 @@ class Loops(Struct, frozen=True):
     refused: int = 0
     map_T_laser: Trajectory | None = None
     graph: PoseGraph | None = None
-
-    def refuse_all(self) -> Loops:
-        """Return the loops with every one refused."""
-        return Loops(refused=self.refused + len(self.closed), graph=self.graph)
 
 
 class Reason(NamedTuple):

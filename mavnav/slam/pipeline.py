@@ -10,6 +10,7 @@ from mavnav.slam.loop_closure.detection import close_loops
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, LogOdometry, in_meters
 from mavnav.slam.methods.registry import make_method
+from mavnav.slam.recovery.own_map import or_with_own_map, place_in_given_map
 from mavnav.slam.recovery.parts import drop_late_poses, join_lost_parts
 from mavnav.slam.recovery.rematch import rematch_beginning, rematch_rejected
 from mavnav.slam.refinement.contradicted import drop_contradicted
@@ -24,6 +25,7 @@ from mavnav.slam.result import summarize
 from mavnav.slam.retries.attempt import COARSER_VOXELS, try_again
 from mavnav.slam.retries.beam_order import REVERSED_BEAMS
 from mavnav.slam.retries.beginning import track_from_good_beginning
+from mavnav.slam.retries.levelling import as_recorded
 from mavnav.slam.retries.odometry import FITTING_ODOMETRY
 from mavnav.slam.retries.sweep_time import TIMED_SWEEPS
 from mavnav.slam.track import Track
@@ -41,13 +43,14 @@ if TYPE_CHECKING:
 SHORTEST_PERIOD_S = 1e-3
 """Minimum scan period, s, also that of a log of one scan, whose period is unknown."""
 
-ATTEMPTS: Final = (*FITTING_ODOMETRY, TIMED_SWEEPS, REVERSED_BEAMS, COARSER_VOXELS)
+ATTEMPTS: Final = (TIMED_SWEEPS, REVERSED_BEAMS, COARSER_VOXELS)
 """Attempts to track the log again, where an input check fails ("Input checks") or scans are sparse (step 10)."""
 
 RECOVERING: Final[tuple[Pass, ...]] = (rematch_beginning, drop_late_poses, rematch_rejected, join_lost_parts)
 """Passes that match the lost scans of a track once more: "Parts", and `rematch_rejected`, step 9."""
 
 CHECKING: Final[tuple[Pass, ...]] = (
+    place_in_given_map,  # "Localization in a given map"
     close_loops,  # step 11
     drop_contradicted,  # "Localization in a given map"
     remove_dynamic_cells,  # step 12
@@ -74,6 +77,7 @@ def run_slam(
     last: tuple[Pass, ...] = DRAWING,
     base_T_laser: Pose | None = None,
     scans_ns: NDArray[np.int64] | None = None,
+    recorded: LogScans | None = None,
 ) -> SlamResult:
     """Run the configured method over a recorded log.
 
@@ -90,6 +94,7 @@ def run_slam(
     last : the passes that end the run
     base_T_laser : the mounting of the laser, for which odometry is scaled where it should be
     scans_ns : the stamps (n,) of all scans, which are averaged where odometry then fits better
+    recorded : returns the scans as recorded, where those of ``log_scans`` are levelled by a tilt that may be wrong
     """
     method = make_method(config, prior_map)
     given: LogOdometry | None = None
@@ -104,7 +109,9 @@ def run_slam(
     motion = Motion(max(period_s, SHORTEST_PERIOD_S), odometry, method.expects_rest, rotation=rotation, fastest=fastest)
     start = Track(log_scans, config, motion, method, prior_map=prior_map, on_step=on_step, log_odometry=given)
     start = start.with_findings(odometry=fit)
-    track = try_again(track_from_good_beginning(start), ATTEMPTS)  # steps 1 to 8 first
+    unlevelled = (as_recorded(recorded),) if recorded else ()
+    track = try_again(track_from_good_beginning(start), (*FITTING_ODOMETRY, *unlevelled))  # steps 1 to 8 first
+    track = try_again(or_with_own_map(track, start), ATTEMPTS)
     return summarize(after(track, (*RECOVERING, *CHECKING, *last)))
 
 

@@ -9,10 +9,10 @@ from msgspec import Struct, field
 
 from mavnav.slam.findings import NOT_PLANAR, Loops
 from mavnav.slam.matching.observability import covariances_of
-from mavnav.slam.matching.odometry_fit import fit_odometry, with_noise
+from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, fit_odometry, with_noise
 from mavnav.slam.matching.steps import LostInterval, Steps, jumps, lost_intervals, tracked_trajectory
 from mavnav.slam.methods.pauses import pause_warnings
-from mavnav.slam.recovery.parts import Part, lost_for_good, part_warnings, parts_of
+from mavnav.slam.recovery.parts import LEAST_BEFORE_END, Part, lost_for_good, part_warnings, parts_of
 from mavnav.slam.retries.attempt import COARSER_VOXELS
 from mavnav.slam.retries.odometry import odometry_warnings
 from mavnav.units import NS
@@ -73,8 +73,11 @@ class SlamResult(Struct, frozen=True):
 
     @property
     def lost_for_good(self) -> bool:
-        """Whether the track ended before the log, has too few of its scans, or too many are in parts not joined."""
-        return lost_for_good(self.steps, self.lost, self.parts)
+        """Whether the track has too few of its scans or too many are in parts not joined.
+
+        So too where it ended before the log, unless nearly all scans have a pose.
+        """
+        return lost_for_good(self.steps, self.lost, self.parts, LEAST_BEFORE_END)
 
     @property
     def planar(self) -> bool:
@@ -107,14 +110,15 @@ def summarize(track: Track) -> SlamResult:
 
 
 def used_odometry(track: Track) -> OdometryFit | None:
-    """Return what makes the odometry that is used fit the finished path, with its noise; None if none is."""
+    """Return what corrects the odometry that is used, estimated beside the finished path; None if none is."""
     used = track.findings.odometry
     if track.motion.odometry is None:
         return None
     if track.log_odometry is None:  # the commands of a mission
         return used
     path = tracked_trajectory(track.steps)
-    return fit_odometry(track.log_odometry, path, used) or with_noise(track.log_odometry, path, used)
+    corrected = fit_odometry(track.log_odometry, path, used) if used != GOOD_ODOMETRY else None
+    return corrected or with_noise(track.log_odometry, path, used)
 
 
 def _late_warnings(track: Track, parts: Sequence[Part], lost: Sequence[LostInterval]) -> Iterator[str]:

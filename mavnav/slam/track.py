@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 class Track(Struct, frozen=True):
     """A pass of the tracker over a log, and what was found out about it since.
 
+    ``prior_map`` is the map to localize in, ``around_map`` the one in whose frame a map of its own is placed.
     ``motion`` is the state before the first scan, with the odometry that is used; ``log_odometry`` is that of the log.
     The map begins with the first usable scan from number ``begin`` on.
     """
@@ -49,6 +50,7 @@ class Track(Struct, frozen=True):
     method: Method
     steps: Steps = field(default_factory=Steps)
     prior_map: PriorMap | None = None
+    around_map: PriorMap | None = None
     on_step: OnStep | None = None
     log_odometry: LogOdometry | None = None
     begin: int = 0

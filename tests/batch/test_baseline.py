@@ -129,7 +129,7 @@ def test_metrics_that_the_file_lacks(baseline: Path, tmp_path: Path) -> None:
     assert absent(baseline, "timing.cpu_s", now) == ["timing.cpu_s"]
     assert absent(baseline, "timing.cpu_s", row()) == []  # the run does not have it either
     assert absent(baseline, "timing.cpu_s", {**now, "name": "new"}) == []
-    assert absent(baseline, "wall_thickness.p95_mm", now) == []
+    assert absent(baseline, "wall_thickness.2.p95_mm", now) == []
     write_baseline([row()], baseline, tolerances([parse_tolerance("timing.cpu_s", "0")]))
     assert absent(baseline, "timing.cpu_s", now) == []  # its run did not have it
     (tmp_path / "batch.json").write_text(json.dumps({"mavnav_version": "0.1.0", "cells": [row()]}))
@@ -143,11 +143,11 @@ def test_an_unknown_number_is_answered_with_the_option_of_tolerances() -> None:
 
 def test_a_short_name_is_the_usual_one(baseline: Path) -> None:
     """As in a gate: a tolerance that takes the usual one's place under its full name does so under the short one."""
-    mine = tolerances([parse_tolerance("wall_thickness.p95_mm", "30")])
+    mine = tolerances([parse_tolerance("wall_thickness.hits_2.p95_mm", "30")])
     assert len(mine) == len(WATCHED)
     assert change(baseline, row(p95_mm=129), mine)[0] == "same"
     kept = json.loads(baseline.read_text())
-    kept["cells"][0]["figures"] = {"wall_thickness.p95_mm": 80.0}
+    kept["cells"][0]["figures"] = {"wall_thickness.hits_2.p95_mm": 80.0}
     baseline.write_text(json.dumps(kept))
     assert change(baseline, row(p95_mm=129), mine) == ("worse", ["wall_thickness.2.p95_mm"])
 

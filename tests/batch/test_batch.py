@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from mavnav.batch.document import remark, why
 from mavnav.batch.options import BatchOptions, request_of
 from mavnav.batch.request import BatchPart
 from mavnav.batch.runner import plan_batch, run_batch
@@ -45,7 +46,8 @@ def test_what_fails_fails_alone(home: Path) -> None:
         "done": 2,
         "cached": 0,
         "failed": 2,
-        "verdicts": {"0": 1, "3": 1, "4": 1, "2": 1},
+        "verdicts": {"suspect": 2},
+        "codes": {"0": 1, "3": 1, "4": 1, "2": 1},
     }
 
 
@@ -117,7 +119,10 @@ def test_force_runs_again(home: Path) -> None:
 def test_the_table_is_read_by_a_parser(home: Path) -> None:
     with Path("runs/batch/batch.csv").open() as file:
         table = {row["log"]: row for row in csv.DictReader(file)}
-    assert table["logs/good.mcap"]["verdict"] == "0"
+    assert table["logs/good.mcap"]["code"] == "0"
+    assert table["logs/good.mcap"]["verdict"] == "suspect"
+    assert table["logs/good.mcap"]["reason"] == "the path is not checked without the final pass"
+    assert table["gone.bag"]["verdict"] == ""
     assert int(table["logs/good.mcap"]["scans.processed"]) >= 5
     assert table["gone.bag"]["scans.processed"] == ""
     assert table["gone.bag"]["error"].startswith("gone.bag: no such file")
@@ -125,23 +130,23 @@ def test_the_table_is_read_by_a_parser(home: Path) -> None:
 
 def test_codes_that_are_accepted(home: Path) -> None:
     document, _ = batch(sources=("logs/*t.mcap", "logs/good.mcap"), accept=(3,))
-    assert [(row["exit_code"], row["verdict"]) for row in document["cells"]] == [(3, 0), (0, 0)]
+    assert [(row["exit_code"], row["code"]) for row in document["cells"]] == [(3, 0), (0, 0)]
     assert document["exit_code"] == 0
 
 
 def test_gates_pass_and_fail(home: Path) -> None:
     document, _ = batch(sources=("logs/good.mcap",), gates=("scans.processed>=3", "scans.accepted>=1000"))
     row = document["cells"][0]
-    assert [gate["passed"] for gate in row["gates"]] == [True, False]
-    assert row["gates"][1]["why"].startswith("it is ")
-    assert (row["exit_code"], row["verdict"], document["exit_code"]) == (0, 1, 1)
+    assert [gate["passed"] for gate in row["gates"]] == [True, True, False]
+    assert row["gates"][2]["why"].startswith("it is ")
+    assert (row["exit_code"], row["code"], document["exit_code"]) == (0, 1, 1)
 
 
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
         ({"gates": ("scans.procesed>=3",)}, r"did you mean scans.processed\?"),
-        ({"tolerances": ("wall_thickness.p59_mm=5%",)}, r"did you mean wall_thickness.2.p95_mm\?"),
+        ({"tolerances": ("wall_thickness.p59_mm=5%",)}, r"did you mean wall_thickness.p95_mm\?"),
         ({"gates": ("reference.ate.rmse_m<=0.1",)}, "it needs --truth"),
     ],
 )
@@ -170,8 +175,8 @@ def test_the_numbers_of_every_run_are_known_before(home: Path) -> None:
 def test_a_number_that_one_run_lacks_fails_that_run_alone(home: Path) -> None:
     document, _ = batch(gates=("tracking.intervals.7.scans<=3",))
     found = rows(document)["logs/good.mcap"]
-    assert found["gates"][0]["why"] == "this run has no such number"
-    assert found["verdict"] == ExitCode.GATE_FAILED
+    assert found["gates"][1]["why"] == "this run has no such number"
+    assert found["code"] == ExitCode.GATE_FAILED
 
 
 def test_a_gate_on_a_map_that_means_nothing(home: Path) -> None:
@@ -180,9 +185,52 @@ def test_a_gate_on_a_map_that_means_nothing(home: Path) -> None:
     run["map_quality"].update(meaningful=False, why=["two scans are no map"])
     path.write_text(json.dumps(run))
     document, _ = batch(sources=("logs/good.mcap",), gates=("wall_thickness.p95_mm<=100000",))
-    gate = document["cells"][0]["gates"][0]
+    gate = document["cells"][0]["gates"][1]
     assert not gate["passed"]
     assert gate["why"].endswith("the map is not meaningful: two scans are no map")
+
+
+def give_verdict(log: str, word: str) -> None:
+    """Change the verdict in the run.json of a finished run."""
+    path = next(Path("runs/batch/cells").glob(f"{log}-*/run.json"))
+    run = json.loads(path.read_text())
+    run["verdict"].update(word=word, reason="the path jumps, at 0.3 s")
+    path.write_text(json.dumps(run))
+
+
+@pytest.mark.parametrize(
+    ("word", "accept", "code"),
+    [
+        ("suspect", (), 0),
+        ("suspect", ("good",), 1),
+        ("wrong", (), 1),
+        ("wrong", ("wrong",), 0),
+        ("wrong", ("suspect", "lost"), 0),
+        ("lost", (), 1),
+        ("lost", (5,), 0),
+        ("wrong", (5,), 1),
+    ],
+)
+def test_a_batch_fails_for_its_verdicts(home: Path, word: str, accept: tuple[int | str, ...], code: int) -> None:
+    give_verdict("good", word)
+    document, _ = batch(sources=("logs/good.mcap",), accept=accept)
+    (row,) = document["cells"]
+    assert (row["exit_code"], row["code"], document["exit_code"]) == (0, code, code)
+    assert document["counts"]["verdicts"] == {word: 1}
+    assert why(row) == ([f"{word}: the path jumps, at 0.3 s"] if code else [])
+    assert remark(row) == f"{word}: the path jumps, at 0.3 s"
+
+
+def test_what_a_manifest_accepts_of_a_log(home: Path) -> None:
+    give_verdict("good", "wrong")
+    Path("night.yaml").write_text(
+        "logs:\n"
+        "  - {log: logs/good.mcap, end_s: 0.5, accept: wrong}\n"
+        "  - {log: logs/cut.mcap, end_s: 0.5, accept: [3, good]}\n"
+        "runs: [{grid: 5x5, azimuth: 6, final_pass: false}]\n"
+    )
+    document, _ = batch(sources=("night.yaml",), grids=(), azimuths=(), options={}, directory=Path("runs/batch"))
+    assert [(row["exit_code"], row["code"]) for row in document["cells"]] == [(0, 0), (3, 1)]
 
 
 def test_a_manifest_with_gates_for_some(home: Path) -> None:
@@ -204,7 +252,7 @@ output: ../runs/batch
         "../logs/good.mcap quick end_s=0.5",
         "../logs/cut.mcap quick end_s=0.5",
     ]
-    assert [row["verdict"] for row in document["cells"]] == [1, 0]
+    assert [row["code"] for row in document["cells"]] == [1, 0]
     assert document["exit_code"] == ExitCode.GATE_FAILED
 
 
@@ -295,7 +343,7 @@ def test_baselines(home: Path) -> None:
     assert (document["baseline"], document["exit_code"]) == (None, 0)
     document, _ = batch(**good, gates=("baseline",))
     assert document["baseline"]["same"] == 1
-    assert document["cells"][0]["gates"] == [{"gate": "baseline", "value": 0, "passed": True, "why": ""}]
+    assert document["cells"][0]["gates"][1:] == [{"gate": "baseline", "value": 0, "passed": True, "why": ""}]
 
     kept = json.loads(Path("base.json").read_text())
     kept["cells"][0]["figures"]["search.evaluations_per_scan.mean"] /= 2
@@ -306,7 +354,7 @@ def test_baselines(home: Path) -> None:
     assert (document["baseline"]["worse"], document["baseline"]["missing"]) == (1, ["old.bag robust"])
     document, _ = batch(**good, gates=("baseline",))
     assert document["exit_code"] == ExitCode.GATE_FAILED
-    assert "search.evaluations_per_scan.mean went from" in document["cells"][0]["gates"][0]["why"]
+    assert "search.evaluations_per_scan.mean went from" in document["cells"][0]["gates"][1]["why"]
     document, _ = batch(**good, tolerances=("search.evaluations_per_scan.mean=200%",))
     assert document["baseline"]["worse"] == 0
 
@@ -317,7 +365,7 @@ def test_a_tolerance_for_a_metric_that_the_baseline_lacks_fails_its_gate(home: P
     said = "base.json has no timing.cpu_s; add it with --update-baseline and this --tolerance"
     mine = good | {"tolerances": ("timing.cpu_s=1000%",)}
     document, _ = batch(**mine, gates=("baseline",))
-    assert document["cells"][0]["gates"] == [{"gate": "baseline", "value": 1, "passed": False, "why": said}]
+    assert document["cells"][0]["gates"][1:] == [{"gate": "baseline", "value": 1, "passed": False, "why": said}]
     assert (document["exit_code"], missing_lines(document)) == (ExitCode.GATE_FAILED, [])
     document, _ = batch(**mine)
     assert (document["exit_code"], missing_lines(document)) == (0, [("warning", f"{said}; it is not compared")])
@@ -385,15 +433,15 @@ def test_what_several_entries_say_of_a_log_holds_together(home: Path) -> None:
     Path("base.json").write_text(json.dumps({"mavnav_version": "0", "cells": [kept]}))
     document, ran = batch(sources=("night.yaml",), directory=Path("runs/batch"))
     assert ran == [f"logs/empty.mcap robust {NAME}"]
-    assert {row["log"]: (row["exit_code"], row["verdict"]) for row in document["cells"]} == {
+    assert {row["log"]: (row["exit_code"], row["code"]) for row in document["cells"]} == {
         "logs/cut.mcap": (3, 0),
         "logs/empty.mcap": (4, 0),
         "logs/good.mcap": (0, 1),
     }
     assert {row["log"]: [gate["gate"] for gate in row["gates"]] for row in document["cells"]} == {
-        "logs/cut.mcap": [],
+        "logs/cut.mcap": ["verdict<=suspect"],
         "logs/empty.mcap": ["baseline"],
-        "logs/good.mcap": ["scans.processed>=1000"],
+        "logs/good.mcap": ["verdict<=suspect", "scans.processed>=1000"],
     }
 
 
@@ -436,12 +484,15 @@ def test_what_an_entry_asks_is_read_before_the_logs(home: Path, wrong: str) -> N
     ("wrong", "said"),
     [
         ("gates: [scans.total>=1,\n  tracking.lots==false]", "5: no number tracking.lots in run.json; did you mean"),
-        ("gates: foo<=1", "4: no number foo in run.json; .*, write for example .*spread.p95_mm<=150, or base"),
+        ("gates: foo<=1", "4: no number foo in run.json; .*, write for example wall_thickness.p95_mm<=150, or base"),
         ("gates:\n  - basline", "5: gate 'basline' is not NAME, .* write for example .*, or baseline"),
-        ("accept: [3, 99]", "4: accept: 99: mavnav has no such exit code"),
+        ("accept: [3, 99]", "4: accept: 99: no exit code of mavnav"),
         ("tolerances: {wall_thickness.p95_mm: 5,\n  timing.cpu_s: much}", "5: the tolerance 'much' of timing.cpu_s"),
         ("tolerances: {timing.cpu_s: -5}", "4: the tolerance '-5.0' of timing.cpu_s is negative"),
-        ("tolerances:\n  wall_thickness.p59_mm: 5", "5: no number wall_thickness.2.p59_mm"),
+        (
+            "tolerances:\n  wall_thickness.p59_mm: 5",
+            "5: no number wall_thickness.p59_mm in run.json; did you mean wall_thickness.p95_mm",
+        ),
     ],
 )
 @pytest.mark.parametrize("of_log", [False, True])

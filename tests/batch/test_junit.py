@@ -22,7 +22,7 @@ def read(text: str) -> junitparser.JUnitXml:
 def failed_gate(document: dict[str, Any]) -> dict[str, Any]:
     """Let the good run fail a gate."""
     gate = {"gate": "map.rows<=3", "value": 7, "passed": False, "why": "it is 7"}
-    document["cells"][2].update(verdict=1, gates=[gate])
+    document["cells"][2].update(code=1, gates=[gate])
     return document
 
 
@@ -42,7 +42,9 @@ def test_a_suite_a_log_and_a_case_a_run(document: dict[str, Any]) -> None:
 def test_figures_are_the_output_of_a_case(document: dict[str, Any]) -> None:
     good = next(iter(list(read(to_junit(document)))[2]))
     assert good.is_passed
-    figures = dict(line.split() for line in good.system_out.splitlines())
+    verdict, *lines = good.system_out.splitlines()
+    assert verdict == "verdict suspect: the path is not checked without the final pass"
+    figures = dict(line.split() for line in lines)
     run = document["cells"][2]["run"]
     assert int(figures["scans.processed"]) == run["scans"]["processed"]
     assert float(figures["wall_thickness.2.p95_mm"]) == pytest.approx(run["wall_thickness"]["2"]["p95_mm"], rel=1e-5)

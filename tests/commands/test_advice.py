@@ -13,10 +13,10 @@ import pytest
 from msgspec.structs import replace
 
 from mavnav.cli import run
-from mavnav.commands.lost_advice import lost_line
 from mavnav.config.loading import load_config
 from mavnav.errors import NoScansError, TopicError
 from mavnav.logs import open_log
+from mavnav.outputs.documents import verdict
 from mavnav.pose import Pose
 from support.field_logs import START_S, drive_log, with_fields
 from support.log_files import LASER, ODOM, PERIOD_NS, START_NS, TF, Message, laser, write_bag1, write_mcap
@@ -170,40 +170,33 @@ def test_the_bags_of_a_folder_can_be_named_or_run_as_a_batch(tmp_path: Path) -> 
     assert len(open_log(tmp_path / "drive.bag")) == len(open_log(tmp_path / "drive.mcap"))
 
 
-def lost(**changes: Any) -> dict[str, Any]:
-    """Return what the advice needs of the run.json of a lost log."""
-    method = changes.get("method", "robust")
-    config = load_config(None, changes.pop("sets", []), {"method": method}).document()
-    return {
-        "tracking": {"tracked_share": 0.1, "intervals": [], "parts": []},
-        "search": {"beams_used": {"median": 0}},
-        "scans": {"usable": 50, "processed": 50},
-        "cleaning": {"valid": 50 * 360},
-        "method": "robust",
-        "config": config,
-        "input": {"odometry": None},
-    } | changes
+def lost(sets: list[str], beams: int = 0, valid: int = 360) -> tuple[str, str]:
+    """Return cause and advice for a lost log of 50 scans, with settings, matched and valid beams a scan."""
+    cause = verdict._lost(
+        {
+            "tracking": {"lost": True, "tracked_share": 0.1, "intervals": [], "parts": []},
+            "search": {"beams_used": {"median": beams}},
+            "scans": {"usable": 50, "processed": 50},
+            "cleaning": {"valid": 50 * valid},
+            "method": "robust",
+            "config": load_config(None, sets, {}).document(),
+            "input": {"odometry": None, "duration_s": 5.0},
+        }
+    )
+    assert cause
+    return cause
 
 
-@pytest.mark.parametrize(
-    ("changes", "part"),
-    [
-        ({}, "record odometry, or more scans a second"),
-        ({"cleaning": {"valid": 50 * 5}}, "the scans see too little to be matched (5 usable beams in the median)"),
-        ({"search": {"beams_used": {"median": 11}}}, "(11 usable beams in the median)"),
-        ({"sets": ["robust.cell_mm=200"]}, "try without robust.cell_mm=200"),
-        ({"method": "paper"}, "try --method robust"),
-    ],
-    ids=["slow", "blind", "few", "setting", "paper"],
-)
-def test_a_lost_log_is_told_what_is_so(changes: dict[str, Any], part: str) -> None:
-    assert part in lost_line(lost(**changes))
+@pytest.mark.parametrize(("beams", "valid", "few"), [(0, 360, False), (0, 5, True), (11, 360, True), (150, 360, False)])
+def test_a_lost_log_is_said_to_see_little_where_that_is_so(beams: int, valid: int, few: bool) -> None:
+    """Scans that were never matched have no matched beams, however much they see."""
+    assert ("see too little" in lost([], beams, valid)[0]) == few
 
 
 def test_no_advice_leads_back_to_fewer_returns() -> None:
-    """A log whose walls are far is used to its limit; to try without that would go in a circle."""
-    assert "far_mm" not in lost_line(lost(sets=["robust.far_mm=80000"]))
-    assert "try without robust.far_mm=5000" in lost_line(lost(sets=["robust.far_mm=5000"]))
+    """A log whose walls are far is used to its limit; to leave that out would go in a circle."""
+    assert "far_mm" not in lost(["robust.far_mm=80000"])[1]
+    assert "leave out robust.far_mm=5000" in lost(["robust.far_mm=5000"])[1]
 
 
 def test_a_log_of_calibrated_odometry_is_replayed_as_the_calibration_says(

@@ -121,6 +121,7 @@ def test_the_end_of_a_run_is_told_beside_its_gates(mavnav: Callable, home: Path)
         "runs": [
             {
                 "run": "lost",
+                "verdict": None,
                 "gates": [{"gate": "scans.accepted>=101", "value": 100, "passed": False, "why": "it is 100"}],
                 "error": "it ended with exit code 5",
                 "exit_code": 5,
@@ -160,3 +161,69 @@ def test_nothing_there(mavnav: Callable, home: Path) -> None:
 
 def test_the_files_that_check_reads_are_those_that_are_written() -> None:
     assert set(command.WHOLE_FILES) == {BATCH_FILE, COMPARISON_FILE}
+
+
+def judged(word: str, **more: Any) -> dict[str, Any]:
+    return {"verdict": {"word": word, "reason": "the path jumps, at 3.0 s", "advice": "look at map.png"}, **more}
+
+
+@pytest.fixture
+def four(home: Path) -> list[str]:
+    """Return the directories of runs of every verdict."""
+    for word in ("good", "suspect", "wrong"):
+        write(word, **judged(word))
+    write("lost", **judged("lost", exit_code=5))
+    return ["good", "suspect", "wrong", "lost"]
+
+
+@pytest.mark.parametrize(
+    ("accept", "failing"),
+    [
+        ((), {"wrong", "lost"}),
+        (("good",), {"suspect", "wrong", "lost"}),
+        (("suspect",), {"wrong", "lost"}),
+        (("wrong",), {"lost"}),
+        (("lost",), set()),
+        ((5,), {"wrong"}),
+        (("wrong", 5), set()),
+    ],
+)
+def test_the_worst_verdict_that_passes(mavnav: Callable, four: list[str], accept: tuple, failing: set[str]) -> None:
+    words = [word for each in accept for word in ("--accept", each)]
+    code, out, err = mavnav("check", *four, *words)
+    assert {line.partition(":")[0] for line in out.splitlines() if ": failed" in line} == failing
+    assert code == (5 if "lost" in failing else 1 if failing else 0)
+    assert err.splitlines() == [
+        f"mavnav: error: {word}: {word}: the path jumps, at 3.0 s" for word in four if word in failing
+    ]
+
+
+def test_a_wrong_run_fails_with_1_and_its_verdict_is_in_the_document(mavnav: Callable, four: list[str]) -> None:
+    code, out, _ = mavnav("check", "good", "wrong", "--json")
+    assert code == 1
+    assert [row["verdict"]["word"] for row in json.loads(out)["runs"]] == ["good", "wrong"]
+    assert mavnav("check", "good", "--gate", "verdict==good")[0] == 0
+    code, _, err = mavnav("check", "suspect", "--gate", "verdict==good")
+    assert (code, err) == (1, "mavnav: error: suspect: suspect: the path jumps, at 3.0 s\n")
+
+
+@pytest.mark.parametrize("accept", ["fine", "77", "-1"])
+def test_what_is_neither_a_verdict_nor_an_exit_code(mavnav: Callable, four: list[str], accept: str) -> None:
+    code, _, err = mavnav("check", "good", f"--accept={accept}")
+    assert code == 2
+    assert f"--accept {accept}: no exit code of mavnav" in err
+
+
+def test_what_a_batch_accepts_of_verdicts_is_accepted(mavnav: Callable, home: Path) -> None:
+    write("b/cells/wrong", **judged("wrong"))
+    gate = {"gate": "verdict<=wrong", "value": "wrong", "passed": True, "why": ""}
+    cells = [cell("wrong.bag", "cells/wrong", accepted=True, gates=[gate])]
+    Path("b/batch.json").write_text(json.dumps({"cells": cells}))
+    assert mavnav("check", "b")[0] == 0
+    assert mavnav("check", "b", "--accept", "suspect")[0] == 1
+
+
+@pytest.mark.parametrize("verdict", [None, 3, [], {}, {"word": "fine", "reason": "", "advice": ""}, {"word": "good"}])
+def test_a_verdict_that_is_none_is_no_verdict(mavnav: Callable, home: Path, verdict: object) -> None:
+    write("run", verdict=verdict)
+    assert mavnav("check", "run") == (0, "run: passed\n", "")

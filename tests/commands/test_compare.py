@@ -31,10 +31,16 @@ def again(mavnav: Callable, sample: Path, directory: Path) -> Callable[..., tupl
 
 def test_a_line_for_every_run(again: Callable, directory: Path) -> None:
     code, out, err = again()
-    lines = out.splitlines()
+    headline, _, table = out.partition("\n\n")
+    assert " ".join(headline.split()) == json.loads((directory / "comparison.json").read_text())["headline"]
+    assert headline.startswith(("A finer grid pays on this log: ", "A finer grid does not pay on this log: "))
+    lines = table.splitlines()
     assert (code, err) == (0, "")
-    assert lines[0].split()[:3] == ["method", "grid", "accepted"]
-    assert [line.split()[:2] for line in lines[1:3]] == [["robust", "6/5x5"], ["robust", "6/12x12"]]
+    assert lines[0].split()[:4] == ["method", "grid", "verdict", "accepted"]
+    assert [line.split()[:4] for line in lines[1:3]] == [
+        ["robust", "6/5x5", "?", "suspect"],
+        ["robust", "6/12x12", "?", "suspect"],
+    ]
     assert all(line.rstrip().endswith("reused") for line in lines[1:3])
     assert lines[-1] == f"report  {directory / 'report.html'}"
     assert max(map(len, lines)) <= 200
@@ -56,7 +62,9 @@ def test_a_narrow_terminal_gets_fewer_figures(
     document = json.loads((comparison / "comparison.json").read_text())
     monkeypatch.setattr("mavnav.commands.terminal.UNFOLDED", 80)
     print_comparison(document)
-    head, *lines = capsys.readouterr().out.splitlines()
+    headline, _, table = capsys.readouterr().out.partition("\n\n")
+    assert " ".join(headline.split()) == document["headline"]
+    head, *lines = table.splitlines()
     assert len(lines) == len(document["cells"])
     assert max(map(len, [head, *lines])) <= 80
     assert "wall p95 mm" in head
@@ -77,7 +85,9 @@ def test_no_head_and_no_cell_is_cut(
     document["logs"] *= 2 if several else 1
     monkeypatch.setattr("mavnav.commands.terminal.UNFOLDED", width)
     print_comparison(document)
-    head, *lines = capsys.readouterr().out.splitlines()
+    headline, _, table = capsys.readouterr().out.partition("\n\n")
+    assert " ".join(headline.split()) == document["headline"]
+    head, *lines = table.splitlines()
     assert max(map(len, [head, *lines])) <= width
     assert head.split()[several : several + 2] == ["method", "grid"]
     assert ("wall p95 mm" in head) == (width >= 60)

@@ -90,7 +90,7 @@ def test_what_does_not_join_is_written_alone(mavnav, parts, first, tmp_path) -> 
     log, run = written(tour("hall", 2, CELLAR), tmp_path / "cellar.mcap"), tmp_path / "run"
     code, _, err = mavnav("replay", "--continue", first, log, "-o", run, "-q")
     assert code == 5
-    assert f"error: cellar ({log}) did not join {first}: " in err
+    assert f"error: lost: cellar did not join {first}: " in err
     found = document(run)
     assert (found["continued"]["joined"], found["continued"]["sessions"], found["exit_code"]) == (False, [], 5)
     np.testing.assert_allclose(read_tum(run / "trajectory.tum").xyyaw[0], 0.0, atol=0.05)

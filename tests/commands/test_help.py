@@ -93,9 +93,9 @@ def test_a_summary_ends_with_the_run_and_the_next_step(mavnav: Callable, tmp_pat
     run = tmp_path / "my run"
     common = ("replay", ROOT / "sample_logs" / "complex.bag", "--end", "0.5", "--online", "-q", "-o", run)
     rows = mavnav(*common, "--outputs", "trajectory,map,mcap")[1].splitlines()
-    assert [row.split(None, 1)[0] for row in rows[-2:]] == ["run", "next"]
+    assert [row.split(None, 1)[0] for row in rows[-2:]] == ["open", "next"]
     assert rows[-2].endswith(f"  {run}")
     assert rows[-1].endswith(f"  mavnav metrics '{run}'")
     rows = mavnav(*common, "--force", "--outputs", "trajectory")[1].splitlines()
-    assert rows[-1].endswith(f"  mavnav check '{run}' --gate 'tracking.lost==false'")
+    assert rows[-1].endswith(f"  mavnav check '{run}'")
     assert mavnav("check", run, "--gate", "tracking.lost==false")[0] == 0

@@ -74,7 +74,7 @@ def test_what_does_not_join_is_said(mavnav, logs, tmp_path) -> None:
     assert f"hall ({logs['hall']}) did not join: too few of its scans fit" in err
     assert "error: cellar" not in err
     assert f"blind ({logs['blind']}) did not join" in err
-    assert [line.split()[0] for line in out.splitlines()] == [*names, "written"]
+    assert [line.split()[0] for line in out.splitlines()] == ["?", "try", "result", *names, "written"]
     assert not (tmp_path / "m" / "session_hall.tum").exists()
     code, out, err = mavnav("merge", logs["hall"], logs["back"], "-o", tmp_path / "m", "-q")
     assert (code, out) == (6, "")
@@ -110,7 +110,7 @@ def test_what_became_of_each_log_is_stated(mavnav, logs, back, tmp_path) -> None
     code, out, err = mavnav("merge", logs["hall"], copy, back, "-o", tmp_path / "n", "-q")
     assert code == 5
     assert f"hall-2 ({copy}) did not join: it has the scans of hall-1" in err
-    assert [line.split()[:2] for line in out.splitlines()[:2]] == [
+    assert [line.split()[:2] for line in out.splitlines()[3:5]] == [
         ["hall-1", f"{logs['hall']},"],
         ["hall-2", f"{copy},"],
     ]

@@ -85,8 +85,11 @@ def test_the_files_say_the_same(finished: tuple[Path, dict]) -> None:
     assert float(rows[1]["timing.cpu_s"]) == document["cells"][1]["run"]["timing"]["cpu_s"]
     assert float(rows[1]["price.evaluations"]) == document["price"]["evaluations"][1] > 1
     markdown = (directory / "comparison.md").read_text().splitlines()
-    assert {line.count(" | ") for line in markdown[2:]} == {markdown[2].count(" | ")}
-    assert len(markdown) == 2 + 2 + len(GRIDS)
+    assert markdown[2] == document["headline"]
+    assert {line.count(" | ") for line in markdown[4:]} == {markdown[4].count(" | ")}
+    assert len(markdown) == 4 + 2 + len(GRIDS)
+    assert [row["verdict"] for row in rows] == [cell["run"]["verdict"]["word"] for cell in document["cells"]]
+    assert {row["finding"] for row in rows} == {document["headline"]}
 
 
 def test_what_was_run_is_not_run_again(copied: Path, finished: tuple[Path, dict]) -> None:

@@ -126,7 +126,7 @@ def test_the_table_names_what_to_do(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert run(["info", str(write_mcap(tmp_path / "a", scans()))]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert any(line.split() == ["health", "healthy"] for line in lines)
-    assert any(line.split() == ["verdict", "sound"] for line in lines)
+    assert any(line.split() == ["state", "sound"] for line in lines)
     assert run(["info", str(write_mcap(tmp_path / "b", partial()))]) == 0
     out = capsys.readouterr().out
     assert "a replay begins its map after them" in out

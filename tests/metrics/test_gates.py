@@ -10,15 +10,20 @@ import pytest
 
 from mavnav.errors import ExitCode, UsageError, worst
 from mavnav.metrics.gates import (
+    HEADLINES,
     SKIP_REASONS,
+    VERDICTS,
     Gate,
     check_known,
     check_names,
+    clear_name,
     find,
+    full_name,
     judge,
     judge_some,
     names,
     parse_gate,
+    renaming,
 )
 from mavnav.outputs.documents.schema import number_names
 
@@ -26,7 +31,11 @@ RUN: dict[str, Any] = {
     "grid": "10x10",
     "scans": {"accepted": 137},
     "tracking": {"lost": False, "intervals": [{"scans": 4}]},
-    "wall_thickness": {"1": {"p95_cells": 9.5}, "2": {"p95_cells": 7.0, "max_mm": None}},
+    "wall_thickness": {
+        "spread": {"p95_mm": 135.0, "median_mm": 60.0, "p95_cells": 6.75},
+        "1": {"p95_cells": 9.5},
+        "2": {"p95_mm": 158.0, "p95_cells": 7.0, "max_mm": None},
+    },
     "map_quality": {"meaningful": True, "why": [], "revisits": None},
 }
 EMPTY = RUN | {"map_quality": {"meaningful": False, "why": ["0.3 m of wall", "9 % of the scans mapped"]}}
@@ -66,7 +75,12 @@ def test_what_is_no_gate_is_a_usage_error(text: str) -> None:
         ("tracking.intervals.0.scans<5", True),
         ("wall_thickness.1.p95_cells<=7", False),
         ("wall_thickness.2.p95_cells<=7", True),
-        ("wall_thickness.p95_cells<=7", True),
+        ("wall_thickness.hits_2.p95_cells<7", False),
+        ("wall_thickness.p95_cells<7", True),
+        ("wall_thickness.p95_mm<=140", True),
+        ("wall_thickness.median_mm==60", True),
+        ("wall_thickness.spread.p95_mm==135", True),
+        ("wall_thickness.hits_2.p95_mm==158", True),
         ("map_quality.meaningful==true", True),
     ],
 )
@@ -100,8 +114,63 @@ def test_null_fails_whatever_the_bound() -> None:
 
 def test_nan_fails_whatever_the_bound() -> None:
     """No run.json of ours has one, one that was written by hand may."""
-    nan = {"wall_thickness": {"2": {"p95_mm": float("nan")}}}
+    nan = {"wall_thickness": {"spread": {"p95_mm": float("nan")}}}
     assert verdict("wall_thickness.p95_mm!=3", nan) == (False, "it is not known for this run")
+
+
+def judged(word: str, reason: str = "the walls leave a direction open") -> dict[str, Any]:
+    return RUN | {"verdict": {"word": word, "reason": reason, "advice": ""}}
+
+
+@pytest.mark.parametrize(
+    ("text", "passing"),
+    [
+        ("verdict", {"good", "suspect"}),
+        ("verdict<=suspect", {"good", "suspect"}),
+        ("verdict==good", {"good"}),
+        ("verdict!=lost", {"good", "suspect", "wrong"}),
+        ("verdict<lost", {"good", "suspect", "wrong"}),
+    ],
+)
+def test_the_gate_on_the_verdict(text: str, passing: set[str]) -> None:
+    """Verdicts are ordered from good to bad; the word alone holds for what may be used after a look."""
+    assert {word for word in VERDICTS if verdict(text, judged(word))[0]} == passing
+    check_names([parse_gate(text).name], number_names())
+
+
+def test_a_failed_gate_on_the_verdict_says_why() -> None:
+    assert verdict("verdict", judged("wrong")) == (False, "wrong: the walls leave a direction open")
+    assert judge([parse_gate("verdict")], judged("good"))[0].row()["value"] == "good"
+    with pytest.raises(UsageError, match="fine is no verdict; they are good, suspect, wrong, lost"):
+        parse_gate("verdict==fine")
+    assert judge_some([parse_gate("verdict")], RUN)[0].why == "this run has no such number"
+
+
+@pytest.mark.parametrize(
+    ("name", "clear"),
+    [
+        ("wall_thickness.2.p95_mm", "wall_thickness.hits_2.p95_mm"),
+        ("wall_thickness.5.max_cells", "wall_thickness.hits_5.max_cells"),
+        ("wall_thickness.max_mm", "wall_thickness.hits_2.max_mm"),
+    ],
+)
+def test_old_names_of_wall_thickness_are_read_with_a_note(name: str, clear: str) -> None:
+    assert renaming(name) == f"{name} is an old name of {clear}"
+    assert full_name(name) == full_name(clear)
+
+
+def test_names_of_today_need_no_note() -> None:
+    names_of_today = [
+        "p95_mm",
+        "median_mm",
+        "spread.p95_mm",
+        "hits_2.p95_mm",
+        "paper_cells.max",
+        "published_map.p95_mm",
+    ]
+    assert [renaming(f"wall_thickness.{name}") for name in names_of_today] == [""] * len(names_of_today)
+    assert renaming("scans.accepted") == ""
+    assert [clear_name(name) for name in HEADLINES] == list(HEADLINES)
 
 
 def test_a_name_that_only_some_have() -> None:
@@ -117,7 +186,7 @@ def test_a_name_that_only_some_have() -> None:
 def test_a_map_that_is_not_meaningful_fails_its_gates() -> None:
     passed, why = verdict("wall_thickness.p95_cells<=7", EMPTY)
     assert not passed
-    assert why == "it is 7, but the map is not meaningful: 0.3 m of wall; 9 % of the scans mapped"
+    assert why == "it is 6.75, but the map is not meaningful: 0.3 m of wall; 9 % of the scans mapped"
     assert verdict("map_quality.meaningful==false", EMPTY)[0]
     assert verdict("map_quality.meaningful==true", EMPTY) == (False, "it is false")
     assert verdict("scans.accepted>100", EMPTY)[0]
@@ -137,9 +206,11 @@ def test_a_map_that_is_not_meaningful_fails_gates_on_true_walls_and_slices(name:
 @pytest.mark.parametrize(
     ("name", "nearest"),
     [
-        ("wall_thickness.p59_cells", "wall_thickness.2.p95_cells"),
-        ("wall_thicknes.2.p95_cells", "wall_thickness.2.p95_cells"),
+        ("wall_thickness.p59_cells", "wall_thickness.p95_cells"),
+        ("wall_thicknes.2.p95_cells", "wall_thickness.p95_cells"),
         ("wall_thicknes.p95_cells", "wall_thickness.p95_cells"),
+        ("wall_thickness.p95", "wall_thickness.p95_mm"),
+        ("p95_mm", "wall_thickness.p95_mm"),
         ("accepted", "scans.accepted"),
         ("scans", "scans.accepted"),
         ("grid", ""),
@@ -173,14 +244,14 @@ def test_names_are_known_before_there_is_a_run() -> None:
     ("name", "ending"),
     [
         ("scans.acepted", "did you mean scans.accepted?"),
-        ("wall_thickness.p59_mm", "did you mean wall_thickness.2.p95_mm?"),
-        ("wall_thickness.3.p95_mm", "did you mean wall_thickness.5.p95_mm?"),
-        ("wall_thickness", "did you mean wall_thickness.spread.median_mm?"),
-        ("map_quality.revisits", "did you mean map_quality.revisits.nn_s_mm?"),
+        ("wall_thickness.p59_mm", "did you mean wall_thickness.p95_mm?"),
+        ("wall_thickness.3.p95_mm", "did you mean wall_thickness.p95_mm?"),
+        ("wall_thickness", "did you mean wall_thickness.p95_mm?"),
+        ("map_quality.revisits", "did you mean map_quality.revisits.nn_l_mm?"),
         ("config.robust.cel_mm", "did you mean config.robust.cell_mm?"),
         ("accepted", "did you mean scans.accepted?"),
         ("reference.ate.rmse_m", "it needs --truth, --truth-map or --relations"),
-        ("mission.steps", "write for example --gate 'wall_thickness.spread.p95_mm<=150'"),
+        ("mission.steps", "write for example --gate 'wall_thickness.p95_mm<=150'"),
         ("config.grid", "; config has azimuth, slice_mm, upside_down, final_pass"),
     ],
 )

@@ -219,5 +219,7 @@ def test_a_parent_folder_that_is_read_is_not_in_the_run(monkeypatch):
 @pytest.mark.parametrize("groups", [None, ("trajectory",)])
 def test_warnings_name_the_picture_only_if_it_is_written(run, tmp_path, groups):
     odd = replace(run, slam=replace(run.slam, warnings=("it is odd; see map.png",)))
-    *_, warning = write_run(odd, tmp_path / "x", groups=groups)["warnings"]
-    assert warning == "it is odd; see map.png" + (" of a run with --outputs pictures" if groups else "")
+    document = write_run(odd, tmp_path / "x", groups=groups)
+    ending = " of a run with --outputs pictures" if groups else ""
+    assert f"it is odd; see map.png{ending}" in document["warnings"]
+    assert f"map.png{ending}" in document["verdict"]["advice"]

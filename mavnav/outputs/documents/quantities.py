@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec import Struct
 
 from mavnav.errors import ExitCode, UsageError
-from mavnav.metrics.gates import find
+from mavnav.metrics.gates import VERDICTS, find, stored_verdict
 from mavnav.outputs.documents.schema import number_schema
-from mavnav.slam.findings import HIGH
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -18,6 +17,10 @@ if TYPE_CHECKING:
 
 LEAST_MAPPED_SHARE: Final = 0.5
 """Where a run does not say itself whether its map means anything, it does not with fewer of the scans on it."""
+
+
+UNUSABLE: Final = VERDICTS[2:]
+"""Verdicts of runs that do not compete with others."""
 
 
 class Quantity(Struct, frozen=True):
@@ -120,16 +123,19 @@ def why_not_meaningful(run: Run) -> str:
     """Say why the map of a run is not to be compared with others; empty where it is."""
     quality = run.get("map_quality")
     if quality:
-        return "" if quality.get("meaningful") else "; ".join(map(str, quality.get("why") or ["no usable map"]))
+        why = [] if quality.get("meaningful") else list(map(str, quality.get("why") or ["no usable map"]))
+        word, reason = verdict_texts(run)
+        return "; ".join([*why, f"{word}: {reason}"] if word in UNUSABLE else why)
     if run.get("exit_code") == ExitCode.TRACKING_LOST or number(run, "tracking.lost"):
         return "the track was lost for good"
     share = number(run, "map.accepted_share") or 0.0
     return "" if share >= LEAST_MAPPED_SHARE else f"only {100 * share:.0f} % of the scans were accepted"
 
 
-def probably_wrong(run: Run) -> bool:
-    """Return whether the track of a run is marked as doubtful."""
-    return (DOUBT.of(run) or 0.0) > HIGH
+def verdict_texts(run: Run | None) -> tuple[str, str]:
+    """Return the word and the reason of the verdict on a run; both empty without one."""
+    known = stored_verdict(run or {})
+    return (known["word"], known["reason"]) if known else ("", "")
 
 
 def comparable(quantity: Quantity, runs: Sequence[Run | None]) -> bool:

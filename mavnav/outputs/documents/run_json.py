@@ -17,6 +17,7 @@ from mavnav.metrics.map_quality import MapQuality
 from mavnav.metrics.reference import Reference
 from mavnav.metrics.wall_spread import WallThicknessReport
 from mavnav.outputs.documents.sections import OPTIONAL, AttitudeSource, Continued, MapSlice, Options, Tracking
+from mavnav.outputs.documents.verdict import Verdict
 
 
 class LaserPose(Struct, frozen=True):
@@ -259,6 +260,7 @@ class RunDocument(Struct, frozen=True, kw_only=True):
 
     schema_version: Annotated[int, number("version of this format")]
     mavnav_version: Annotated[str, text("version of mavnav")]
+    verdict: Verdict
     python: Annotated[str, text("version of Python")]
     libraries: Annotated[dict[str, str], text("version of each library")]
     input: LogInput
@@ -291,7 +293,7 @@ class RunDocument(Struct, frozen=True, kw_only=True):
 
 
 METRICS: Final = (
-    "schema_version", "scans", "cleaning", "tracking", "loop_closure", "localisation", "search", "wall_thickness",
-    "map_quality", "reference", "map", "slices", "mission", "truth",
+    "schema_version", "verdict", "scans", "cleaning", "tracking", "loop_closure", "localisation", "search",
+    "wall_thickness", "map_quality", "reference", "map", "slices", "mission", "truth",
 )  # fmt: skip
 """The keys that metrics.json repeats: they depend on log, configuration and version alone, not on clock or machine."""

@@ -17,7 +17,8 @@ from mavnav.metrics.fields import ABSENT
 from mavnav.outputs.documents import run_json as model
 from mavnav.outputs.documents import sections
 from mavnav.outputs.documents.addresses import public_address
-from mavnav.outputs.run import base_frame
+from mavnav.outputs.documents.verdict import verdict_of
+from mavnav.outputs.run import base_frame, half_sweep_s
 from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY
 from mavnav.units import DEG, MM, NS
 from mavnav.version import __version__, installed_version
@@ -29,12 +30,15 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.config.models import OdometryConfig
+    from mavnav.logs import Log
     from mavnav.logs.records import Odometry
+    from mavnav.outputs.documents.verdict import Verdict
     from mavnav.outputs.run import RunResult
     from mavnav.slam.findings import Doubt, Reason
     from mavnav.slam.matching.odometry_fit import OdometryFit
     from mavnav.slam.matching.steps import LostInterval
     from mavnav.slam.recovery.parts import Part
+    from mavnav.slam.result import SlamResult
 
 SCHEMA_VERSION: Final = 1
 LIBRARIES: Final = ("numpy", "numba", "scipy", "mcap", "rosbags", "pillow", "msgspec", "pyyaml")
@@ -52,6 +56,7 @@ def run_document(run: RunResult, outputs: dict[str, str]) -> model.RunDocument:
     return model.RunDocument(
         schema_version=SCHEMA_VERSION,
         mavnav_version=__version__,
+        verdict=run_verdict(run),
         python=platform.python_version(),
         libraries=_versions(),
         input=_input(run),
@@ -60,13 +65,13 @@ def run_document(run: RunResult, outputs: dict[str, str]) -> model.RunDocument:
         grid=str(run.config.grid),
         azimuth=run.config.azimuth,
         scenario=mission.scenario if mission else ABSENT,
-        scans=_scans(run),
+        scans=_scans(run.slam, run.log),
         cleaning=dict(run.log.cleaning),
-        tracking=_tracking(run),
+        tracking=_tracking(run.slam, run.log, run.config),
         loop_closure=_loop_closure(run),
         localisation=run.localisation or ABSENT,
         continued=run.continued or ABSENT,
-        search=_search(run),
+        search=_search(run.slam),
         wall_thickness=run.walls,
         map_quality=run.measured.quality,
         reference=run.reference or ABSENT,
@@ -77,10 +82,41 @@ def run_document(run: RunResult, outputs: dict[str, str]) -> model.RunDocument:
         timing=_timing(run),
         provenance=run.provenance,
         damage=list(run.log.damage),
-        warnings=[*run.log.warnings, *run.slam.warnings, *_doubt_warnings(run), *_start_warnings(run)],
+        warnings=[*_start_warnings(run), *run.slam.warnings, *run.log.warnings],
         outputs=outputs,
         partial=run.stopped is not None,
         exit_code=int(run.exit_code),
+    )
+
+
+def run_verdict(run: RunResult) -> Verdict:
+    """Judge a run by the sections of its run.json."""
+    return track_verdict(
+        run.slam,
+        run.log,
+        run.config,
+        map_quality=run.measured.quality,
+        localisation=run.localisation,
+        continued=run.continued,
+        partial=run.stopped is not None,
+        mission=run.mission is not None,
+    )
+
+
+def track_verdict(slam: SlamResult, log: Log, config: Config, **more: object) -> Verdict:
+    """Judge a track; ``more`` are further sections of a run.json."""
+    return verdict_of(
+        plain(
+            {
+                "method": config.method,
+                "config": config,
+                "input": {"duration_s": log.duration_s, "odometry": log.odometry is not None},
+                "scans": _scans(slam, log),
+                "tracking": _tracking(slam, log, config),
+                "search": _search(slam),
+                **more,
+            }
+        )
     )
 
 
@@ -167,9 +203,8 @@ def _input(run: RunResult) -> model.LogInput:
     )
 
 
-def _scans(run: RunResult) -> model.Scans:
-    steps, counts = run.slam.steps, run.log.counts
-    tracked = len(run.slam.trajectory)
+def _scans(slam: SlamResult, log: Log) -> model.Scans:
+    steps, counts, tracked = slam.steps, log.counts, len(slam.trajectory)
     return model.Scans(
         total=counts.total,
         usable=counts.usable,
@@ -182,8 +217,8 @@ def _scans(run: RunResult) -> model.Scans:
     )
 
 
-def _tracking(run: RunResult) -> sections.Tracking:
-    slam, first_ns = run.slam, run.log.first_ns
+def _tracking(slam: SlamResult, log: Log, config: Config) -> sections.Tracking:
+    first_ns = log.first_ns
     return sections.Tracking(
         lost=slam.lost_for_good,
         intervals=[sections.Interval(*_span_s(lost, first_ns), lost.scans, lost.recovered) for lost in slam.lost],
@@ -191,12 +226,12 @@ def _tracking(run: RunResult) -> sections.Tracking:
         opinions=slam.tracks_compared,
         path_length_m=slam.trajectory.travelled_m,
         doubt=_doubt(slam.doubt, first_ns),
-        frames={"trajectory.tum": ["map", run.log.frame_id]}
-        | ({} if run.log.base_T_laser is None else {"trajectory_base.tum": ["map", base_frame(run)]}),
-        holds_s=round(run.holds_s, 6),
+        frames={"trajectory.tum": ["map", log.frame_id]}
+        | ({} if log.base_T_laser is None else {"trajectory_base.tum": ["map", base_frame(log)]}),
+        holds_s=round(half_sweep_s(log, slam), 6),
         parts=[sections.TrackedPart(*_span_s(p, first_ns), p.scans, p.joined) for p in slam.parts] or ABSENT,
         attempts=[sections.OtherTrack(*attempt) for attempt in slam.attempts] or ABSENT,
-        odometry=_odometry_use(run.log.odometry, slam.odometry, run.config.odometry) if run.log.odometry else ABSENT,
+        odometry=_odometry_use(log.odometry, slam.odometry, config.odometry) if log.odometry else ABSENT,
     )
 
 
@@ -226,19 +261,6 @@ def _doubt(doubt: Doubt | None, first_ns: int) -> sections.DoubtSection:
     return sections.DoubtSection(doubt.probability, reasons, list(doubt.tried))
 
 
-def _doubt_warnings(run: RunResult) -> list[str]:
-    """Return the line for the user where the doubt is high."""
-    section = _doubt(run.slam.doubt, run.log.first_ns)
-    if run.slam.doubt is None or not run.slam.doubt.high:
-        return []
-    first = {reason.reason: reason for reason in reversed(section.reasons)}.values()
-    why = ", ".join(f"{r.reason} (from {r.from_s:.1f} to {r.to_s:.1f} s)" for r in reversed(first))
-    return [
-        f"the track may be wrong though the scans fit, with probability {section.probability:.2f}: {why}; "
-        "compare map.png with the place before it is used"
-    ]
-
-
 def _loop_closure(run: RunResult) -> model.LoopClosure:
     slam, first_ns = run.slam, run.log.first_ns
     scans = slam.steps.column("index")[slam.steps.column("tracked")].tolist()
@@ -261,8 +283,8 @@ def _loop_closure(run: RunResult) -> model.LoopClosure:
     )
 
 
-def _search(run: RunResult) -> model.Search:
-    steps = run.slam.steps
+def _search(slam: SlamResult) -> model.Search:
+    steps = slam.steps
     costs_m2 = steps.column("cost_m2")
     return model.Search(
         evaluations_per_scan=_spread(steps.column("evaluations")),

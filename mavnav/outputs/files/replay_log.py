@@ -58,9 +58,9 @@ def write(run: RunResult, path: Path) -> None:
         laser, last_ns = laser_frame(run), run.log.last_ns
         mounting = run.log.base_T_laser
         if mounting is not None:
-            put("/tf_static", run.log.first_ns, cdr.transforms(base_frame(run), laser)(run.log.first_ns, mounting))
+            put("/tf_static", run.log.first_ns, cdr.transforms(base_frame(run.log), laser)(run.log.first_ns, mounting))
         walls, write_scan, write_pose = _GrowingMap(run), cdr.scans(laser), cdr.poses(MAP_FRAME)
-        place = _Placement(run, laser if mounting is None else base_frame(run))
+        place = _Placement(run, laser if mounting is None else base_frame(run.log))
         from_laser = Pose() if mounting is None else mounting.inverse()
         for scan, map_T_laser in placed_scans(run):
             placed = map_T_laser if mounting is None else map_T_laser @ from_laser

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from math import ceil
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.mapping.tiled_arrays import CellFunction
+    from mavnav.outputs.documents.verdict import Verdict
     from mavnav.outputs.pictures.canvas import Box
     from mavnav.outputs.pictures.plot import Sign
 
@@ -34,6 +36,14 @@ HIT_TICKS: Final = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000)
 
 MARGINS: Final = (100, 110, 130, 120)
 """Left, top, right and bottom of a map with a scale of hits in its picture, in pixels."""
+
+JUDGED_MARGINS: Final = (100, 150, 130, 120)
+"""The same of a map with its verdict."""
+
+CHARACTER: Final = 9
+"""Width of a character of the text below a title, in pixels."""
+
+VERDICT_COLOURS: Final = {"good": "#2e7d32", "suspect": "#b26a00", "wrong": "#c62828", "lost": "#c62828"}
 
 START: Final = Mark(viewport.START_BLUE, "start", partial(plot.cross, size_pt=10.0, width_pt=2.4))
 END: Final = Mark(viewport.GOAL_RED, "end", partial(plot.square, size_pt=9.0, width_pt=1.8))
@@ -157,8 +167,21 @@ def finish(
     axes: Axes, named: Sequence[Sign], title: str, about: str, path: Path, *, title_pt: float = 12.0, about_y: int = 74
 ) -> None:
     """Draw axes, legend and heading of a picture of a map, and write it."""
+    _finish(axes, named)
+    plot.heading(axes.canvas, title, about, title_pt, about_y)
+    axes.canvas.save(path)
+
+
+def finish_judged(axes: Axes, named: Sequence[Sign], name: str, verdict: Verdict, about: str, path: Path) -> None:
+    """Do the same with the verdict in the title and its reason below, for a picture with `JUDGED_MARGINS`."""
+    _finish(axes, named)
+    reason = wrap(verdict.reason, axes.canvas.image.width // CHARACTER)
+    lines = "\n".join([*reason, about])
+    plot.heading(axes.canvas, f"{name}: {verdict.word}", lines, about_y=94, colour=VERDICT_COLOURS[verdict.word])
+    axes.canvas.save(path)
+
+
+def _finish(axes: Axes, named: Sequence[Sign]) -> None:
     draw_axes(axes)
     axes.names("x [m]", "y [m]")
     plot.centred_legend(axes.canvas, named)
-    plot.heading(axes.canvas, title, about, title_pt, about_y)
-    axes.canvas.save(path)

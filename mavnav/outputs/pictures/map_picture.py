@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from mavnav.outputs.files.document import run_verdict
 from mavnav.outputs.pictures import map_axes
 from mavnav.outputs.pictures.canvas import stroke
 from mavnav.outputs.pictures.plot import Style, legend_room
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.metrics.wall_spread import WallSpread
+    from mavnav.outputs.documents.verdict import Verdict
     from mavnav.outputs.files.gridmap import GridMap
     from mavnav.outputs.pictures.plot import Axes, Mark, Sign
     from mavnav.outputs.run import RunResult, Truth
@@ -48,12 +50,12 @@ def write(run: RunResult, path: Path) -> None:
     shown = (run.slam.loops.closed, run.true_walls, doubtful_parts(run.slam))
     lines = compress((map_axes.LOOP, map_axes.TRUE_WALL, map_axes.DOUBTFUL), shown)
     named: list[Sign] = [*lines, *(mark for mark, _ in marks), *map_axes.KNOWN]
-    axes = map_axes.framed_map(window, 7.5, map_axes.MARGINS, least=(max(960, legend_room(named)), 420))
+    axes = map_axes.framed_map(window, 7.5, map_axes.JUDGED_MARGINS, least=(max(960, legend_room(named)), 420))
     map_axes.draw_counts(axes, run.known, run.cells)
     _draw_lines(axes, run)
     for mark, xy_m in marks:
         axes.mark(mark, xy_m)
-    map_axes.finish(axes, named, run.name, _subtitle(run), path)
+    map_axes.finish_judged(axes, named, run.name, run_verdict(run), _subtitle(run), path)
 
 
 def points_to_show(run: RunResult) -> NDArray[np.float64]:
@@ -110,11 +112,10 @@ def thin_path(xy_m: NDArray[np.float64], spacing_m: float) -> NDArray[np.intp]:
 def _subtitle(run: RunResult) -> str:
     config, slam = run.config, run.slam
     scans = f"{len(slam.trajectory)} of {len(slam.steps)} scans accepted ({100 * slam.tracked_share:.0f} %)"
-    lost = "   LOST before the end" if run.slam.lost_for_good else ""
     cell_mm = run.slam.grid.cell_m / MM
     how = f"method {config.method}, {config.azimuth} yaw samples, search grid {config.grid}, cell {cell_mm:g} mm"
     walls = "" if run.measured.cuts is None else f", {thickness_text(run.walls.spread)}"
-    return f"{how}\n{scans}{lost}{walls}"
+    return f"{how}\n{scans}{walls}"
 
 
 def thickness_text(spread: WallSpread) -> str:
@@ -124,10 +125,10 @@ def thickness_text(spread: WallSpread) -> str:
     return f"wall thickness median {spread.median_mm:.0f} mm, p95 {spread.p95_mm:.0f} mm"
 
 
-def write_merged(drawn: GridMap, paths: dict[str, Trajectory], path: Path) -> None:
-    """Draw the map of several sessions, and map_T_laser of each by its name."""
+def write_merged(drawn: GridMap, paths: dict[str, Trajectory], verdict: Verdict, path: Path) -> None:
+    """Draw the map of several sessions with its verdict, and map_T_laser of each by its name."""
     window = window_of(drawn.known, np.concatenate([poses.xyyaw[:, :2] for poses in paths.values()]))
-    axes = map_axes.framed_map(window, 7.5, map_axes.MARGINS, least=(960, 420))
+    axes = map_axes.framed_map(window, 7.5, map_axes.JUDGED_MARGINS, least=(960, 420))
     map_axes.draw_counts(axes, drawn.known, drawn.cells)
     pen, colours = partial(stroke, width_pt=1.2), cycle(SESSION_COLOURS)
     lines = [Style(colour, name, pen) for colour, name in zip(colours, paths, strict=False)]
@@ -135,4 +136,5 @@ def write_merged(drawn: GridMap, paths: dict[str, Trajectory], path: Path) -> No
         axes.lines(line, [poses.xyyaw[:, :2]])
         axes.mark(map_axes.START, poses.xyyaw[:1, :2])
     named: list[Sign] = [*lines[: len(SESSION_COLOURS)], map_axes.START]
-    map_axes.finish(axes, named, pluralize(len(paths), "session"), f"{sum(map(len, paths.values()))} scans", path)
+    title, about = pluralize(len(paths), "session"), f"{sum(map(len, paths.values()))} scans"
+    map_axes.finish_judged(axes, named, title, verdict, about, path)

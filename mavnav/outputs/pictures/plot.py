@@ -236,10 +236,12 @@ def legend_width(marks: Sequence[Sign], size_pt: float = 8.5) -> float:
     return float(sum(54 + font(size_pt).getlength(mark.name) for mark in marks))
 
 
-def heading(canvas: Canvas, title: str, about: str, title_pt: float = 12.0, about_y: int = 74) -> None:
-    """Write the title of a picture, and below it what one has to know of it, in one or two lines."""
+def heading(
+    canvas: Canvas, title: str, about: str, title_pt: float = 12.0, about_y: int = 74, colour: str = INK
+) -> None:
+    """Write the title of a picture, and below it what one has to know of it, in a few lines."""
     middle = canvas.image.width / 2
-    canvas.text((middle, 26), title, title_pt, INK, bold=True)
+    canvas.text((middle, 26), title, title_pt, colour, bold=True)
     canvas.text((middle, about_y), about, 8.5, MUTED)
 
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mavnav.outputs.documents.quantities import Quantity
-    from mavnav.outputs.report.entry import Entry
+    from mavnav.outputs.report.tables import NamedRun
 
 QUALITY: Final = tuple(q for q in quantities.QUANTITIES if not q.cost)
 P95: Final = quantities.NAMED["wall_thickness.spread.p95_mm"]
@@ -23,7 +23,7 @@ SMALL_SHARE: Final = 0.03
 """Maps are called as good as equal if no metric differs by this share, apart from those that differ within noise."""
 
 
-def headline(entries: Sequence[Entry]) -> str:
+def headline(entries: Sequence[NamedRun]) -> str:
     """Return the result of the runs of one log in one or two sentences."""
     if not entries:
         return "No run gave a map: each failed, for the reason below."
@@ -31,63 +31,60 @@ def headline(entries: Sequence[Entry]) -> str:
         return _mission(entries[0]) + _of_one(entries[0])
     sound = [e for e in entries if not quantities.why_not_meaningful(e.document)]
     if not sound:
-        return f"None of the {len(entries)} maps is worth comparing; the table says why."
+        why = quantities.why_not_meaningful(entries[0].document)
+        return f"None of the {len(entries)} maps is worth comparing; {entries[0].name}: {why}."
     if len(sound) == 1:
         only = f"Only {sound[0].name} gives a map worth looking at; the table says what is wrong with the others."
-        return only + _doubts(sound)
+        return only + _suspects(sound)
     left_out = len(entries) - len(sound)
     runs = f"{pluralize(left_out, 'run')} {'is' if left_out == 1 else 'are'}"
-    return _of_many(sound) + _doubts(sound) + (f" {runs} left out: the table says why." if left_out else "")
+    return _of_many(sound) + _suspects(sound) + (f" {runs} left out: the table says why." if left_out else "")
 
 
-def _doubts(sound: Sequence[Entry]) -> str:
-    """Return the sentence on the runs whose track is probably wrong; empty if there are none."""
-    doubtful = [e for e in sound if quantities.probably_wrong(e.document)]
-    if not doubtful:
-        return ""
-    tracks, are = ("track", "is") if len(doubtful) == 1 else ("tracks", "are")
-    return f" The {tracks} of {_list([e.name for e in doubtful])} {are} {_wrong(doubtful)}."
+def _suspects(sound: Sequence[NamedRun]) -> str:
+    """Return a sentence for every reason by which runs are suspect; empty if there are none."""
+    by_reason: dict[str, list[str]] = {}
+    for run in sound:
+        word, reason = quantities.verdict_texts(run.document)
+        if word == "suspect":
+            by_reason.setdefault(reason, []).append(run.name)
+    are = {reason: f"{_list(names)} {'is' if len(names) == 1 else 'are'}" for reason, names in by_reason.items()}
+    return "".join(f" {names} suspect: {reason}." for reason, names in are.items())
 
 
-def _wrong(doubtful: Sequence[Entry]) -> str:
-    """Return the probability that tracks are wrong, its range if it is that of several, and the reasons."""
-    shown = sorted({quantities.DOUBT.text_of(e.document) for e in doubtful})
-    reasons = dict.fromkeys(r["reason"] for e in doubtful for r in e.document["tracking"]["doubt"].get("reasons") or [])
-    why = f": {', '.join(reasons)}" if reasons else ""
-    return f"probably wrong (probability {' to '.join(dict.fromkeys((shown[0], shown[-1])))}){why}"
-
-
-def _mission(entry: Entry) -> str:
+def _mission(entry: NamedRun) -> str:
     """Return the sentence on a mission that failed; empty for others, and for replays."""
     mission = entry.document.get("mission")
     return f"The mission failed: {mission['reason']}. " if mission and not mission["reached"] else ""
 
 
-def _of_one(entry: Entry) -> str:
-    scans = entry.document["scans"]
-    accepted = f"{entry.name} accepted {scans['accepted']} of {scans['processed']} scans"
-    doubt = f"; the track is {_wrong([entry])}" if quantities.probably_wrong(entry.document) else ""
-    why = quantities.why_not_meaningful(entry.document)
-    if why:
-        return f"{accepted}; the map is not reliable: {why}{doubt}."
-    p95_mm = P95.of(entry.document)
+def _of_one(run: NamedRun) -> str:
+    """Return the sentences on a single run: its verdict, and what its map is like."""
+    word, reason = quantities.verdict_texts(run.document)
+    scans = run.document["scans"]
+    verdict = f"{word.capitalize()}: {reason}. " if word else ""
+    accepted = f"{verdict}{run.name} accepted {scans['accepted']} of {scans['processed']} scans"
+    quality = run.document.get("map_quality") or {}
+    p95_mm = P95.of(run.document)
+    if not quality.get("meaningful", True) or word in quantities.UNUSABLE:
+        return f"{accepted}; measures of the map say nothing."
     thin = "" if p95_mm is None else f"95 % of the wall length is at most {_mm(p95_mm)} thick"
     walls = thin or "there is no straight wall to measure"
-    return f"{accepted}; {walls}{_ghosts(entry)}{doubt}."
+    return f"{accepted}; {walls}{_ghosts(run)}."
 
 
 def _mm(value_mm: float) -> str:
     return f"{tables.text(value_mm, 0)} mm"
 
 
-def _ghosts(entry: Entry) -> str:
+def _ghosts(entry: NamedRun) -> str:
     count = number(entry.document, "map_quality.ghost_walls.count")
     if count is None:
         return ""
     return ", and no wall is drawn twice" if not count else f", and {count} of its walls are drawn twice"
 
 
-def _of_many(sound: Sequence[Entry]) -> str:
+def _of_many(sound: Sequence[NamedRun]) -> str:
     """Return the sentences for several maps, of which those of one cell size are compared by more metrics."""
     groups = quantities.by_cell_mm(e.document for e in sound)
     if len(groups) < 2:
@@ -103,17 +100,17 @@ def _of_many(sound: Sequence[Entry]) -> str:
     return " ".join((overall, f"{why[0].upper()}{why[1:]}.", *within))
 
 
-def _ranking(sound: Sequence[Entry], quality: Sequence[Quantity], measure: str) -> str:
+def _ranking(sound: Sequence[NamedRun], quality: Sequence[Quantity], measure: str) -> str:
     """Return the sentence for several maps: the run that is best by most metrics, if there is one."""
     won = {q.title: quantities.winners(q, [e.document for e in sound]) for q in quality}
     contested = [title for title, best in won.items() if best]
     names = _list([e.name for e in sound])
     if not contested:
-        return f"The maps of {names} are equally good by every {measure}{_fewest_evaluations(sound)}."
+        return f"{_finer(sound)}the maps of {names} are equally good by every {measure}{_fewest_evaluations(sound)}."
     if max(_spread(sound, q) for q in quality if won[q.title]) < SMALL_SHARE:
         most = max(_spread(sound, q) for q in quality)
         differ = f"no measure differs by more than {100 * most:.1f} %"
-        return f"The maps of {names} are as good as equal: {differ}{_fewest_evaluations(sound)}."
+        return f"{_finer(sound)}the maps of {names} are as good as equal, {differ}{_fewest_evaluations(sound)}."
     score = [sum(k in won[title] for title in contested) for k in range(len(sound))]
     leaders = [k for k, wins in enumerate(score) if wins == max(score)]
     best, of = sound[leaders[0]], f"of the {len(contested)} measures that differ"
@@ -122,10 +119,19 @@ def _ranking(sound: Sequence[Entry], quality: Sequence[Quantity], measure: str) 
         return f"No run stands out: {equal} are each best at {max(score)} {of}{_fewest_evaluations(sound)}."
     measures = _list([title for title in contested if leaders[0] in won[title]])
     lead = "by the one measure that differs" if len(contested) == 1 else f"best at {max(score)} {of}"
-    return f"{best.name} gives the best map, {lead} ({measures}){_walls(sound, best)}. {_cost(sound, best)}".rstrip()
+    found = f"{best.name} gives the best map, {lead} ({measures}){_walls(sound, best)}."
+    return f"{_finer(sound, best)}{found} {_cost(sound, best)}".rstrip()
 
 
-def _spread(sound: Sequence[Entry], quantity: Quantity) -> float:
+def _finer(sound: Sequence[NamedRun], best: NamedRun | None = None) -> str:
+    """Say whether a finer grid pays, where all runs are of one method with several grids; ``best`` is the best run."""
+    if len({run.document.get("method") for run in sound}) > 1 or len(set(map(tables.fineness, sound))) < 2:
+        return "No setting stands out: " if best is None else ""
+    pays = best is not None and tables.coarsest(sound, best) is not best
+    return f"A finer grid {'pays' if pays else 'does not pay'} on this log: "
+
+
+def _spread(sound: Sequence[NamedRun], quantity: Quantity) -> float:
     """Return the range of a metric over the runs, relative to its largest absolute value; 0 if it reads the same."""
     values = [v for e in sound if (v := quantity.of(e.document)) is not None]
     same = len({round(v, quantity.digits) for v in values}) < 2
@@ -138,7 +144,7 @@ def _list(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
-def _walls(sound: Sequence[Entry], best: Entry) -> str:
+def _walls(sound: Sequence[NamedRun], best: NamedRun) -> str:
     """Return the comparison of a run's wall thickness with that of the coarsest grid of its method; may be empty."""
     coarse = tables.coarsest(sound, best)
     ours, theirs = P95.of(best.document), P95.of(coarse.document)
@@ -150,16 +156,15 @@ def _walls(sound: Sequence[Entry], best: Entry) -> str:
     return f"; its walls are {than} than those of {coarse.name}, {_mm(ours)} against {_mm(theirs)} at p95"
 
 
-def _cost(sound: Sequence[Entry], best: Entry) -> str:
+def _cost(sound: Sequence[NamedRun], best: NamedRun) -> str:
     times, coarse = tables.relative_cost(sound, best), tables.coarsest(sound, best)
     if coarse is best:
-        finer = sum(e.document.get("method") == best.document.get("method") for e in sound) > 1
-        return "It has the coarsest grid of its method: a finer one does not pay here." if finer else ""
+        return ""
     seconds = TIME.of(best.document), TIME.of(coarse.document)
     clock = "" if None in seconds else f" and {seconds[0]:.1f} s of processor time against {seconds[1]:.1f} s"
     return "" if times is None else f"It costs {times:.1f} times the evaluations of {coarse.name}{clock}."
 
 
-def _fewest_evaluations(sound: Sequence[Entry]) -> str:
+def _fewest_evaluations(sound: Sequence[NamedRun]) -> str:
     cheapest = min(sound, key=lambda e: number(e.document, "search.evaluations_per_scan.mean") or float("inf"))
     return f"; {cheapest.name} needs the fewest evaluations"

@@ -9,6 +9,7 @@ from msgspec import Struct
 
 from mavnav.atomic_files import beside
 from mavnav.errors import OutputError
+from mavnav.outputs.documents.quantities import verdict_texts
 from mavnav.outputs.report import panels, tables
 from mavnav.outputs.report.entry import Entry, Failure, load
 from mavnav.outputs.report.headline import headline
@@ -106,4 +107,6 @@ def _page(comparison: dict[str, Any], sections: list[LogSection]) -> str:
 
 def _title(sections: list[LogSection]) -> str:
     names = [section.log.rpartition("/")[2] or section.log for section in sections]
-    return ", ".join(names) if len(names) <= 3 else f"{len(names)} logs"
+    words = [verdict_texts(entry.document)[0] for section in sections for entry in section.entries]
+    title = ", ".join(names) if len(names) <= 3 else f"{len(names)} logs"
+    return f"{title}: {words[0]}" if len(words) == 1 and words[0] else title

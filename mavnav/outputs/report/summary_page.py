@@ -24,13 +24,17 @@ class PageTable(NamedTuple):
 
 
 class Summary(NamedTuple):
-    """The content of the page; ``picture`` is a PNG file, None for none, ``lines`` are commands to copy."""
+    """The content of the page; ``picture`` is a PNG file, None for none, ``lines`` are commands to copy.
+
+    ``verdicts`` are those of what was compared, by its name, or that of the result by an empty name.
+    """
 
     title: str
     headline: str
     tables: tuple[PageTable, ...]
     picture: bytes | None = None
     lines: tuple[str, ...] = ()
+    verdicts: tuple[tuple[str, dict[str, str]], ...] = ()
 
 
 def draw_png(draw: Callable[[Path], None]) -> bytes:
@@ -60,27 +64,36 @@ def write_summary(summary: Summary, path: Path) -> None:
 def merge_summary(document: dict[str, Any], picture: bytes) -> Summary:
     """Return the page of merge.json and the picture of the map."""
     sessions = document["sessions"]
-    headline = f"{document['joined']} of {len(sessions)} sessions are in one map, with {document['scans']} scans."
-    head = ("session", "input", "scans", "joined to", "key frames that agree", "residual", "tracked", "doubt", "damage")
+    head = (
+        "session",
+        "input",
+        "verdict",
+        "scans",
+        "joined to",
+        "key frames that agree",
+        "residual",
+        "tracked",
+        "damage",
+    )
     table = PageTable("Sessions", head, tuple(_session_row(each) for each in sessions))
     refused = tuple((each["name"], each["input"], each["why"]) for each in sessions if not each["joined"])
     others = _unless_empty("Not joined", ("session", "input", "reason"), refused, prose=True)
-    return Summary(", ".join(each["name"] for each in sessions), headline, (table, *others), picture)
+    title, verdicts = ", ".join(each["name"] for each in sessions), (("", document["verdict"]),)
+    return Summary(title, document["headline"], (table, *others), picture, verdicts=verdicts)
 
 
 def _session_row(session: dict[str, Any]) -> tuple[str, ...]:
     tracking, damage = session["tracking"] or {}, len(session["damage"])
-    doubt = (tracking.get("doubt") or {}).get("probability")
     to = ", ".join(f"{other['name']} ({other['closures']})" for other in session["joined_to"])
     return (
         session["name"],
         session["input"],
+        (session["verdict"] or {"word": ""})["word"],
         str(session["scans"]),
         to or ("the first of the group" if session["joined"] else "not joined"),
         f"{session['closures']} of {session['tested']}" if session["tested"] else "",
         f"{session['residual_mm']:.0f} mm" if to else "",
         f"{100 * tracking['tracked_share']:.1f} %" if tracking.get("tracked_share") is not None else "",
-        "" if doubt is None else f"{doubt:.2f}",
         pluralize(damage, "place") if damage else "none",
     )
 
@@ -89,13 +102,7 @@ def diff_summary(document: dict[str, Any], picture: bytes | None) -> Summary:
     """Return the page of the document of ``mavnav diff``; its picture is None if the maps could not be aligned."""
     title, pose = f"{document['a']} and {document['b']}", document["alignment"]
     if pose is None:
-        return Summary(title, "The maps cannot be aligned: too few places of one fit the other.", ())
-    headline = (
-        f"{pluralize(document['gone'], 'place')} gone ({document['gone_m2']:.3f} m²), {document['new']} new "
-        f"({document['new_m2']:.3f} m²), {pluralize(document['moved'], 'object')} moved; "
-        f"{document['compared_m2']:.1f} m² were compared, and "
-        f"{100 * document['same_share']:.1f} % of the walls are the same."
-    )
+        return Summary(title, document["headline"], ())
     head = ("change", "kind", "x", "y", "area", "length", "moved with")
     rows = tuple(
         (
@@ -112,7 +119,9 @@ def diff_summary(document: dict[str, Any], picture: bytes | None) -> Summary:
     x, y = (f"{pose[key]:z.3f} m" for key in ("x_m", "y_m"))
     placed = (x, y, f"{pose['yaw_deg']:z.2f} deg", f"{pose['rms_mm']:.0f} mm")
     alignment = PageTable("Pose of the second map in the first", ("x", "y", "yaw", "RMS of the walls"), (placed,))
-    return Summary(title, headline, (*_unless_empty("Changes", head, rows), alignment), picture)
+    verdicts = tuple((document[name], known) for name, known in document["verdicts"].items() if known)
+    tables = (*_unless_empty("Changes", head, rows), alignment)
+    return Summary(title, document["headline"], tables, picture, verdicts=verdicts)
 
 
 def calibration_summary(document: dict[str, Any], title: str, picture: bytes | None) -> Summary:
@@ -120,13 +129,13 @@ def calibration_summary(document: dict[str, Any], title: str, picture: bytes | N
     switches = [{"name": name, **document[name]} for name in ("upside_down", "beams_reversed", "range_bias")]
     every = [*document["quantities"], *switches]
     measured = [each for each in every if not each["refused"]]
-    headline = document["refused"] or f"{len(measured)} of {len(every)} quantities are determined."
     rows = tuple(_calibrated_row(each) for each in measured)
     refused = tuple((_quantity_name(each)[0], each["refused"]) for each in every if each["refused"])
     head = ("quantity", "value", "95 % interval", "log or configuration", "difference")
     missing = _unless_empty("Not determined", ("quantity", "reason"), refused, prose=True)
     tables = _unless_empty("Quantities", head, rows) + missing
-    return Summary(title, headline, tables, picture, tuple(filter(None, document["lines"].values())))
+    lines, verdicts = tuple(filter(None, document["lines"].values())), (("", document["verdict"]),)
+    return Summary(title, document["headline"], tables, picture, lines, verdicts)
 
 
 QUANTITY_NAMES: Final = {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from msgspec import Struct
 
@@ -26,6 +26,18 @@ MAX_GHOSTS: Final = 20
 METHODS: Final = ("paper", "robust")
 
 
+class NamedRun(Protocol):
+    """A run on the page, or one of which only run.json is at hand."""
+
+    @property
+    def name(self) -> str:
+        """Its name within its log."""
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """Its run.json."""
+
+
 class Field(Struct, frozen=True):
     """A field of the table: its text, and whether it is the best of its column."""
 
@@ -34,12 +46,14 @@ class Field(Struct, frozen=True):
 
 
 class RunRow(Struct, frozen=True):
-    """A run in the table; ``relative_costs`` are its evaluations and CPU time over those of the coarsest grid, or None.
+    """A run in the table, with the word of its verdict.
 
-    ``why_not`` is the reason why its map is not compared, empty if it is.
+    ``relative_costs`` are its evaluations and CPU time over those of the coarsest grid, or None. ``why_not`` is the
+    reason why its map is not compared, empty if it is.
     """
 
     name: str
+    word: str
     fields: tuple[Field, ...]
     relative_costs: tuple[float | None, float | None]
     why_not: str
@@ -64,6 +78,7 @@ def table(entries: Sequence[Entry]) -> RunTable:
     rows = tuple(
         RunRow(
             e.name,
+            quantities.verdict_texts(e.document)[0],
             tuple(Field(text(c.of(e.document), c.digits), k in best[c]) for c in columns),
             (relative_cost(entries, e), relative_cost(entries, e, "timing.cpu_s")),
             quantities.why_not_meaningful(e.document),
@@ -78,7 +93,7 @@ def text(value: float | None, digits: int) -> str:
     return MISSING if value is None else f"{value:,.{digits}f}".replace(",", "\u202f")
 
 
-def fineness(entry: Entry) -> int:
+def fineness(entry: NamedRun) -> int:
     """Return the number of grid points plus yaw samples of a run's search grid, 0 if unknown."""
     try:
         across, along = str(entry.document.get("grid")).split("x")
@@ -87,14 +102,14 @@ def fineness(entry: Entry) -> int:
         return 0
 
 
-def coarsest(entries: Sequence[Entry], like: Entry) -> Entry:
+def coarsest(entries: Sequence[NamedRun], like: NamedRun) -> NamedRun:
     """Return the run of the same method with the coarsest grid."""
     same = [e for e in entries if e.document.get("method") == like.document.get("method")]
     return min(same, key=fineness)
 
 
 def relative_cost(
-    entries: Sequence[Entry], entry: Entry, key: str = "search.evaluations_per_scan.mean"
+    entries: Sequence[NamedRun], entry: NamedRun, key: str = "search.evaluations_per_scan.mean"
 ) -> float | None:
     """Return a cost of a run, by default its evaluations per match, over that of the coarsest grid of its method."""
     least, own = number(coarsest(entries, entry).document, key), number(entry.document, key)

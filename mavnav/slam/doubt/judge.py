@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.slam.doubt.features import TrackEvidence
+    from mavnav.slam.doubt.features import TrackEvidence, Weights
     from mavnav.slam.methods.registry import Refiner
     from mavnav.slam.track import Track
 
@@ -81,16 +81,16 @@ def doubt_of(evidence: TrackEvidence, tried: tuple[str, ...] = ()) -> Doubt:
     return Doubt(probability(values), tuple(reasons), tried)
 
 
-def contributions(values: Mapping[str, float]) -> dict[str, float]:
+def contributions(values: Mapping[str, float], one: Weights = ONE_TRACK, two: Weights = TWO_TRACKS) -> dict[str, float]:
     """Return the contribution of each feature to the log-odds; the weights differ with and without a second track."""
-    _, weights = TWO_TRACKS if np.isfinite(values[DISAGREEMENT]) else ONE_TRACK
+    _, weights = two if np.isfinite(values[DISAGREEMENT]) else one
     return {name: weight * doublings(values[name]) for name, weight in weights.items()}
 
 
-def probability(values: Mapping[str, float]) -> float:
+def probability(values: Mapping[str, float], one: Weights = ONE_TRACK, two: Weights = TWO_TRACKS) -> float:
     """Return the probability that a track with these features is wrong; it increases with each of them."""
-    bias, _ = TWO_TRACKS if np.isfinite(values[DISAGREEMENT]) else ONE_TRACK
-    return 1.0 / (1.0 + exp(-bias - sum(contributions(values).values())))
+    bias, _ = two if np.isfinite(values[DISAGREEMENT]) else one
+    return 1.0 / (1.0 + exp(-bias - sum(contributions(values, one, two).values())))
 
 
 def doublings(value: float) -> float:

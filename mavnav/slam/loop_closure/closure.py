@@ -137,9 +137,6 @@ MOST_CONFLICTS = 0.05
 AMBIGUITY_MARGIN = 0.15
 """Minimum difference in rank (``misfit``) to another pose within the drift bound; below, a closure is ambiguous."""
 
-PART_M = 1.0
-"""Path length around the reference key frame whose scans a closure is measured against; these are nearly rigid."""
-
 LEAST_GROWTH = 0.03
 """Least cost of a step (``relocalization.least_growth``) in a direction that is observable."""
 
@@ -151,38 +148,50 @@ MOST_WEAK_M, MOST_WEAK_RAD = 0.8, 10 * DEG
 
 
 def find_closure(
-    keys: Sequence[KeyFrame], j: int, old: KeyFrameMap, seen: Visibility, bound: tuple[float, float], config: Config
+    keys: Sequence[KeyFrame],
+    j: int,
+    old: KeyFrameMap | None,
+    seen: Visibility,
+    bound: tuple[float, float],
+    config: Config,
 ) -> KeyClosure | None:
     """Return the closure of key frame ``j`` with the old part, within the drift bound, m and rad.
 
-    In a plain corridor the closure is weak. None if the key frame fits nowhere, or at several poses.
+    Without the map of the ``old`` part, in the frame of the key frames, the local map is searched of what the key frame
+    seems to see. In a plain corridor the closure is weak. None if the key frame fits nowhere, or at several poses.
     """
-    region = around(keys[j].map_T_laser, *bound)
-    matches = candidates(keys[j].points, old.lines, old.grid, region, config)
+    map_T_here, here = (Pose(), old) if old else seen.local_map(keys[j])
+    key = replace(keys[j], map_T_laser=map_T_here.between(keys[j].map_T_laser))
+    region = around(key.map_T_laser, *bound)
+    matches = candidates(key.points, here.lines, here.grid, region, config)
     best = unambiguous(matches, AMBIGUITY_MARGIN, config)
-    closure = measure_closure(keys, j, best, seen, config) if best and fits(best) else None
+    closure = measure_closure(keys, j, map_T_here, best, seen, config) if best and fits(best) else None
     if closure and closure.weak_rad is None:
         return closure
     best = min(matches, key=lambda match: misfit(match, config), default=None)
-    return weak_closure(keys, j, best, old, seen, region, config) if best and fits(best, LEAST_WEAK_INLIERS) else None
+    if best is None or not fits(best, LEAST_WEAK_INLIERS):
+        return None
+    across = corridor_match(key, best, here, region, config)
+    return weak_closure(measure_closure(keys, j, map_T_here, across, seen, config), keys) if across else None
 
 
-def weak_closure(
-    keys: Sequence[KeyFrame], j: int, match: Match, old: KeyFrameMap, seen: Visibility, region: Region, config: Config
-) -> KeyClosure | None:
-    """Search across the corridor of a match, at the tracked position along it; return the weak closure or None.
+def corridor_match(key: KeyFrame, match: Match, here: KeyFrameMap, region: Region, config: Config) -> Match | None:
+    """Search across the corridor of a match, at the tracked position along it, all in the frame of the map ``here``.
 
-    The ``region`` is that within the drift bound.
+    The ``region`` is that within the drift bound. None if there is no corridor, or if the key frame fits nowhere else.
     """
-    key = keys[j]
-    along_rad = unobservable_direction(key.points, match.map_T_laser, old.lines, LEAST_GROWTH, config)
+    along_rad = unobservable_direction(key.points, match.map_T_laser, here.lines, LEAST_GROWTH, config)
     if along_rad is None:
         return None
     xy_m, yaws_rad = region
     off_m = (xy_m - key.map_T_laser[:2]) @ (cos(along_rad), sin(along_rad))
-    matches = candidates(key.points, old.lines, old.grid, (xy_m[abs(off_m) <= STRIP_M], yaws_rad), config)
+    matches = candidates(key.points, here.lines, here.grid, (xy_m[abs(off_m) <= STRIP_M], yaws_rad), config)
     best = unambiguous(matches, AMBIGUITY_MARGIN, config)
-    closure = measure_closure(keys, j, best, seen, config) if best and fits(best, LEAST_WEAK_INLIERS) else None
+    return best if best and fits(best, LEAST_WEAK_INLIERS) else None
+
+
+def weak_closure(closure: KeyClosure | None, keys: Sequence[KeyFrame]) -> KeyClosure | None:
+    """Return a closure in a corridor if it is weak, and its correction small enough; else None."""
     if closure is None or closure.weak_rad is None or closure.match.inliers < LEAST_WEAK_INLIERS:
         return None
     correction = closure.correction(keys)
@@ -195,26 +204,31 @@ def fits(match: Match, least_inliers: float = LEAST_INLIERS) -> bool:
 
 
 def measure_closure(
-    keys: Sequence[KeyFrame], j: int, match: Match, seen: Visibility, config: Config
+    keys: Sequence[KeyFrame], j: int, map_T_here: Pose, match: Match, seen: Visibility, config: Config
 ) -> KeyClosure | None:
-    """Match key frame ``j`` against the scans near its reference key frame; None if it does not fit there.
+    """Match key frame ``j`` against the local map of what it sees at a match; None if it does not fit there.
 
-    The closure is weak if one direction is not observable; None if no direction is.
+    The ``match`` is in a frame ``here``. The closure is weak if one direction is not observable; None if none is.
     """
-    i = seen.reference(replace(keys[j], map_T_laser=match.map_T_laser))
-    local = KeyFrameMap(config)
-    local.grow([key for key in keys[: seen.count] if abs(key.path_m - keys[i].path_m) <= PART_M], seen.count)
-    robust, points = config.robust, keys[j].points
-    first = Schedule.of(config, local.lines, (robust.expert.truncate_m, DRIFT_RAD[0]))
-    fine = search_lines(points, local.lines, match.map_T_laser, first)
-    last = Schedule.of(config, local.lines, (robust.expert.final_window_m, robust.expert.final_window_rad), final=True)
-    placed = search_lines(points, local.lines, fine.map_T_laser, last)
-    fine = with_conflicts(fine._replace(map_T_laser=placed.map_T_laser), points, local.lines, local.grid)
-    if apart(match.map_T_laser, fine.map_T_laser) or not fits(fine):
+    place, points = map_T_here @ match.map_T_laser, keys[j].points
+    i = seen.reference(replace(keys[j], map_T_laser=place))
+    middle, part = seen.local.around(i)
+    start = keys[middle].map_T_laser.between(place)
+    fine = match_closely(points, part, start, config)
+    if apart(start, fine.map_T_laser) or not fits(fine):
         return None
-    start, place = keys[i].map_T_laser, fine.map_T_laser
-    closure = KeyClosure(i, j, start.between(place), fine)
-    if least_growth(points, place, local.lines, config) >= LEAST_GROWTH:
+    closure = KeyClosure(middle, j, fine.map_T_laser, fine)
+    if least_growth(points, fine.map_T_laser, part.lines, config) >= LEAST_GROWTH:
         return closure
-    along_rad = unobservable_direction(points, place, local.lines, LEAST_GROWTH, config)
-    return None if along_rad is None else replace(closure, weak_rad=wrap_angle(along_rad - start.yaw_rad))
+    along_rad = unobservable_direction(points, fine.map_T_laser, part.lines, LEAST_GROWTH, config)
+    return None if along_rad is None else replace(closure, weak_rad=wrap_angle(along_rad))
+
+
+def match_closely(points: NDArray[np.float64], part: KeyFrameMap, start: Pose, config: Config) -> Match:
+    """Return the match of points (n, 2), laser frame, m, in a map, near a start in its frame."""
+    expert, lines = config.robust.expert, part.lines
+    coarse = Schedule.of(config, lines, (expert.truncate_m, DRIFT_RAD[0]))
+    fine = search_lines(points, lines, start, coarse)
+    last = Schedule.of(config, lines, (expert.final_window_m, expert.final_window_rad), final=True)
+    placed = search_lines(points, lines, fine.map_T_laser, last)
+    return with_conflicts(fine._replace(map_T_laser=placed.map_T_laser), points, lines, part.grid)

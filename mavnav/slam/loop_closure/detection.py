@@ -9,6 +9,7 @@ corrections over the path (docs/method.md).
 from __future__ import annotations
 
 from functools import partial
+from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -18,7 +19,17 @@ from mavnav.pose import Pose, Trajectory, blend
 from mavnav.profiling import timed
 from mavnav.slam.findings import Edge, Loop, Loops, PoseGraph
 from mavnav.slam.loop_closure.closure import KeyClosure, agreeing_closures, find_closure, is_small
-from mavnav.slam.loop_closure.key_frames import KeyFrame, KeyFrameMap, Paths, Visibility, drift_bound, key_rows
+from mavnav.slam.loop_closure.key_frames import (
+    KEY_M,
+    PART_M,
+    KeyFrame,
+    KeyFrameMap,
+    LocalMaps,
+    Paths,
+    Visibility,
+    drift_bound,
+    key_rows,
+)
 from mavnav.slam.loop_closure.pose_graph import optimize, path_edges
 from mavnav.slam.matching.scan_matching import no_match
 from mavnav.slam.matching.steps import Steps, tracked_trajectory
@@ -39,16 +50,15 @@ if TYPE_CHECKING:
 
     PointsOf = Callable[[list[int]], Iterable[NDArray[np.float64]]]
     """Rows of a trajectory -> the match points (n, 2) of their scans, m, laser frame."""
+    Frames = tuple[Sequence[KeyFrame], Sequence[KeyFrame]]
+    """The key frames, and the scans that take no part, at the poses of one track."""
 
 
 LOOP_M = 8.0
 """Minimum path of a loop: for shorter ones the tracker itself keeps the map consistent."""
 
-SEARCH_M, FAR_SEARCH_M = 0.25, 2.5
-"""Path between two searches: at first, and while closures confirm the track or no closure is found."""
-
-CONFIRMING = 2
-"""Number of successive small closures that confirm the track."""
+FAR_SEARCH_M = 2.5
+"""Path between two searches while closures confirm the track or no closure is found."""
 
 MOST_FAILED = 40
 """Number of successive searches without a closure after which they become sparse."""
@@ -72,38 +82,58 @@ def find_loops(map_T_laser: Trajectory, points_of: PointsOf, information_of: Inf
     is searched. ``information_of`` returns the information of the track's map about a pose.
     """
     rows, paths_m = key_rows(map_T_laser.xyyaw)
-    xy_m = map_T_laser.xyyaw[rows, :2]
-    if all(nearest_old(xy_m, np.array(paths_m), j) is None for j in range(len(rows))):
+    places = list(zip(map_T_laser.xyyaw[rows, :2], paths_m, strict=True))
+    if all(nearest_old(map_T_laser.xyyaw[rows, :2], np.array(paths_m), *place) is None for place in places):
         return Loops()
-    parts = zip(rows, paths_m, points_of(rows), strict=False)
-    tracked = [KeyFrame(row, path_m, points, map_T_laser[row]) for row, path_m, points in parts]
-    if len(tracked) < len(rows):
+    aside = rows_aside(rows)
+    frames = read_frames(map_T_laser, sorted(aside.union(rows)), (rows, paths_m), points_of)
+    if not frames:
         return Loops()
-    path = path_edges(map_T_laser, tracked, information_of)
-    keys, closures, refused = find_closures(tracked, path, config)
+    tracked, testing = ([frame for frame in frames if (frame.row in aside) == tests] for tests in (False, True))
+    path, local = path_edges(map_T_laser, tracked, information_of), LocalMaps(tracked, config)
+    keys, closures, refused = find_closures(tracked, path, local, config)
+    corrected = None if keys is tracked else follow(map_T_laser, tracked, keys)
+    if corrected is not None:
+        tested = [replace(frame, map_T_laser=corrected[frame.row]) for frame in testing]
+        if not predicts_better((tracked, testing), (keys, tested), local, config):
+            confirming = [closure for closure in closures if is_small(closure.correction(tracked))]
+            corrected, closures, refused = None, confirming, refused + len(closures) - len(confirming)
     closed = tuple(
         Loop(tracked[c.start].row, tracked[c.end].row, c.start_T_end, c.correction(tracked), c.match.inliers)
         for c in closures
     )
-    graph = PoseGraph(tuple(rows), (*path, *edges_of(closures)))
-    return Loops(closed, refused, None if keys is tracked else follow(map_T_laser, tracked, keys), graph)
+    graph = PoseGraph(tuple(key.row for key in tracked), (*path, *edges_of(closures)))
+    return Loops(closed, refused, corrected, graph)
+
+
+def rows_aside(rows: Sequence[int]) -> set[int]:
+    """Return the rows of scans that take no part: half-way between key frames, or else every other key frame."""
+    return {(a + b) // 2 for a, b in pairwise(rows) if b - a > 1} or set(rows[1::2])
+
+
+def read_frames(
+    map_T_laser: Trajectory, rows: list[int], path_m: tuple[list[int], list[float]], points_of: PointsOf
+) -> list[KeyFrame]:
+    """Return the scans of some rows; none if the run is stopped. ``path_m`` is the path at the rows of key frames."""
+    parts = zip(rows, np.interp(rows, *path_m).tolist(), points_of(rows), strict=False)
+    frames = [KeyFrame(row, at_m, points, map_T_laser[row]) for row, at_m, points in parts]
+    return frames if len(frames) == len(rows) else []
 
 
 def find_closures(
-    tracked: list[KeyFrame], path: list[Edge], config: Config
+    tracked: list[KeyFrame], path: list[Edge], local: LocalMaps, config: Config
 ) -> tuple[list[KeyFrame], list[KeyClosure], int]:
-    """Return the corrected key frames, the closures that agree, and the number of searches without one.
+    """Return the corrected key frames, the closures that agree, and the number of those that are refused.
 
     A key frame keeps the closure of an earlier round where the later one, which is sparser, does not search it.
     """
     keys, closures, refused = tracked, list[KeyClosure](), 0
     for _ in range(ROUNDS):
-        searches = list(detect_closures(keys, config))
-        latest = {c.end: c for c in (*closures, *searches) if c}
+        latest = {c.end: c for c in (*closures, *detect_closures(keys, closures, local, config))}
         agreed = consistent_closures(list(latest.values()), keys, tracked)
         if len(agreed) < len(closures):
             break
-        closures, refused = agreed, max(len(searches) - len(agreed), 0)
+        closures, refused = agreed, len(latest) - len(agreed)
         if track_confirmed([closure.correction(keys) for closure in closures]):
             break
         poses = optimize([key.map_T_laser for key in tracked], [*path, *edges_of(closures)])
@@ -120,51 +150,85 @@ def consistent_closures(
     return sorted(full + [c for c in weak if not is_small(c.correction(tracked))], key=lambda c: c.end)
 
 
-def nearest_old(xy_m: NDArray[np.float64], paths_m: NDArray[np.float64], j: int) -> int | None:
-    """Return the old key frame nearest to key frame ``j``; None if none is near enough to have seen the same walls."""
-    old = int(np.searchsorted(paths_m, paths_m[j] - LOOP_M))
+def nearest_old(
+    xy_m: NDArray[np.float64], paths_m: NDArray[np.float64], at_m: NDArray[np.float64], path_m: float
+) -> int | None:
+    """Return the old key frame nearest to a position (2,); None if none is near enough to have seen the same walls.
+
+    ``xy_m`` (n, 2) and ``paths_m`` (n,) are the positions of the key frames, and the path up to each.
+    """
+    old = int(np.searchsorted(paths_m, path_m - LOOP_M))
     if not old:
         return None
-    off_m = np.hypot(*(xy_m[:old] - xy_m[j]).T)
+    off_m = np.hypot(*(xy_m[:old] - at_m).T)
     i = int(np.argmin(off_m))
-    return i if off_m[i] <= SIGHT_M + drift_bound(paths_m[j] - paths_m[i])[0] else None
+    return i if off_m[i] <= SIGHT_M + drift_bound(path_m - float(paths_m[i]))[0] else None
 
 
-def detect_closures(keys: Sequence[KeyFrame], config: Config) -> Iterator[KeyClosure | None]:
-    """Search key frames in the old part of the map; yield a closure or None for each search.
+def detect_closures(
+    keys: Sequence[KeyFrame], known: Sequence[KeyClosure], local: LocalMaps, config: Config
+) -> Iterator[KeyClosure]:
+    """Search key frames in the old part of the map; yield the closures, also those of no agreement.
 
-    Searches are dense at first and sparse where closures confirm the track, which also bounds the drift from there on.
-    Weak closures confirm nothing, because the drift along a corridor stays unknown.
+    Searches are dense at first and sparse where closures confirm the track, which also bounds the drift from there on;
+    so do those ``known``. Weak closures confirm nothing, because the drift along a corridor stays unknown. Where there
+    can be little drift, local maps are searched, else the map of all.
     """
-    old, seen, paths, pace = KeyFrameMap(config), Visibility(keys), Paths(), Pace()
+    old, seen, paths, pace = KeyFrameMap(config), Visibility(keys, local), Paths(), Pace()
+    for each in known:
+        if each.weak_rad is None:
+            paths.join(keys[each.start].path_m, keys[each.end].path_m)
     xy_m, paths_m = np.array([k.map_T_laser[:2] for k in keys]), np.array([k.path_m for k in keys])
     for j, key in enumerate(keys):
-        i = nearest_old(xy_m, paths_m, j) if key.path_m >= pace.next_m else None
+        i = nearest_old(xy_m, paths_m, xy_m[j], key.path_m) if key.path_m >= pace.next_m else None
         if i is None:
             continue
         count = int(np.searchsorted(paths_m, key.path_m - LOOP_M))
-        old.grow(keys, count)
         seen.grow(count)
-        closure = find_closure(keys, j, old, seen, drift_bound(paths.between(keys[i].path_m, key.path_m)), config)
-        full = closure if closure and closure.weak_rad is None else None
-        pace = pace.after(key.path_m, full, small=full is not None and is_small(full.correction(keys)))
-        if full and pace.confirming >= CONFIRMING:
-            paths.join(keys[full.start].path_m, key.path_m)
-        yield closure
+        bound = drift_bound(paths.between(keys[i].path_m, key.path_m))
+        if wide := bound[0] > PART_M:
+            old.grow(keys, count)
+        closure = find_closure(keys, j, old if wide else None, seen, bound, config)
+        confirms = closure is not None and closure.weak_rad is None and is_small(closure.correction(keys))
+        pace = pace.after(key.path_m, failed=closure is None, confirms=confirms)
+        if closure:
+            if confirms:
+                paths.join(keys[closure.start].path_m, key.path_m)
+            yield closure
 
 
 class Pace(NamedTuple):
-    """When to search next: the path length ``next_m``, and the successive small closures and failed searches so far."""
+    """When to search next: the path length ``next_m``, and the successive failed searches so far."""
 
     next_m: float = 0.0
-    confirming: int = 0
-    failed: int = 0
+    failures: int = 0
 
-    def after(self, path_m: float, closure: KeyClosure | None, *, small: bool) -> Pace:
-        """Return the pace after a search."""
-        confirming, failed = (self.confirming + 1 if small else 0), (0 if closure else self.failed + 1)
-        step_m = FAR_SEARCH_M if confirming >= CONFIRMING or failed >= MOST_FAILED else SEARCH_M
-        return Pace(path_m + step_m, confirming, failed)
+    def after(self, path_m: float, *, failed: bool, confirms: bool) -> Pace:
+        """Return the pace after a search that failed, or found a closure that confirms the track, or corrects it."""
+        failures = self.failures + 1 if failed else 0
+        return Pace(path_m + (FAR_SEARCH_M if confirms or failures >= MOST_FAILED else KEY_M), failures)
+
+
+def predicts_better(before: Frames, after: Frames, local: LocalMaps, config: Config) -> bool:
+    """Return whether scans that took no part fit better to what was seen a long path before, at the poses ``after``."""
+    worst_m, gain_m2 = config.robust.expert.truncate_m, 0.0
+    for j, i in sorted({*revisits(before, local), *revisits(after, local)}):
+        (middle, part), points = local.around(i), before[1][j].points
+        poses = np.array([keys[middle].map_T_laser.between(others[j].map_T_laser) for keys, others in (before, after)])
+        costs = [part.lines.costs(points, pose[None, :2], pose[2:], worst_m)[0, 0] for pose in poses]
+        gain_m2 += costs[0] - costs[1]
+    return gain_m2 > 0.0
+
+
+def revisits(frames: Frames, local: LocalMaps) -> Iterator[tuple[int, int]]:
+    """Yield the scans that take no part, each with the key frame of a long path before that saw most of the same."""
+    keys, others = frames
+    xy_m, paths_m = np.array([k.map_T_laser[:2] for k in keys]), np.array([k.path_m for k in keys])
+    seen = Visibility(keys, local)
+    for j, frame in enumerate(others):
+        if nearest_old(xy_m, paths_m, np.array(frame.map_T_laser[:2]), frame.path_m) is not None:
+            seen.grow(int(np.searchsorted(paths_m, frame.path_m - LOOP_M)))
+            yield j, seen.reference(frame)
 
 
 def track_confirmed(corrections: Sequence[Pose]) -> bool:
@@ -192,10 +256,7 @@ def follow(map_T_laser: Trajectory, tracked: Sequence[KeyFrame], keys: Sequence[
 
 
 def close_loops(track: Track, refiner: Refiner) -> Track:
-    """Close loops and rebuild the map; the track does not change without loops, or if the new map is no sharper.
-
-    Nor does it change if the run is stopped early.
-    """
+    """Close loops and rebuild the map; the track does not change without loops, or if the run is stopped early."""
     steps, config = track.steps, track.config
     if not refiner.builds_map or config.loop_closure != "auto":
         return track
@@ -207,9 +268,8 @@ def close_loops(track: Track, refiner: Refiner) -> Track:
         return track.with_findings(loops=loops)
     fresh = make_method(config)
     rebuilt = Steps(rebuild(track.log_scans(), steps, loops.map_T_laser, fresh, track.motion))
-    hits, hits_before = (np.count_nonzero(method.grid.hits) for method in (fresh, track.method))
-    if len(rebuilt) < len(steps) or hits >= hits_before:
-        return track.with_findings(loops=loops.refuse_all())
+    if len(rebuilt) < len(steps):
+        return track
     return replace(track.with_findings(loops=loops), steps=rebuilt, method=fresh)
 
 

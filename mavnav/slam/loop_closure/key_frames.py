@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from mavnav.kernels.scans.points import extent
 from mavnav.mapping.occupancy_grid import GridBuilder
@@ -57,10 +58,11 @@ def key_rows(
 
 
 class KeyFrameMap:
-    """A part of the map, built from some of the key frames."""
+    """A part of the map, built from some of the key frames, in the frame in which their poses are given."""
 
-    def __init__(self, config: Config) -> None:
-        """Start empty."""
+    def __init__(self, config: Config, rays_m: float = np.inf) -> None:
+        """Start empty; free space is drawn up to a range."""
+        self.rays_m = rays_m
         self.lines = empty_line_map(config)
         self.grid = GridBuilder(self.lines.cell_m)
         self.count = 0
@@ -68,20 +70,62 @@ class KeyFrameMap:
     def grow(self, keys: Sequence[KeyFrame], count: int) -> None:
         """Insert the next key frames, up to the number ``count``."""
         some = keys[self.count : count]
-        seen = [transform_points(key.map_T_laser, key.points) for key in some]
-        extent_m = extent(np.concatenate([np.zeros((0, 2)), *seen]))  # of all, so that the map is enlarged only once
-        for key, xy_map_m in zip(some, seen, strict=True):
-            self.lines.insert(xy_map_m, extent_m)
-            self.grid.insert(key.map_T_laser, xy_map_m, extent_m)
+        ends_m = [transform_points(key.map_T_laser, key.points) for key in some]
+        xy_map_m = np.concatenate([np.zeros((0, 2)), *ends_m])
+        extent_m = extent(xy_map_m)  # of all, so that the map is enlarged only once
+        self.lines.insert(xy_map_m, extent_m)  # of all, so that each line is fitted only once
+        for key, seen_m in zip(some, ends_m, strict=True):
+            near = np.hypot(*key.points.T) <= self.rays_m
+            self.grid.insert(key.map_T_laser, seen_m[near], extent_m)
         self.count = max(count, self.count)
 
 
-class Visibility:
-    """Index from squares of the plane to the key frames that saw them."""
+PART_M = 1.0
+"""Path length around a key frame whose scans it is measured against, which are nearly rigid."""
 
-    def __init__(self, keys: Sequence[KeyFrame]) -> None:
+RAYS_M = 8.0
+"""Range up to which free space is drawn in local maps: it is what a laser at the same place looks through."""
+
+KEPT = 64
+"""Number of local maps that are kept: a path that is followed again needs them in turn."""
+
+
+class LocalMaps:
+    """Maps of short parts of the path, each in the frame of its middle key frame, drawn when they are needed.
+
+    They stay valid when the path between them is corrected.
+    """
+
+    def __init__(self, keys: Sequence[KeyFrame], config: Config) -> None:
+        """Start without maps; the key frames may become more."""
+        self._keys, self._config = keys, config
+        self._maps: dict[int, KeyFrameMap] = {}
+
+    def around(self, i: int) -> tuple[int, KeyFrameMap]:
+        """Return the middle key frame of the part around key frame ``i``, and the map of the part in its frame."""
+        paths_m = np.array([key.path_m for key in self._keys])
+        middle = int(np.argmin(np.abs(paths_m - (paths_m[i] // PART_M + 0.5) * PART_M)))
+        if middle not in self._maps:
+            near = np.flatnonzero(np.abs(paths_m - paths_m[middle]) <= 1.5 * PART_M)
+            if len(self._maps) == KEPT:
+                self._maps.pop(next(iter(self._maps)))
+            self._maps[middle] = self._draw(middle, near.tolist())
+        return middle, self._maps[middle]
+
+    def _draw(self, middle: int, near: list[int]) -> KeyFrameMap:
+        """Draw the map of some key frames."""
+        at, part = self._keys[middle].map_T_laser, KeyFrameMap(self._config, RAYS_M)
+        some = (self._keys[k] for k in near)
+        part.grow([replace(key, map_T_laser=at.between(key.map_T_laser)) for key in some], len(near))
+        return part
+
+
+class Visibility:
+    """Index from squares of the plane to the key frames that saw them, and the local maps of these."""
+
+    def __init__(self, keys: Sequence[KeyFrame], local: LocalMaps) -> None:
         """Start with no key frame in the index."""
-        self.keys = keys
+        self.keys, self.local = keys, local
         self.count = 0
         self._seen_by: dict[int, list[int]] = {}
 
@@ -102,6 +146,11 @@ class Visibility:
         common = np.bincount(np.array(seen, np.intp), minlength=self.count)
         most = np.flatnonzero(common == common.max()).tolist()
         return min(most, key=lambda k: self.keys[k].map_T_laser.between(key.map_T_laser).distance_m)
+
+    def local_map(self, key: KeyFrame) -> tuple[Pose, KeyFrameMap]:
+        """Return the local map of what ``key`` seems to see, and its pose."""
+        middle, part = self.local.around(self.reference(key))
+        return self.keys[middle].map_T_laser, part
 
 
 def squares(key: KeyFrame) -> list[int]:

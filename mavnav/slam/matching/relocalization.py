@@ -43,7 +43,11 @@ SEPARATE = np.array((SEPARATE_M, SEPARATE_RAD))
 _ROW = 1 << 20
 """Length of a row in the numbering of lattice positions."""
 
-CANDIDATES = 6
+START_M, START_RAD = 1.0, 45 * DEG
+"""Radius and half-width of the search around a given start pose, m and rad."""
+
+CANDIDATES, MAP_CANDIDATES = 6, 30
+"""Numbers of minima of a region, and of a whole given map, that are refined and compared."""
 
 WORTH_PRUNING = 1 << 19
 """Minimum number of point cost evaluations of a search that is pruned; below, the exhaustive search is faster."""
@@ -219,11 +223,14 @@ def best_of(matches: list[Match], expected: tuple[Pose, ...], elapsed_s: float, 
     return with_effort(best, *matches)._replace(ambiguous=min(rivals, default=np.inf) < lowest + AMBIGUITY_MARGIN)
 
 
-def unambiguous(matches: list[Match], margin: float, config: Config) -> Match | None:
-    """Return the match of least misfit; None without matches, or if another pose ranks within ``margin`` of it."""
+def unambiguous(matches: list[Match], margin: float, config: Config, least_m: float = SEPARATE_M) -> Match | None:
+    """Return the match of least misfit; None without matches, or if another pose ranks within ``margin`` of it.
+
+    Poses up to ``least_m`` away are the same.
+    """
     ranked = sorted(matches, key=lambda match: misfit(match, config))
     best = next(iter(ranked), None)
-    rival = next((m for m in ranked if best and apart(best.map_T_laser, m.map_T_laser)), None)
+    rival = next((m for m in ranked if best and apart(best.map_T_laser, m.map_T_laser, least_m)), None)
     clear = best and (rival is None or misfit(rival, config) >= misfit(best, config) + margin)
     return best if clear else None
 
@@ -283,10 +290,16 @@ def motion_cost(expected: Pose, pose: Pose, elapsed_s: float) -> float:
     return (off.distance_m / reach_m) ** 2 + (off.yaw_rad / reach_rad) ** 2
 
 
-def apart(a: Pose, b: Pose) -> bool:
+def apart(a: Pose, b: Pose, least_m: float = SEPARATE_M) -> bool:
     """Return whether two poses are too far apart to be the same minimum."""
     off = a.between(b)
-    return off.distance_m > SEPARATE_M or abs(off.yaw_rad) > SEPARATE_RAD
+    return off.distance_m > least_m or abs(off.yaw_rad) > SEPARATE_RAD
+
+
+def is_near_start(pose: Pose, start: Pose) -> bool:
+    """Return whether a pose is as near to a given start pose as that may be wrong."""
+    off_m, off_rad = start.gap(pose)
+    return off_m <= FARTHEST_M and off_rad <= START_RAD
 
 
 def minima(costs: Floats, xy_m: Floats, yaws_rad: Floats, most: int = CANDIDATES) -> list[Start]:

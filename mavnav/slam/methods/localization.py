@@ -6,10 +6,18 @@ from typing import TYPE_CHECKING
 
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose, transform_points
-from mavnav.slam.matching.relocalization import AMBIGUITY_MARGIN, around, candidates, everywhere, unambiguous
+from mavnav.slam.matching.relocalization import (
+    AMBIGUITY_MARGIN,
+    MAP_CANDIDATES,
+    START_M,
+    START_RAD,
+    around,
+    candidates,
+    everywhere,
+    unambiguous,
+)
 from mavnav.slam.matching.scan_matching import empty_line_map, no_match
 from mavnav.slam.methods.robust import Robust
-from mavnav.units import DEG
 
 if TYPE_CHECKING:
     import numpy as np
@@ -21,12 +29,6 @@ if TYPE_CHECKING:
     from mavnav.slam.matching.prior_map import PriorMap
     from mavnav.slam.matching.relocalization import Region
     from mavnav.slam.matching.scan_matching import Match
-
-START_M, START_RAD = 1.0, 45 * DEG
-"""Radius and half-width of the search around a given start pose, m and rad."""
-
-MAP_CANDIDATES = 30
-"""Number of minima of a region of the map that are refined and compared."""
 
 
 class Localizer(Robust):

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
-from itertools import pairwise
+from bisect import bisect_left, bisect_right
 from math import hypot
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mavnav.slam.matching.odometry_fit import WINDOW_S
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -69,11 +69,19 @@ def is_too_far(a: Pose, b: Pose, elapsed_s: float, fastest_m_s: float) -> bool:
     return a.gap(b)[0] > FASTER * fastest_m_s * elapsed_s + SLACK_M
 
 
-def highest_speed(steps: Sequence[Step]) -> float:
-    """Return the highest usual speed (0.99 quantile) between successive accepted poses, m/s."""
-    pairs = [(a, b, (b.stamp_ns - a.stamp_ns) * NS) for a, b in pairwise(steps)]
-    speeds = [a.match.map_T_laser.gap(b.match.map_T_laser)[0] / s for a, b, s in pairs if 0.0 < s <= PAUSE_S]
-    return max(float(np.quantile(speeds, 0.99)) if speeds else 0.0, LEAST_SPEED_M_S)
+def highest_speeds(steps: Sequence[Step]) -> tuple[float, float]:
+    """Return the highest usual speeds (0.99 quantile) over about a second between accepted poses, m/s and rad/s."""
+    stamps_ns = [step.stamp_ns for step in steps]
+    later = (bisect_left(stamps_ns, stamp_ns + WINDOW_S / NS) for stamp_ns in stamps_ns)
+    pairs = [
+        (a, steps[k], (steps[k].stamp_ns - a.stamp_ns) * NS)
+        for a, k in zip(steps, later, strict=True)
+        if k < len(steps)
+    ]
+    speeds = [np.divide(a.match.map_T_laser.gap(b.match.map_T_laser), s) for a, b, s in pairs if s <= PAUSE_S]
+    usual = np.quantile(speeds or [(0.0, 0.0)], 0.99, axis=0)
+    fastest_m_s, fastest_rad_s = np.maximum(usual, LEAST_SPEED_M_S).tolist()
+    return fastest_m_s, fastest_rad_s
 
 
 def shortest_pause_s(period_s: float, least_s: float = PAUSE_S) -> float:

@@ -77,6 +77,9 @@ FOUND_COST, FOUND_ANYWHERE_COST = 0.4, 0.25
 It is a share of the worst cost. Poses at which a lost laser was found cost up to 0.1 at 10 scans a second.
 """
 
+OBSERVED_SHARE = 1 / 30
+"""Weight of the odometry where the walls show all directions, as a share of that along a corridor: a bias adds up."""
+
 AT_REST = np.zeros(3)
 """Twist of a laser at rest, for scans that are not de-skewed."""
 
@@ -126,11 +129,11 @@ class Robust:
         return self
 
     @cached_property
-    def _near(self) -> tuple[Schedule, Schedule]:
-        """Schedules of the search close to the prediction: without odometry, and with it."""
+    def _near(self) -> tuple[Schedule, Schedule, Schedule]:
+        """Schedules of the search close to the prediction: without odometry, with it, and where walls leave it open."""
         expert = self.config.robust.expert
         schedule = partial(Schedule.of, self.config, self.lines, (expert.near_window_m, expert.near_window_rad))
-        return schedule(), schedule(prior=expert.prior)
+        return schedule(), schedule(prior=OBSERVED_SHARE * expert.prior), schedule(prior=expert.prior)
 
     @cached_property
     def _final(self) -> Schedule:
@@ -235,7 +238,10 @@ class Robust:
         """
         if not self.config.robust.expert.near_window_mm:
             return [], False
-        match = search_lines(points, self.lines, predicted, self._near[motion.odometry is not None])
+        blind, weakly, strongly = self._near
+        match = search_lines(points, self.lines, predicted, weakly if motion.odometry else blind)
+        if motion.odometry and self.observability(points, match)[0] < LEAST_OBSERVABILITY:
+            match = search_lines(points, self.lines, predicted, strongly, match)
         match = with_conflicts(match, points, self.lines, self.known)
         rules = self.acceptance
         return [match], rules.is_inside(match, predicted) and rules.is_acceptable(match, motion, elapsed_s)

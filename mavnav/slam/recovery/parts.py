@@ -1,7 +1,9 @@
 """Parts of a log that was lost for good: each is tracked on a separate map, and joined to the largest if possible.
 
-A part is joined if several of its scans are found in the map of the largest part by the whole-map search, and agree on
-the transform between the two maps. A part that is not joined is neither in the trajectory nor in the map.
+A part is joined where what was seen before and after the gap beside it agrees; else if several of its scans are found
+in the map of the largest part by the whole-map search, and agree on the transform between the two maps; else by
+odometry.
+A part that is not joined is neither in the trajectory nor in the map.
 """
 
 from __future__ import annotations
@@ -18,9 +20,10 @@ from mavnav.pose import Pose
 from mavnav.slam.matching.relocalization import apart
 from mavnav.slam.matching.scan_matching import no_match
 from mavnav.slam.matching.steps import LOST_SCANS, Step, Steps, lost_intervals, runs_of
-from mavnav.slam.methods.pauses import first_found_late, highest_speed, is_too_far, pauses
+from mavnav.slam.methods.pauses import first_found_late, highest_speeds, pauses
+from mavnav.slam.recovery.across_gap import LOCAL_SCANS, pose_across_gap, reach_across
 from mavnav.slam.recovery.part_by_odometry import neighbours, placed_warning, pose_by_odometry
-from mavnav.slam.retries.beginning import count_accepted, until_missing
+from mavnav.slam.retries.beginning import MISSED_SCANS, count_accepted, until_missing
 from mavnav.units import NS, pluralize
 
 if TYPE_CHECKING:
@@ -32,20 +35,11 @@ if TYPE_CHECKING:
     from mavnav.slam.methods.registry import Refiner
     from mavnav.slam.track import Track
 
-LEAST_SCANS, MOST_TRACKED = 20, 4
-"""Minimum number of scans of a stretch that is tracked on a separate map, and maximum number of such stretches.
+MOST_TRACKED = 4
+"""Maximum number of stretches of lost scans that are tracked on separate maps."""
 
-Each may take seconds.
-"""
-
-GIVE_UP_SCANS = 16
-"""Number of successive usable scans without a match that ends the track of a part."""
-
-SEARCHED_SCANS, SEARCHED_AFTER_PAUSE, LEAST_AGREEING = 6, 24, 3
-"""Number of scans of a part that are searched in the largest map, and minimum number of them that must agree.
-
-More are searched where the scans pause beside the part: it may have only few places in common with that map.
-"""
+SEARCHED_SCANS, LEAST_AGREEING = 6, 3
+"""Number of scans of a part that are searched in the largest map, and minimum number of them that must agree."""
 
 LONG_AGO_NS = 10**18
 """Time since the last pose of a laser that may be anywhere, 32 years."""
@@ -69,11 +63,19 @@ class Part(Struct, frozen=True):
     joined: bool
 
 
-def lost_for_good(steps: Steps, lost: Sequence[LostInterval], parts: Sequence[Part] = ()) -> bool:
-    """Return whether the track ended before the log, has too few of its scans, or too many are in parts not joined."""
-    ended = bool(lost) and not lost[-1].recovered
+LEAST_BEFORE_END = 0.9
+"""Share of scans with a pose from which a log whose end does not match is not lost: the robot was lifted, say."""
+
+
+def lost_for_good(steps: Steps, lost: Sequence[LostInterval], parts: Sequence[Part] = (), most: float = 1.0) -> bool:
+    """Return whether the track ended before the log, has too few of its scans, or too many are in parts not joined.
+
+    A track with a share ``most`` of the scans or more may end before the log.
+    """
+    share = float(steps.share("tracked"))
+    ended = bool(lost) and not lost[-1].recovered and share < most
     left_out = sum(part.scans for part in parts if not part.joined)
-    few = bool(steps.share("tracked") < LEAST_TRACKED_SHARE) or left_out > MOST_LEFT_OUT * len(steps)
+    few = share < LEAST_TRACKED_SHARE or left_out > MOST_LEFT_OUT * len(steps)
     return ended or (bool(steps) and few)
 
 
@@ -116,24 +118,24 @@ def lost_parts(track: Track) -> list[Track]:
         stretch = waiting.pop(int(np.argmax([len(some) for some in waiting])))
         part = track_stretch(track, stretch)
         rest = lost_stretches(part.steps, range(stretch.start, len(part.steps)))
-        rest += [range(len(part.steps), stretch.stop)] if stretch.stop - len(part.steps) >= LEAST_SCANS else []
+        rest += [range(len(part.steps), stretch.stop)] if stretch.stop - len(part.steps) >= LOST_SCANS else []
         waiting += [some for some in rest if len(some) < len(stretch)]
-        if count_accepted(part) >= LEAST_SCANS:
+        if count_accepted(part) >= LOST_SCANS:
             parts.append(part)
     return parts
 
 
 def track_stretch(track: Track, stretch: range) -> Track:
-    """Track a stretch of scans from an empty map, until ``GIVE_UP_SCANS`` in a row do not match it."""
+    """Track a stretch of scans from an empty map, until ``MISSED_SCANS`` in a row do not match it."""
     least_points = track.config.robust.min_points
     part = replace(track.with_findings(parts=()), begin=stretch.start)
     scans = islice(track.log_scans(), stretch.stop)
-    return part.over(scans, "track again", lambda steps: until_missing(steps, least_points, GIVE_UP_SCANS, np.inf))
+    return part.over(scans, "track again", lambda steps: until_missing(steps, least_points, MISSED_SCANS, np.inf))
 
 
 def lost_stretches(steps: Steps, within: range) -> list[range]:
-    """Return the ranges of ``LEAST_SCANS`` or more successive scans without a pose, as scan numbers."""
-    runs = runs_of(~steps.column("tracked")[within.start : within.stop], LEAST_SCANS)
+    """Return the ranges of ``LOST_SCANS`` or more successive scans without a pose, as scan numbers."""
+    runs = runs_of(~steps.column("tracked")[within.start : within.stop], LOST_SCANS)
     return [range(within.start + run.start, within.start + run.stop) for run in runs]
 
 
@@ -152,58 +154,102 @@ def with_all_scans(track: Track, steps: Steps) -> Track:
 
 
 def join_parts(track: Track, others: list[tuple[Step, ...]]) -> Track:
-    """Join parts to a track where they fit its map, the longest first; each one extends the map for the next.
+    """Join parts to a track where they fit, each extends it for the next: across gaps first, then anywhere in its map.
 
     A part that shows nothing of the map is placed by odometry if that can be relied on.
     """
-    steps, parts = Steps(track.steps), sorted(others, key=len, reverse=True)
+    steps, longest_first = Steps(track.steps), sorted(others, key=len, reverse=True)
+    waiting = [part for part in longest_first if not all(steps[step.index].tracked for step in part)]
     warnings, errors_m = list(track.findings.warnings), np.zeros(len(steps))
-    for part in parts:
-        wanted = {step.index for step in part if not steps[step.index].tracked}
-        log_scans = track.log_scans() if len(wanted) >= LOST_SCANS else ()
-        scans = {k: scan for k, scan in enumerate(log_scans) if k in wanted}
-        inside = [step for step in part if step.index in scans]
-        part_T = part_pose(inside, scans, track, _most_searched(part, track))
-        if part_T is None and inside:
-            chosen = ((step, scans[step.index]) for step in spread_out(inside, SEARCHED_AFTER_PAUSE))
-            placed = pose_by_odometry(inside, chosen, steps, track)
-            if placed:
-                part_T, error_m = placed
-                errors_m[[step.index for step in inside]] = error_m
-                warnings.append(placed_warning(inside, steps[0].stamp_ns, error_m))
-        if part_T is not None and is_reached(part, part_T, steps, track):
-            for step in insert_part(inside, part_T, scans, track):
-                steps[step.index] = step
-    whole = track.with_findings(parts=tuple(parts), warnings=tuple(warnings), by_odometry_m=errors_m)
+    scans = _scans_near(others, steps, track) if others else {}
+    while (placed := _next_placed(waiting, steps, scans, track)) is not None:
+        part, map_T_part, error_m = placed
+        waiting.remove(part)
+        inside = [step for step in part if not steps[step.index].tracked]
+        if error_m is not None:
+            errors_m[[step.index for step in inside]] = error_m
+            warnings.append(placed_warning(inside, steps[0].stamp_ns, error_m))
+        for step in insert_part(inside, map_T_part, scans, track):
+            steps[step.index] = step
+    whole = track.with_findings(parts=tuple(others), warnings=tuple(warnings), by_odometry_m=errors_m)
     return replace(whole, steps=steps)
 
 
+def _scans_near(parts: Sequence[Sequence[Step]], steps: Steps, track: Track) -> dict[int, Scan]:
+    """Return the scans of parts, and those beside them with which they are compared, by number."""
+    wanted = {step.index for part in parts for step in part}
+    for part in parts:
+        wanted.update(step.index for _, beyond in sides_of(part, steps) for step in beyond)
+    return {k: scan for k, scan in enumerate(track.log_scans()) if k in wanted}
+
+
+def _next_placed(
+    waiting: Sequence[tuple[Step, ...]], steps: Steps, scans: dict[int, Scan], track: Track
+) -> tuple[tuple[Step, ...], Pose, float | None] | None:
+    """Return a part that can be joined, its pose, and the error to be expected if odometry alone gives it, m.
+
+    Of the ways to place a part the surest is tried first with every part.
+    """
+    for part in waiting:
+        map_T_part = _pose_across_gaps(part, steps, scans, track)
+        if map_T_part is not None:
+            return part, map_T_part, None
+    for part in waiting:
+        map_T_part = part_pose(list(part), scans, track)
+        if map_T_part is not None and is_reached(part, map_T_part, steps, track):
+            return part, map_T_part, None
+    for part in waiting:
+        chosen = ((step, scans[step.index]) for step in spread_out(list(part)))
+        placed = pose_by_odometry(part, chosen, steps, track)
+        if placed is not None and is_reached(part, placed[0], steps, track):
+            return part, *placed
+    return None
+
+
+def _pose_across_gaps(part: Sequence[Step], steps: Steps, scans: dict[int, Scan], track: Track) -> Pose | None:
+    """Return the pose of a part's map by what was seen beyond the gap before or after it."""
+    fastest = usual_speeds(part, track)
+    poses = (pose_across_gap(beyond, own, scans, track, fastest) for own, beyond in sides_of(part, steps))
+    return next((pose for pose in poses if pose is not None), None)
+
+
+def sides_of(part: Sequence[Step], steps: Steps) -> Iterator[tuple[Sequence[Step], Sequence[Step]]]:
+    """Yield the steps of a part at its beginning and at its end, each with those of the track beyond, nearest first."""
+    for own, beyond in ((part, range(part[0].index - 1, -1, -1)), (part[::-1], range(part[-1].index + 1, len(steps)))):
+        tracked = (steps[k] for k in beyond if steps[k].tracked)
+        near = list(islice(tracked, LOCAL_SCANS))
+        if near:
+            yield own[:LOCAL_SCANS], near
+
+
 def is_reached(part: Sequence[Step], map_T_part: Pose, steps: Steps, track: Track) -> bool:
-    """Return whether the laser can have moved between a part and the poses next to it where the scans pause there."""
-    before_pauses = [] if track.motion.odometry is not None else pauses(steps, track.motion.period_s)
+    """Return whether the laser can have moved between a part and the poses next to it.
+
+    Where the scans pause, it moves as before; else it may have been carried, but not faster than any vehicle.
+    """
+    before_pauses = pauses(steps, track.motion.period_s)
     for end, other in neighbours(part, steps):
-        if not any(min(end.index, other.index) <= k < max(end.index, other.index) for k in before_pauses):
-            continue
-        elapsed_s = abs(other.stamp_ns - end.stamp_ns) * NS
-        fastest_m_s = max(highest_speed(part), highest_speed(accepted_steps(track)))
-        if is_too_far(map_T_part @ end.match.map_T_laser, other.match.map_T_laser, elapsed_s, fastest_m_s):
+        first, last = sorted((end.index, other.index))
+        paused = any(first <= k < last for k in before_pauses)
+        reach = reach_across(other, end, track, usual_speeds(part, track) if paused else track.motion.fastest)
+        if reach.expected.gap(map_T_part @ end.match.map_T_laser)[0] > reach.off_m:
             return False
     return True
 
 
-def _most_searched(part: Sequence[Step], track: Track) -> int:
-    """Return how many scans of a part are searched: more where the scans pause before or after it."""
-    ends, before_pauses = (part[0].index - 1, part[-1].index), pauses(track.steps, track.motion.period_s)
-    return SEARCHED_AFTER_PAUSE if any(end in before_pauses for end in ends) else SEARCHED_SCANS
+def usual_speeds(part: Sequence[Step], track: Track) -> tuple[float, float]:
+    """Return the highest usual speeds of a track and a part of its log, m/s and rad/s."""
+    (a_m_s, a_rad_s), (b_m_s, b_rad_s) = highest_speeds(part), highest_speeds(accepted_steps(track))
+    return max(a_m_s, b_m_s), max(a_rad_s, b_rad_s)
 
 
-def part_pose(part: list[Step], scans: dict[int, Scan], track: Track, most: int = SEARCHED_SCANS) -> Pose | None:
+def part_pose(part: list[Step], scans: dict[int, Scan], track: Track) -> Pose | None:
     """Return the pose of a part's map in the map of a track; None unless several of its scans agree on it.
 
     More than half of the scans that are found must agree.
     """
     refiner = track.refiner
-    chosen = spread_out(part, most)
+    chosen = spread_out(part)
     if refiner is None or len(chosen) < LEAST_AGREEING:
         return None
     anywhere = track.motion._replace(odometry=None).started_at(Pose(), part[0].stamp_ns - LONG_AGO_NS)

@@ -19,7 +19,7 @@ from mavnav.outputs.documents.quantities import PATH, QUANTITIES, TIME
 from mavnav.outputs.documents.run_json import METRICS, RunDocument
 from mavnav.outputs.documents.schema import number_schema, run_keys, run_schema
 from mavnav.outputs.files.document import plain, run_document, to_json
-from mavnav.slam.matching.steps import LostInterval
+from mavnav.slam.matching.steps import LostInterval, Steps
 
 OPTIONAL = {"slices", "scenario", "localisation", "continued", "reference", "mission", "truth"}
 TYPES = {
@@ -94,7 +94,8 @@ def test_partial_and_lost_runs(run) -> None:
     assert document["partial"]
     check(document)
     end = LostInterval(run.log.last_ns, run.log.last_ns, 1, recovered=False)
-    lost = plain(run_document(replace(run, slam=replace(run.slam, lost=(end,))), {}))
+    steps = Steps(step._replace(tracked=k < 3) for k, step in enumerate(run.slam.steps))
+    lost = plain(run_document(replace(run, slam=replace(run.slam, steps=steps, lost=(end,))), {}))
     assert lost["tracking"]["lost"]
     check(lost)
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from mavnav.commands.quality_rows import doubt_rows
 from mavnav.logs import Damage
 from mavnav.metrics.gates import judge, parse_gate
 from mavnav.metrics.wall_thickness import wall_sections
@@ -14,13 +13,12 @@ from mavnav.outputs.files.document import plain, run_document, to_json, write_me
 from mavnav.outputs.report.markdown import inert
 from mavnav.pose import Pose, Trajectory
 from mavnav.slam.findings import Doubt, Loop, Loops, Reason, TrackedAgain
-from mavnav.slam.matching.steps import LostInterval, Steps
+from mavnav.slam.matching.steps import LostInterval, Steps, tracked_trajectory
 
 KEYS = {
-    "schema_version", "mavnav_version", "input", "config", "method", "grid", "azimuth", "scans", "cleaning", "tracking",
-    "timing", "search", "wall_thickness", "map", "damage", "warnings", "outputs", "partial", "exit_code", "python",
-    "provenance", "libraries",
-    "map_quality", "loop_closure",
+    "schema_version", "mavnav_version", "verdict", "input", "config", "method", "grid", "azimuth", "scans", "cleaning",
+    "tracking", "timing", "search", "wall_thickness", "map", "damage", "warnings", "outputs", "partial", "exit_code",
+    "python", "provenance", "libraries", "map_quality", "loop_closure",
 }  # fmt: skip
 
 
@@ -94,28 +92,36 @@ def test_doubt_is_reported_with_its_reasons(run):
     assert doubt["reasons"] == [
         {"reason": "slip", "from_s": pytest.approx(1.0), "to_s": pytest.approx(2.0), "value": 3.0}
     ]
-    assert any("probability 0.75: slip (from 1.0 to 2.0 s)" in line for line in document["warnings"])
+    assert document["verdict"]["word"] == "suspect"
+    assert document["verdict"]["reason"] == "the path may be wrong (doubt 0.75): the path jumps, from 1.0 to 2.0 s"
+    assert document["warnings"] == strict(run_document(run, {}))["warnings"]
     (held, failed) = judge([parse_gate(f"tracking.doubt.probability<={p}") for p in (0.8, 0.5)], document)
     assert held.passed
     assert not failed.passed
-    assert list(doubt_rows(doubt)) == [("doubtful", "75 %: slip")]
 
 
-def test_little_doubt_is_no_warning_and_no_row(run):
-    document = strict(run_document(doubtful(run, 0.3), {}))
-    assert document["warnings"] == strict(run_document(run, {}))["warnings"]
-    assert list(doubt_rows(document["tracking"]["doubt"])) == []
+def test_the_verdict_follows_from_the_doubt_and_comes_first(run):
+    words = [plain(run_document(doubtful(run, p), {}))["verdict"]["word"] for p in (0.3, 0.5, 0.51, 0.9, 0.91)]
+    assert words == ["good", "good", "suspect", "suspect", "wrong"]
+    assert list(plain(run_document(run, {})))[:3] == ["schema_version", "mavnav_version", "verdict"]
 
 
 def test_a_run_that_was_not_judged_has_no_probability(run):
     doubt = strict(run_document(run, {}))["tracking"]["doubt"]
     assert doubt == {"probability": None, "reasons": [], "tried": []}
-    assert list(doubt_rows(doubt)) == []
+    assert plain(run_document(run, {}))["verdict"]["word"] == "suspect"
+
+
+def ends_without_a_pose(run, share):
+    """Return a run without a pose from the end of a share of its scans on."""
+    steps = Steps(step._replace(tracked=k < share * len(run.slam.steps)) for k, step in enumerate(run.slam.steps))
+    last = LostInterval(run.log.last_ns, run.log.last_ns, 1, recovered=False)
+    path = tracked_trajectory(steps)
+    return replace(run, slam=replace(run.slam, steps=steps, trajectory=path, lost=(*run.slam.lost, last)))
 
 
 def lost_for_good(run):
-    last = LostInterval(run.log.last_ns, run.log.last_ns, 1, recovered=False)
-    return replace(run, slam=replace(run.slam, lost=(*run.slam.lost, last)))
+    return ends_without_a_pose(run, 0.8)
 
 
 def test_exit_codes(run, change):
@@ -126,6 +132,17 @@ def test_exit_codes(run, change):
     assert run_document(lost_for_good(run), {}).exit_code == 5
     assert run_document(lost_for_good(damaged), {}).exit_code == 5
     assert run_document(lost_for_good(run), {}).tracking.lost is True
+
+
+def test_a_log_whose_end_alone_does_not_match_is_suspect_and_done(run):
+    """A robot that was lifted off its wheels at the end has a right map."""
+    document = strict(run_document(ends_without_a_pose(doubtful(run, 0.1), 0.9), {}))
+    assert (document["exit_code"], document["tracking"]["lost"]) == (0, False)
+    assert document["verdict"]["word"] == "suspect"
+    assert document["verdict"]["reason"].startswith("no scan matches any more from 9.5 s after the first scan; 90 %")
+    assert "--end 9.5" in document["verdict"]["advice"]
+    lost = strict(run_document(ends_without_a_pose(run, 0.85), {}))
+    assert (lost["exit_code"], lost["verdict"]["word"]) == (5, "lost")
 
 
 def test_no_wall_is_null(run):

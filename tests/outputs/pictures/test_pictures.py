@@ -14,6 +14,7 @@ from mavnav.mapping.occupancy_grid import Grid
 from mavnav.mapping.tiled_arrays import max_pool
 from mavnav.metrics.map_quality import measure_map
 from mavnav.metrics.wall_spread import WallCuts
+from mavnav.outputs.documents.verdict import Verdict
 from mavnav.outputs.pictures import map_axes, map_picture, wall_picture
 from mavnav.outputs.pictures.canvas import Canvas, font, png, rgb_of
 from mavnav.outputs.pictures.plot import Axes, legend_room, legend_width, ticks
@@ -180,8 +181,10 @@ def test_a_chart_without_a_wall_has_no_ticks_in_y(monkeypatch):
 def test_the_title_of_a_merged_map_counts_its_sessions(run, tmp_path, monkeypatch, names, title):
     drawn = []
     monkeypatch.setattr(Canvas, "text", lambda _, xy, text, *args, **options: drawn.append(text))
-    map_picture.write_merged(run, dict.fromkeys(names, run.slam.trajectory), tmp_path / "map.png")
-    assert title in drawn
+    verdict = Verdict("suspect", "a session did not join", "")
+    map_picture.write_merged(run, dict.fromkeys(names, run.slam.trajectory), verdict, tmp_path / "map.png")
+    assert f"{title}: suspect" in drawn
+    assert any(text.startswith("a session did not join\n") for text in drawn)
 
 
 def test_cut_lines_lie_across_their_walls():

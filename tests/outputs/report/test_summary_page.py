@@ -26,25 +26,41 @@ SESSION: dict[str, Any] = {
     "name": "monday", "input": "logs/monday.bag", "scans": 200, "joined": True, "why": None,
     "joined_to": [{"name": "friday", "closures": 12}], "closures": 12, "tested": 14, "residual_mm": 8.2,
     "tracking": {"tracked_share": 0.994, "doubt": {"probability": 0.03}},
+    "verdict": {"word": "good", "reason": "no sign", "advice": ""},
     "damage": [{}, {}],
 }  # fmt: skip
+SUSPECT = {"word": "suspect", "reason": "other did not join", "advice": "record more"}
 MERGED = {
+    "verdict": SUSPECT,
+    "headline": "2 of 3 sessions are in one map, with 500 scans.",
     "joined": 2,
     "scans": 500,
     "sessions": [
         SESSION,
         SESSION
-        | {"name": "friday", "input": "runs/friday", "joined_to": [], "tested": 0, "tracking": None, "damage": []},
+        | {
+            "name": "friday",
+            "input": "runs/friday",
+            "joined_to": [],
+            "tested": 0,
+            "tracking": None,
+            "verdict": None,
+            "damage": [],
+        },
         SESSION | {"name": "other <b>", "joined": False, "why": "too few scans fit", "joined_to": [], "tested": 0},
     ],
 }
 DIFFERENCE = {
-    "a": "runs/a", "b": "runs/b", "gone": 1, "gone_m2": 0.25, "new": 0, "new_m2": 0.0, "moved": 0, "compared_m2": 31.4,
+    "a": "runs/a", "b": "runs/b", "headline": "1 place gone (0.250 m²); 98.7 % are the same.",
+    "verdicts": {"a": SUSPECT, "b": None},
+    "gone": 1, "gone_m2": 0.25, "new": 0, "new_m2": 0.0, "moved": 0, "compared_m2": 31.4,
     "same_share": 0.987, "alignment": {"x_m": 0.1, "y_m": -0.2, "yaw_deg": 3.0, "rms_mm": 11.0},
     "changes": [{"number": 1, "kind": "gone", "x_m": 1.5, "y_m": 2.5, "m2": 0.25, "length_m": 0.9, "moved_with": None}],
 }  # fmt: skip
 SWITCH = {"value": True, "in_log": False, "agrees": False, "refused": None}
 CALIBRATED = {
+    "verdict": SUSPECT,
+    "headline": "The laser is mounted the other way up.",
     "refused": None,
     "quantities": [
         {
@@ -80,10 +96,11 @@ def rows(text: str) -> list[list[str]]:
 def test_a_merge_shows_every_session(tmp_path: Path) -> None:
     text = page(merge_summary(MERGED, PNG), tmp_path)
     assert "2 of 3 sessions are in one map, with 500 scans." in text
+    assert '<p class="verdict suspect"><strong>suspect</strong>: other did not join; record more</p>' in text
     assert rows(text)[1:] == [
-        ["monday", "logs/monday.bag", "200", "friday (12)", "12 of 14", "8 mm", "99.4 %", "0.03", "2 places"],
-        ["friday", "runs/friday", "200", "the first of the group", "", "", "", "", "none"],
-        ["other <b>", "logs/monday.bag", "200", "not joined", "", "", "99.4 %", "0.03", "2 places"],
+        ["monday", "logs/monday.bag", "good", "200", "friday (12)", "12 of 14", "8 mm", "99.4 %", "2 places"],
+        ["friday", "runs/friday", "", "200", "the first of the group", "", "", "", "none"],
+        ["other <b>", "logs/monday.bag", "good", "200", "not joined", "", "", "99.4 %", "2 places"],
         ["session", "input", "reason"],
         ["other <b>", "logs/monday.bag", "too few scans fit"],
     ]
@@ -100,12 +117,14 @@ def test_the_picture_stands_in_the_page_which_loads_nothing(tmp_path: Path) -> N
 def test_a_difference_shows_every_change_and_the_alignment(tmp_path: Path) -> None:
     text = page(diff_summary(DIFFERENCE, PNG), tmp_path)
     assert "1 place gone (0.250 m²)" in text
+    assert '<p class="verdict suspect">runs/a: <strong>suspect</strong>: other did not join; record more</p>' in text
     assert ["1", "gone", "1.50 m", "2.50 m", "0.250 m²", "0.90 m", ""] in rows(text)
     assert ["0.100 m", "-0.200 m", "3.00 deg", "11 mm"] in rows(text)
 
 
 def test_maps_that_cannot_be_aligned_have_a_page_too(tmp_path: Path) -> None:
-    text = page(diff_summary(DIFFERENCE | {"alignment": None}, None), tmp_path)
+    apart = DIFFERENCE | {"alignment": None, "headline": "The maps cannot be aligned."}
+    text = page(diff_summary(apart, None), tmp_path)
     assert "cannot be aligned" in text
     assert not rows(text)
     assert "<img" not in text
@@ -113,7 +132,7 @@ def test_maps_that_cannot_be_aligned_have_a_page_too(tmp_path: Path) -> None:
 
 def test_a_calibration_shows_what_is_found_and_what_is_not(tmp_path: Path) -> None:
     text = page(calibration_summary(CALIBRATED, "drive", PNG), tmp_path)
-    assert "3 of 5 quantities are determined." in text
+    assert "The laser is mounted the other way up." in text
     assert ["x, m", "0.030", "± 0.009", "0.030", "0.000"] in rows(text)
     assert ["upside down", "yes", "", "no", ""] in rows(text)
     assert '<table class="summary prose">' in text

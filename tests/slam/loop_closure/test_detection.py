@@ -5,18 +5,31 @@ from __future__ import annotations
 from functools import cache
 from itertools import pairwise
 from math import hypot
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from msgspec import Struct
+from msgspec.structs import replace
 
 from mavnav.config.models import Config
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import LaserSpec, Scan
 from mavnav.slam.findings import Loop, Loops
 from mavnav.slam.loop_closure import detection
-from mavnav.slam.loop_closure.detection import LOOP_M, find_loops
-from mavnav.slam.loop_closure.key_frames import KeyFrame, Visibility, drift_bound, key_rows
+from mavnav.slam.loop_closure.closure import KeyClosure
+from mavnav.slam.loop_closure.detection import LOOP_M, find_loops, predicts_better, rows_aside
+from mavnav.slam.loop_closure.key_frames import (
+    KEPT,
+    PART_M,
+    RAYS_M,
+    KeyFrame,
+    KeyFrameMap,
+    LocalMaps,
+    Visibility,
+    drift_bound,
+    key_rows,
+)
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.scan_matching import first_match
 from mavnav.slam.matching.steps import Step, Steps
@@ -25,6 +38,9 @@ from mavnav.slam.pipeline import finish
 from mavnav.slam.track import Track
 from support.matches import voxel_means
 from support.synthetic import DEG, Segments, along, box, polyline, scan_at
+
+if TYPE_CHECKING:
+    from mavnav.slam.loop_closure.detection import Frames
 
 LASER = LaserSpec(-120 * DEG, DEG, 241, 0.05, 5.6)
 WRONG_M = 0.3
@@ -242,7 +258,7 @@ def test_the_reference_key_frame_saw_the_same_walls_even_from_farther_away() -> 
     other = wall + np.array([0.0, 3.0])
     seen = [(Pose(-1.0, 0.0, 0.0), wall), (Pose(0.1, 0.0, 0.0), other), (Pose(-2.0, 0.0, 0.0), wall)]
     keys = [KeyFrame(k, float(k), xy_m - (pose.x_m, pose.y_m), pose) for k, (pose, xy_m) in enumerate(seen)]
-    seen_by = Visibility(keys)
+    seen_by = Visibility(keys, LocalMaps(keys, Config()))
     seen_by.grow(3)
     assert seen_by.reference(KeyFrame(9, 30.0, wall, Pose())) == 0
 
@@ -280,18 +296,102 @@ def test_the_map_is_drawn_anew_with_the_loop_closed() -> None:
     assert on.grid.hits.sum() == drawn
 
 
-def test_a_correction_that_blurs_the_map_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def key_frames_of(walk: Walk, tracked: Trajectory, aside: bool = False) -> list[KeyFrame]:
+    rows, paths_m = key_rows(tracked.xyyaw)
+    some = sorted(rows_aside(rows)) if aside else rows
+    parts = zip(some, np.interp(some, rows, paths_m).tolist(), walk.points_of(0, some), strict=True)
+    return [KeyFrame(row, path_m, points, tracked[row]) for row, path_m, points in parts]
+
+
+def at_poses_of(frames: Frames, path: Trajectory) -> Frames:
+    keys, others = ([replace(frame, map_T_laser=path[frame.row]) for frame in some] for some in frames)
+    return keys, others
+
+
+def test_a_closed_loop_predicts_the_scans_that_took_no_part_and_a_bent_one_does_not() -> None:
     ring_walk = walk("ring")
-    rows = range(0, len(ring_walk.truth), 4)
-    truth = Trajectory(ring_walk.truth.stamps_ns.copy(), ring_walk.truth.xyyaw.copy())
-    scans, steps, method = track_of(ring_walk, truth, rows)
-    bent = [truth[row] @ Pose(0.0, 0.01 * k, 0.0) for k, row in enumerate(rows)]
-    wrong = Loops((Loop(0, 5, Pose(), Pose(0.5, 0, 0), 0.9),), 3, Trajectory.of([s.stamp_ns for s in scans], bent))
-    monkeypatch.setattr(detection, "find_loops", lambda *_: wrong)
-    before = method.grid.by_rows()
-    outcome = finish(Track(lambda: scans, Config(), Motion(0.4), method, steps))
-    assert outcome.loops == Loops(refused=4)
-    np.testing.assert_array_equal(outcome.grid.passes, before.passes)
+    tracked = ring_walk.drifted(Pose(0.0, 0.0, 0.12 * DEG))
+    drifted = key_frames_of(ring_walk, tracked), key_frames_of(ring_walk, tracked, aside=True)
+    right, local = at_poses_of(drifted, ring_walk.truth), LocalMaps(drifted[0], Config())
+    assert predicts_better(drifted, right, local, Config())
+    assert not predicts_better(right, drifted, local, Config())
+    assert not predicts_better(right, right, local, Config())
+
+
+def test_no_scan_that_tests_the_closures_is_a_key_frame_unless_there_is_no_other() -> None:
+    assert rows_aside([0, 4, 5, 8]) == {2, 6}
+    assert rows_aside([0, 1, 2, 3, 4]) == {1, 3}
+    ring_walk = walk("ring")
+    tracked = ring_walk.drifted(Pose(0.0, 0.0, 0.12 * DEG))
+    aside, loops = rows_aside(key_rows(tracked.xyyaw)[0]), ring_walk.closed(tracked)
+    assert loops.graph is not None
+    assert not aside.intersection(loops.graph.rows)
+
+
+def test_a_correction_that_predicts_worse_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    ring_walk = walk("ring")
+    keys = key_frames_of(ring_walk, ring_walk.truth)
+    bent = [replace(key, map_T_laser=key.map_T_laser @ Pose(0.0, 0.01 * k, 0.0)) for k, key in enumerate(keys)]
+    wrong, right = (
+        KeyClosure(0, 60, keys[0].map_T_laser.between(some[60].map_T_laser), first_match(9)) for some in (bent, keys)
+    )
+    monkeypatch.setattr(detection, "find_closures", lambda *_: (bent, [wrong, wrong, right], 3))
+    loops = ring_walk.closed(ring_walk.truth)
+    assert loops.map_T_laser is None
+    assert loops.refused == 5
+    assert [loop.correction.distance_m for loop in loops.closed] == pytest.approx([0.0])  # confirms the track
+
+
+def test_a_search_that_fits_nowhere_is_no_refused_loop() -> None:
+    ring_walk, other = walk("ring"), walk("twin rooms")
+    half = len(ring_walk.truth) // 2
+
+    def points_of(rows: list[int]) -> list[np.ndarray]:
+        seen = ring_walk.points_of(0, rows)
+        elsewhere = other.points_of(0, [row % 20 for row in rows])
+        return [there if row > half else here for row, here, there in zip(rows, seen, elsewhere, strict=True)]
+
+    loops = find_loops(ring_walk.truth, points_of, observable, Config())
+    assert loops.graph is not None  # loops were searched
+    assert (loops.closed, loops.refused) == ((), 0)
+
+
+def test_a_local_map_is_that_of_its_part_of_the_path_wherever_the_path_lies() -> None:
+    ring_walk = walk("ring")
+    keys = key_frames_of(ring_walk, ring_walk.truth)
+    moved = [replace(key, map_T_laser=Pose(3.0, -2.0, 0.7) @ key.map_T_laser) for key in keys]
+    middle, part = LocalMaps(keys, Config()).around(20)
+    again, same = LocalMaps(moved, Config()).around(20)
+    assert middle == again
+    assert abs(keys[middle].path_m - keys[20].path_m) <= PART_M
+    near = [key for key in keys if abs(key.path_m - keys[middle].path_m) <= 1.5 * PART_M]
+    slow = KeyFrameMap(Config())
+    slow.grow([replace(k, map_T_laser=keys[middle].map_T_laser.between(k.map_T_laser)) for k in near], len(near))
+    assert part.lines.count == slow.lines.count
+    start = keys[middle].map_T_laser.between(keys[20].map_T_laser).as_array()
+    costs = [some.lines.costs(keys[20].points, start[None, :2], start[2:], 0.15)[0, 0] for some in (part, same, slow)]
+    assert costs[0] == costs[2]
+    assert costs[1] == pytest.approx(costs[0], abs=2e-5)
+
+
+def test_few_local_maps_are_kept_and_drawn_again_when_needed() -> None:
+    ring_walk = walk("ring")
+    keys = key_frames_of(ring_walk, ring_walk.truth)
+    far = [replace(key, path_m=50.0 * k) for k, key in enumerate((2 * keys)[: KEPT + 1])]
+    local = LocalMaps(far, Config())
+    first = local.around(0)[1]
+    assert local.around(0)[1] is first
+    for k in range(len(far)):
+        local.around(k)
+    assert local.around(0)[1] is not first
+    assert local.around(0)[1].lines.count == first.lines.count
+
+
+def test_local_maps_draw_free_space_up_to_a_range() -> None:
+    wall = KeyFrame(0, 0.0, np.array([[RAYS_M - 0.5, 0.0], [0.0, RAYS_M + 0.5]]), Pose())
+    part = LocalMaps([wall], Config()).around(0)[1]
+    assert part.lines.count == 1 + 2
+    assert part.grid.hits.sum() == 1
 
 
 def test_a_run_that_is_stopped_while_its_map_is_drawn_anew_keeps_the_old_one(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -304,7 +404,7 @@ def test_a_run_that_is_stopped_while_its_map_is_drawn_anew_keeps_the_old_one(mon
     )
     before = method.grid.by_rows()
     outcome = finish(Track(lambda: scans[:5], Config(), Motion(0.4), method, steps))
-    assert outcome.loops == Loops(refused=4)
+    assert outcome.loops == Loops()
     np.testing.assert_array_equal(outcome.grid.passes, before.passes)
     assert len(outcome.trajectory) == len(scans)
     assert outcome.steps is steps  # of a long log two would take twice the memory

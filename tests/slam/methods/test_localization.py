@@ -9,15 +9,19 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from msgspec.structs import replace
+from scipy.spatial import cKDTree
 
 from mavnav.config.models import Config
 from mavnav.mapping.occupancy_grid import OCCUPIED, Grid, GridBuilder, occupancy
 from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.scan import LaserSpec
 from mavnav.slam import pipeline
+from mavnav.slam.findings import TrackedAgain
 from mavnav.slam.matching.prior_map import PriorMap, prior_map_of
+from mavnav.slam.matching.scan_matching import no_match
 from mavnav.slam.methods.localization import Localizer
 from mavnav.slam.pipeline import run_slam
+from mavnav.slam.recovery.own_map import OWN_MAP
 from mavnav.slam.result import SlamResult
 from support.synthetic import DEG, TOUR, Recording, Segments, along, box, furnished_rooms, polyline, record, room
 
@@ -145,3 +149,24 @@ def test_a_grid_is_brought_to_its_map_frame(x_m: float, y_m: float, yaw_rad: flo
     assert hits[near[:, 1].clip(0, 6), near[:, 0].clip(0, 10)].all()
     seen = np.count_nonzero(known.grid.hits + known.grid.passes)
     assert seen == pytest.approx(hits.size, rel=0.25)
+
+
+def test_a_laser_lost_in_the_map_is_mapped_by_itself_and_placed_as_a_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The map of another tool fits no single scan well; here, none is accepted."""
+    monkeypatch.setattr(Localizer, "first", lambda self, scan: no_match(Pose(), len(self.match_points(scan))))
+    known = prior_map_of(rooms_grid(), Pose())
+    outcome = localised(visit(), known)
+    assert len(outcome.trajectory) == len(visit().scans)
+    assert TrackedAgain(OWN_MAP, kept=True) in outcome.attempts
+    assert any("placed in the given one as a whole" in text for text in outcome.warnings)
+    assert off_m(outcome, visit().world_T_laser).max() < 0.06
+    hit = np.argwhere(outcome.grid.hits > 3)[:, ::-1] * outcome.grid.cell_m + np.array(outcome.grid.origin_xy_m)
+    assert np.median(cKDTree(known.walls_xy_m).query(hit)[0]) < CELL_M
+
+
+def test_a_laser_lost_in_the_map_of_another_building_stays_lost() -> None:
+    way = along([(1.0, 1.0), (8.0, 1.2), (8.2, 2.0)], period_s=0.25)
+    other = record(room(9.5, 2.6), way, LASER, noise=0.01)
+    outcome = localised(other, prior_map_of(rooms_grid(), Pose()))
+    assert outcome.lost_for_good
+    assert not any(attempt.kept for attempt in outcome.attempts)

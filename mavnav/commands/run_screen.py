@@ -1,0 +1,166 @@
+"""The screen that ends a run: the verdict, what was read and used, the map, its size and walls, what to open.
+
+It has at most 40 lines; ``mavnav metrics`` and ``-v`` show the rest. Below it are the warnings, the worst first.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from itertools import chain
+from pathlib import Path
+from shlex import quote
+from typing import TYPE_CHECKING, Any, Final
+
+from mavnav.commands import shared
+from mavnav.commands.quality_rows import more_rows, quality_rows, spread_text, wall_rows
+from mavnav.commands.terminal import emit_json, note, print_table, verdict_mark, verdict_rows
+from mavnav.errors import ExitCode
+from mavnav.units import pluralize
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from mavnav.commands.terminal import Rows
+
+MAP_LINES: Final = 15
+"""Maximum height of the map on a screen, in lines."""
+
+MOST_NAMED: Final = 2
+"""Maximum number of stretches without a pose that are named."""
+
+MOST_WARNINGS: Final = 4
+"""Maximum number of warnings that are printed without ``-v``."""
+
+
+def print_run(
+    document: dict[str, Any],
+    directory: Path,
+    about: Rows,
+    measures: Rows,
+    *,
+    json: bool,
+    preview: bool | None,
+    verbose: bool,
+) -> None:
+    """Print a run on stdout: run.json with ``json``, else its screen.
+
+    ``about`` are the rows above the map and ``measures`` those below. The map is drawn on a terminal unless ``preview``
+    is False, elsewhere if it is True; with ``json`` on stderr. What the user must not miss follows on stderr.
+    """
+    from mavnav.outputs.documents.quantities import UNUSABLE
+
+    terminal = sys.stdout.isatty()
+    drawn = (terminal and not json if preview is None else preview) and (directory / "hits.npz").is_file()
+    if json:
+        emit_json(document)
+    else:
+        above = [*verdict_rows(document["verdict"]), *about]
+        below = [*measures, *(_more(document) if verbose else ()), *_closing_rows(directory, document)]
+        width = max(len(name) for name, _ in (*above, *below))
+        print_table(above, width, {above[0][0]: verdict_mark(document["verdict"]["word"])[1]})
+    if drawn:
+        shared.show_preview(directory, lines=MAP_LINES, stderr=json)
+    if not json:
+        print_table([("", ""), *below] if drawn else below, width)
+    bad = document["verdict"]["word"] in UNUSABLE
+    note_run(document, verdict=json or (bad and not terminal), all_=verbose)
+
+
+def log_rows(document: dict[str, Any]) -> Rows:
+    """Yield the rows on what was read, and what was used of it."""
+    log, scans, tracking = document["input"], document["scans"], document["tracking"]
+    loops = len(document["loop_closure"]["closures"])
+    skipped = "" if scans["processed"] == scans["total"] else f", {scans['processed']} of them used"
+    yield "log", f"{Path(log['path']).name}, {log['duration_s']:.1f} s, {pluralize(scans['total'], 'scan')}{skipped}"
+    share = f"{100 * scans['accepted'] / max(scans['processed'], 1):.1f} % of the scans have a pose"
+    closed = f"{pluralize(loops, 'loop')} closed" if loops else "no loop closed"
+    yield "used", "; ".join((share + _without_pose(tracking["intervals"]), _odometry_text(document), closed))
+
+
+def _without_pose(intervals: list[dict[str, Any]]) -> str:
+    """Name the stretches of scans without a pose; a jump of the path is none."""
+    lost = [each for each in intervals if each["scans"]]
+    named = [f"{each['start_s']:.1f} to {each['end_s']:.1f} s" for each in lost[:MOST_NAMED]]
+    more = f" and {pluralize(len(lost) - MOST_NAMED, 'other stretch')}" if len(lost) > MOST_NAMED else ""
+    return f", none from {', '.join(named)}{more}" if lost else ""
+
+
+def _odometry_text(document: dict[str, Any]) -> str:
+    """Describe what was corrected of the odometry, and its errors."""
+    odometry = document["tracking"].get("odometry")
+    if odometry is None:
+        return "odometry switched off" if document["config"]["odom"] == "off" else "no odometry"
+    name = f"odometry {document['input']['odometry']['topic']}"
+    if not odometry["used"]:
+        return f"{name} not used, it contradicts the scans"
+    changes = [f"{odometry['offset_s']:+.2f} s"] if odometry["offset_s"] else []
+    for kind in ("distance", "turn"):
+        scale = odometry[f"{kind}_scale"]
+        changes += [f"{kind}s x {scale:.3g}"] if round(scale, 2) != 1.0 else []
+    noise = odometry["noise"]["m_per_m"]
+    text = f"{name} corrected by {', '.join(changes)}" if changes else f"{name} as recorded"
+    return text + (f", wrong by {100 * noise:.0f} % of the distance" if noise is not None else "")
+
+
+def map_rows(document: dict[str, Any]) -> Rows:
+    """Yield the rows on the size of the map, its walls and the path."""
+    drawn, ghosts = document["map"], document["map_quality"]["ghost_walls"]
+    width_m, height_m = drawn["size_m"]
+    yield "map", f"{width_m:.1f} x {height_m:.1f} m, cells of {drawn['cell_mm']:g} mm"
+    if "spread" in document["wall_thickness"]:
+        yield "walls", spread_text(document["wall_thickness"]["spread"])
+    if ghosts["count"]:
+        yield (
+            "ghost walls",
+            f"{ghosts['count']}, {ghosts['length_m']:.1f} m, up to {ghosts['worst_offset_mm']:.0f} mm apart",
+        )
+    yield "path", f"{document['tracking']['path_length_m']:.2f} m"
+
+
+def _more(document: dict[str, Any]) -> Rows:
+    """Yield the rows that only ``-v`` shows."""
+    timing = document["timing"]
+    yield from chain(wall_rows(document), quality_rows(document["map_quality"]), more_rows(document["map_quality"]))
+    yield "speed", f"{timing['scans_per_s']:.0f} scans/s, {timing['realtime_factor']:.1f} times real time"
+
+
+def _closing_rows(directory: Path, document: dict[str, Any]) -> Rows:
+    """Yield the rows that end a screen: what to open, and the next command."""
+    here, outputs = quote(str(directory)), document["outputs"]
+    page = ["report.html"] if (directory / "report.html").exists() else []
+    names = [*page, *(name for name in ("map.png", "true_map.png", "map_3d.png") if name in outputs)]
+    yield "open", ", ".join(str(directory / name) for name in names) or str(directory)
+    measurable = outputs.keys() >= {"trajectory.tum", "hits.npz", "result.mcap"}
+    yield "next", f"mavnav metrics {here}" if measurable else f"mavnav check {here}"
+
+
+def note_run(document: dict[str, Any], *, verdict: bool, all_: bool = False) -> None:
+    """Print on stderr what the user must not miss of a run: its ``verdict`` if that is wanted, and the warnings."""
+    known = document["verdict"]
+    if verdict and known["word"] != "good":
+        kind = "error" if document["exit_code"] == ExitCode.TRACKING_LOST else "warning"
+        advice = f"; {known['advice']}" if known["advice"] else ""
+        note(f"mavnav: {kind}: {known['word']}: {known['reason']}{advice}")
+    if document["damage"]:
+        first, places = document["damage"][0], pluralize(len(document["damage"]), "place")
+        note(
+            f"mavnav: warning: the input is damaged in {places}, the first: {first['what']}, {first['where']}; "
+            "what is intact was used"
+        )
+    note_warnings(document["warnings"], all_=all_)
+    if document["partial"]:
+        done, usable = document["scans"]["processed"], document["scans"]["usable"]
+        where = f"after {done} of {usable} scans" if done < usable else "in the passes over the whole log"
+        note(f"mavnav: stopped {where}; the run is partial")
+
+
+def note_warnings(warnings: Iterable[str], *, all_: bool = False) -> None:
+    """Print warnings on stderr; those that differ in numbers only count as one, and few are printed unless ``all_``."""
+    groups: dict[str, list[str]] = {}
+    for text in dict.fromkeys(warnings):
+        groups.setdefault(re.sub(r"[0-9.]+", "#", text), []).append(text)
+    for first, *others in [*groups.values()][: None if all_ else MOST_WARNINGS]:
+        note(f"mavnav: warning: {first}" + (f" ({len(others)} more of this kind)" if others else ""))
+    if (hidden := len(groups) - MOST_WARNINGS) > 0 and not all_:
+        note(f"mavnav: {pluralize(hidden, 'more warning')} in run.json; -v prints them")
