@@ -144,8 +144,8 @@ WEAK, FEW_POINTS, CONFLICTS, LEAST_MARGIN = 0.01, 80, 0.05, 0.15
 TILT_RAD = 10 * DEG
 """Tilt above which motion is not planar: a wall 3 m away is then met 0.5 m higher or lower."""
 
-GAP_S, REFUSED_LOOPS = 2.0, 10
-"""Time without a pose that is long, and number of refused loops that is high."""
+GAP_S = 2.0
+"""Time without a pose that is long."""
 
 
 def disagreement(evidence: TrackEvidence) -> Floats:
@@ -224,8 +224,8 @@ def symmetric(evidence: TrackEvidence) -> Floats:
 
 
 def unclosed_loop(evidence: TrackEvidence) -> Floats:
-    """Return the number of refused loops, if none was closed, as a multiple of many; equal for all scans."""
-    return np.full(len(evidence.stamps_ns), 0.0 if evidence.closed else evidence.refused / REFUSED_LOOPS)
+    """Return the number of refused loops, if none was closed; equal for all scans."""
+    return np.full(len(evidence.stamps_ns), 0.0 if evidence.closed else float(evidence.refused))
 
 
 def odometry_contradicts(evidence: TrackEvidence) -> Floats:
