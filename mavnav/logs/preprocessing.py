@@ -26,13 +26,13 @@ KINDS: Final = ("valid", "zero", "below_min", "above_max", "nan", "plus_inf", "m
 
 _LEAST_M: Final = -1.7976931348623157e308
 _SMALLEST_M: Final = 5e-324
-_MOST_BEAMS: Final = 1 << 15
+MOST_BEAMS: Final = 1 << 15
 """More than any planar laser has; what has more is thinned, so that no scan costs seconds."""
 
 _AT_MAX_SHARE, _AT_MAX_LEAST = 0.02, 10
 """More readings of exactly the maximum are no wall: simulators and some drivers write it where nothing is in range."""
 
-_LONGEST_SWEEP_S: Final = 60.0
+LONGEST_SWEEP_S: Final = 60.0
 """A scan whose time increment makes it longer has no usable increment."""
 
 _MOST_TURNS: Final = 1.1
@@ -152,10 +152,10 @@ class ScanFilter:
 
     def _thin(self, message: LaserMessage) -> LaserMessage:
         """Take one of every so many beams where a scan has far too many."""
-        every = -(-len(message.ranges_m) // _MOST_BEAMS)
+        every = -(-len(message.ranges_m) // MOST_BEAMS)
         if every == 1:
             return message
-        self._warn(f"{self._topic}: a scan has more than {_MOST_BEAMS} beams; one of {every} is used")
+        self._warn(f"{self._topic}: a scan has more than {MOST_BEAMS} beams; one of {every} is used")
         return message._replace(
             angle_step_rad=message.angle_step_rad * every,
             time_increment_s=message.time_increment_s * every,
@@ -181,7 +181,7 @@ class ScanFilter:
     def _time_increment_s(self, message: LaserMessage) -> float:
         """Return the time between two beams; 0 if the message gives none, or an impossible one."""
         increment_s = _finite_or_zero(message.time_increment_s)
-        if abs(increment_s) * len(message.ranges_m) <= _LONGEST_SWEEP_S:
+        if abs(increment_s) * len(message.ranges_m) <= LONGEST_SWEEP_S:
             return increment_s
         self._warn(f"{self._topic}: the time between two beams, {increment_s:g} s, is impossible; it is not used")
         return 0.0

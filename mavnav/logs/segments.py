@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from mavnav.logs.preprocessing import LONGEST_SWEEP_S, MOST_BEAMS
 from mavnav.scan import PLAUSIBLE_SWEEP
 from mavnav.units import DEG, NS
 
@@ -25,12 +26,6 @@ WIDEST_RAD: Final = 1.05 * pi
 
 LONGEST_PAUSE_NS: Final = 500_000_000
 """A segment that is later, ns, begins another sweep; stamps may be integers of any size."""
-
-MOST_BEAMS: Final = 1 << 15
-"""A turn has at most so many beams."""
-
-LONGEST_SWEEP_S: Final = 60.0
-"""A stated time between two beams that makes a sweep longer is none."""
 
 FEWEST_SHARE: Final = 0.5
 """Share of the messages that continue the one before, of segments; those with other angles are reported from it on."""

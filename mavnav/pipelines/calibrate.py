@@ -136,7 +136,7 @@ def _motions(log: Log, outcome: SlamResult) -> Motions:
     assert log.odometry  # noqa: S101  checked by `_open`
     odometry = LogOdometry(log.odometry.odom_T_base, log.base_T_laser or Pose(), log.stamps_ns)
     fit = fit_odometry(odometry, outcome.trajectory, GOOD_ODOMETRY)
-    track = odometry.averaged(outcome.trajectory) if fit and fit.averaged else None
+    track = odometry.with_mean_stamps(outcome.trajectory) if fit and fit.mean_stamps else None
     return motions_of(track or outcome.trajectory, log.odometry.odom_T_base, 2.0 * half_sweep_s(log, outcome))
 
 

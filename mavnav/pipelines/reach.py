@@ -33,8 +33,9 @@ def with_reach(config: Config, log: Log) -> tuple[Config, tuple[str, ...]]:
     if config.method != "robust" or config.robust.far_mm != RobustConfig().far_mm or limit_m <= far_m:
         return config, ()
     ranges_m = np.concatenate([scan.ranges_m for scan in islice(log.scans(), LOOKED_AT)])
-    beyond = float(np.mean(ranges_m[np.isfinite(ranges_m)] >= far_m))
-    if not beyond > MOST_BEYOND:
+    returns_m = ranges_m[np.isfinite(ranges_m)]
+    beyond = np.count_nonzero(returns_m >= far_m) / max(len(returns_m), 1)
+    if beyond <= MOST_BEYOND:
         return config, ()
     text = f"{100 * beyond:.0f} % of the returns are farther than {far_m:g} m; returns up to {limit_m:g} m are used"
     reaching = replace(config, robust=replace(config.robust, far_mm=limit_m / MM))

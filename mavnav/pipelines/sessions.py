@@ -150,7 +150,7 @@ def earlier_sessions(run: FinishedRun, config: Config) -> list[Session]:
     try:
         return [run.session(stored, config) for stored in run.stored_sessions]
     except NoScansError as error:
-        raise UsageError(f"{run.directory} cannot be continued: {error}; replay the log by itself") from error
+        raise UsageError(f"{run.directory} cannot be continued: {error}; replay the log alone") from error
     except UNREADABLE as error:
         again = "repeat it with all its outputs and continue that"
         raise UsageError(f"{run.directory} cannot be continued: {error}; {again}") from error

@@ -24,9 +24,8 @@ from mavnav.slam.loop_closure.key_frames import KEY_M, KeyFrame
 from mavnav.slam.loop_closure.pose_graph import PATH_SIGMA_M, PATH_SIGMA_RAD, optimize, root_information
 from mavnav.slam.matching.relocalization import with_conflicts
 from mavnav.slam.matching.scan_matching import no_match
-from mavnav.slam.matching.steps import Steps, lost_intervals, tracked_trajectory
+from mavnav.slam.matching.steps import Steps, evenly, lost_intervals, tracked_trajectory
 from mavnav.slam.methods.robust import Robust
-from mavnav.slam.recovery.parts import evenly
 from mavnav.slam.tracker import track
 from mavnav.units import DEG, NS
 

@@ -16,7 +16,8 @@ from mavnav.sessions.group import GroupMap, Join, SessionGroup, group_of
 from mavnav.sessions.map_alignment import fit_transform
 from mavnav.slam.loop_closure.closure import AMBIGUITY_MARGIN, fits
 from mavnav.slam.matching.relocalization import apart, candidates, everywhere, unambiguous
-from mavnav.slam.recovery.parts import LEAST_AGREEING, consensus, evenly
+from mavnav.slam.matching.steps import evenly
+from mavnav.slam.recovery.parts import LEAST_AGREEING, consensus
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence

@@ -97,7 +97,10 @@ class OdometryLeftOut(Struct, frozen=True):
 
 
 class OdometryUse(Struct, frozen=True):
-    """How the odometry of the log was used: as recorded where offset and scales are 0 and 1."""
+    """How the odometry of the log was used: as recorded where offset and scales are 0 and 1.
+
+    Corrections are estimated anew beside the finished path.
+    """
 
     used: Annotated[bool, text("false where it contradicts the scans")]
     offset_s: Annotated[float, number("time that was added to its stamps")]

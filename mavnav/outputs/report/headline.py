@@ -119,8 +119,8 @@ def _ranking(sound: Sequence[NamedRun], quality: Sequence[Quantity], measure: st
         return f"No run stands out: {equal} are each best at {max(score)} {of}{_fewest_evaluations(sound)}."
     measures = _list([title for title in contested if leaders[0] in won[title]])
     lead = "by the one measure that differs" if len(contested) == 1 else f"best at {max(score)} {of}"
-    found = f"{best.name} gives the best map, {lead} ({measures}){_walls(sound, best)}."
-    return f"{_finer(sound, best)}{found} {_cost(sound, best)}".rstrip()
+    winner = f"{best.name} gives the best map, {lead} ({measures}){_walls(sound, best)}."
+    return f"{_finer(sound, best)}{winner} {_cost(sound, best)}".rstrip()
 
 
 def _finer(sound: Sequence[NamedRun], best: NamedRun | None = None) -> str:

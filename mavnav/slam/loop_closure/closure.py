@@ -212,7 +212,7 @@ def measure_closure(
     """
     place, points = map_T_here @ match.map_T_laser, keys[j].points
     i = seen.reference(replace(keys[j], map_T_laser=place))
-    middle, part = seen.local.around(i)
+    middle, part = seen.local.part_at(i)
     start = keys[middle].map_T_laser.between(place)
     fine = match_closely(points, part, start, config)
     if apart(start, fine.map_T_laser) or not fits(fine):

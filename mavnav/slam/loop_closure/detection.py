@@ -213,7 +213,7 @@ def predicts_better(before: Frames, after: Frames, local: LocalMaps, config: Con
     """Return whether scans that took no part fit better to what was seen a long path before, at the poses ``after``."""
     worst_m, gain_m2 = config.robust.expert.truncate_m, 0.0
     for j, i in sorted({*revisits(before, local), *revisits(after, local)}):
-        (middle, part), points = local.around(i), before[1][j].points
+        (middle, part), points = local.part_at(i), before[1][j].points
         poses = np.array([keys[middle].map_T_laser.between(others[j].map_T_laser) for keys, others in (before, after)])
         costs = [part.lines.costs(points, pose[None, :2], pose[2:], worst_m)[0, 0] for pose in poses]
         gain_m2 += costs[0] - costs[1]

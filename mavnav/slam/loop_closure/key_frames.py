@@ -101,7 +101,7 @@ class LocalMaps:
         self._keys, self._config = keys, config
         self._maps: dict[int, KeyFrameMap] = {}
 
-    def around(self, i: int) -> tuple[int, KeyFrameMap]:
+    def part_at(self, i: int) -> tuple[int, KeyFrameMap]:
         """Return the middle key frame of the part around key frame ``i``, and the map of the part in its frame."""
         paths_m = np.array([key.path_m for key in self._keys])
         middle = int(np.argmin(np.abs(paths_m - (paths_m[i] // PART_M + 0.5) * PART_M)))
@@ -149,7 +149,7 @@ class Visibility:
 
     def local_map(self, key: KeyFrame) -> tuple[Pose, KeyFrameMap]:
         """Return the local map of what ``key`` seems to see, and its pose."""
-        middle, part = self.local.around(self.reference(key))
+        middle, part = self.local.part_at(self.reference(key))
         return self.keys[middle].map_T_laser, part
 
 

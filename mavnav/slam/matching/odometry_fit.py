@@ -64,7 +64,7 @@ class OdometryFit(NamedTuple):
 
     ``offset_s`` is added to its stamps, the scales are factors on its distances and turns. ``noise_m_per_m`` and
     ``noise_rad_per_rad`` are RMS errors over a second as shares of the motion; ``error`` is that of both together, and
-    ``LEAST_ERROR``. ``averaged`` says that it fits at the averaged stamps of the scans.
+    ``LEAST_ERROR``. ``mean_stamps`` says that it fits at the averaged stamps of the scans.
     """
 
     offset_s: float = 0.0
@@ -73,7 +73,7 @@ class OdometryFit(NamedTuple):
     noise_m_per_m: float = 0.0
     noise_rad_per_rad: float = 0.0
     error: float = 0.0
-    averaged: bool = False
+    mean_stamps: bool = False
 
 
 GOOD_ODOMETRY: Final = OdometryFit()
@@ -91,12 +91,12 @@ class LogOdometry(Struct, frozen=True):
         """Return the corrected pose of the laser by stamp, ns; None outside, or in a gap of over ``GAP_NS``."""
         odom_T_base = correct_path(self.odom_T_base, round(fit.offset_s / NS), fit.distance_scale, fit.turn_scale)
         pose_at = partial(odom_T_base.compose(self.base_T_laser).at, max_gap_ns=GAP_NS)
-        if not fit.averaged or self.scans_ns is None:
+        if not fit.mean_stamps or self.scans_ns is None:
             return pose_at
         averaged_ns = partial(np.interp, xp=self.scans_ns, fp=average_stamps(self.scans_ns))
         return lambda stamp_ns: pose_at(round(float(averaged_ns(stamp_ns))))
 
-    def averaged(self, map_T_laser: Trajectory) -> Trajectory | None:
+    def with_mean_stamps(self, map_T_laser: Trajectory) -> Trajectory | None:
         """Return a path at the averaged stamps of its scans; None if the scans are unknown."""
         if self.scans_ns is None:
             return None
@@ -146,10 +146,10 @@ def fit_odometry(odometry: LogOdometry, map_T_laser: Trajectory, used: OdometryF
 
     The offset stays the one that is ``used`` where others fit about as well, as at constant speed.
     """
-    averaged = odometry.averaged(map_T_laser)
+    path = odometry.with_mean_stamps(map_T_laser)
     fits = [_fit_offset(odometry, _motions(map_T_laser, odometry), used.offset_s)]
-    if averaged:
-        fits.append(_fit_offset(odometry, _motions(averaged, odometry), used.offset_s)._replace(averaged=True))
+    if path:
+        fits.append(_fit_offset(odometry, _motions(path, odometry), used.offset_s)._replace(mean_stamps=True))
     best = min(fits, key=lambda fit: fit.error)
     return best if np.isfinite(best.error) else None
 
@@ -175,8 +175,8 @@ def _vertex_s(odometry: LogOdometry, motions: _Motions, best_s: float) -> float:
 
 def with_noise(odometry: LogOdometry, map_T_laser: Trajectory, used: OdometryFit) -> OdometryFit:
     """Return a correction with the noise of the odometry beside a path; its error is infinite if nothing shows it."""
-    path = (odometry.averaged(map_T_laser) if used.averaged else None) or map_T_laser
-    return _fit(odometry, _motions(path, odometry), used.offset_s, used)._replace(averaged=used.averaged)
+    path = (odometry.with_mean_stamps(map_T_laser) if used.mean_stamps else None) or map_T_laser
+    return _fit(odometry, _motions(path, odometry), used.offset_s, used)._replace(mean_stamps=used.mean_stamps)
 
 
 def _motions(map_T_laser: Trajectory, odometry: LogOdometry) -> _Motions:

@@ -46,8 +46,7 @@ def place_together(
     """Return the pose of the scans' own frame in the map, with the mean evidence of all scans.
 
     ``start`` is about where the first scan is, None if unknown. None without scans, or if they fit another place about
-    as well. In a coarse map visibility conflicts tell near
-    places not apart: these are the same.
+    as well. In a coarse map visibility conflicts do not tell near places apart: these are the same.
     """
     if not scans:
         return None

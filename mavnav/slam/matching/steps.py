@@ -162,3 +162,9 @@ def jumps(path: Trajectory) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     moved_m, turned_rad = np.hypot(moved[:, 0], moved[:, 1]), np.abs((moved[:, 2] + pi) % (2.0 * pi) - pi)
     jumped = (moved_m > JUMP_M) | (turned_rad > JUMP_RAD)
     return jumped, jumped & ((moved_m > FASTEST_M_S * elapsed_s) | (turned_rad > FASTEST_RAD_S * elapsed_s))
+
+
+def evenly(count: int, most: int) -> list[int]:
+    """Choose numbers below a count, so many at most, at even distances."""
+    numbers: list[int] = np.unique(np.linspace(0, count - 1, most).astype(int)).tolist()
+    return numbers if count else []

@@ -15,7 +15,7 @@ import numpy as np
 from mavnav.slam.matching.motion_model import motion_by, motions_along
 from mavnav.slam.matching.relocalization import apart, around, candidates
 from mavnav.slam.matching.scan_matching import no_match
-from mavnav.slam.matching.steps import Steps, tracked_trajectory
+from mavnav.slam.matching.steps import Steps, evenly, tracked_trajectory
 from mavnav.slam.methods.pauses import FASTER, ODOMETRY_SHARE, SLACK_M
 from mavnav.slam.methods.robust import Robust
 from mavnav.units import DEG, NS
@@ -62,7 +62,7 @@ class Side(NamedTuple):
     def some(self) -> list[tuple[Pose, NDArray[np.float64]]]:
         """Return the poses and points of some of the scans next to the gap, at even distances."""
         near = self.steps[:NEXT_SCANS]
-        chosen = [near[k] for k in np.unique(np.linspace(0, len(near) - 1, COMPARED).astype(int)).tolist()]
+        chosen = [near[k] for k in evenly(len(near), COMPARED)]
         return [(step.match.map_T_laser, self.map.match_points(self.scans[step.index])) for step in chosen]
 
 

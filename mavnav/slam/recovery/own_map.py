@@ -1,4 +1,4 @@
-"""A log that is lost in a given map is mapped by itself, and its map is placed in the given one as a whole.
+"""A log that is lost in a given map is mapped alone, and its map is placed in the given one as a whole.
 
 Maps of other tools have cells of 5 or 10 cm, walls of several cells and errors of their own. A single scan fits such a
 map at many places, and its pose there is a rough one. All scans of a track together fit it at one.
@@ -14,10 +14,10 @@ from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.slam.loop_closure.key_frames import key_rows
 from mavnav.slam.matching.placement import place_together
 from mavnav.slam.matching.scan_matching import empty_line_map
-from mavnav.slam.matching.steps import Steps, lost_intervals, tracked_trajectory
+from mavnav.slam.matching.steps import Steps, evenly, lost_intervals, tracked_trajectory
 from mavnav.slam.methods.acceptance import Acceptance
 from mavnav.slam.methods.registry import make_method
-from mavnav.slam.recovery.parts import evenly, lost_for_good
+from mavnav.slam.recovery.parts import lost_for_good
 from mavnav.slam.retries.attempt import rank, try_again
 from mavnav.slam.retries.beginning import track_from_good_beginning
 from mavnav.slam.retries.odometry import FITTING_ODOMETRY
@@ -82,6 +82,6 @@ def place_in_given_map(track: Track, _refiner: Refiner) -> Track:
     for step, scan, motion in other.placed_scans():
         other.method.insert(scan, step.match.map_T_laser, motion)
     return other.with_warning(
-        "scan by scan the laser was lost in the given map: the log was mapped by itself, and its map placed in the "
+        "scan by scan the laser was lost in the given map: the log was mapped alone, and its map placed in the "
         "given one as a whole; where that is bent, poses are off by as much: see both with mavnav diff"
     )

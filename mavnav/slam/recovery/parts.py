@@ -19,7 +19,7 @@ from msgspec.structs import replace
 from mavnav.pose import Pose
 from mavnav.slam.matching.relocalization import apart
 from mavnav.slam.matching.scan_matching import no_match
-from mavnav.slam.matching.steps import LOST_SCANS, Step, Steps, lost_intervals, runs_of
+from mavnav.slam.matching.steps import LOST_SCANS, Step, Steps, evenly, lost_intervals, runs_of
 from mavnav.slam.methods.pauses import first_found_late, highest_speeds, pauses
 from mavnav.slam.recovery.across_gap import LOCAL_SCANS, pose_across_gap, reach_across
 from mavnav.slam.recovery.part_by_odometry import neighbours, placed_warning, pose_by_odometry
@@ -270,12 +270,6 @@ def spread_out(part: list[Step], most: int = SEARCHED_SCANS) -> list[Step]:
         if all(apart(step.match.map_T_laser, other.match.map_T_laser) for other in places):
             places.append(step)
     return [places[k] for k in evenly(len(places), most)]
-
-
-def evenly(count: int, most: int) -> list[int]:
-    """Choose numbers below a count, so many at most, at even distances."""
-    numbers: list[int] = np.unique(np.linspace(0, count - 1, most).astype(int)).tolist()
-    return numbers if count else []
 
 
 def consensus(pairs: list[tuple[Pose, Pose]]) -> Pose | None:

@@ -82,7 +82,7 @@ def correction(track: Track, steps: Steps) -> OdometryFit | None:
     if best is None or best.error > MOST_ERROR or not is_plausible(best):
         return None
     differs = any(abs(a - b) >= least for a, b, least in zip(best[:3], used[:3], LEAST_CHANGE[:3], strict=True))
-    differs, unused = differs or best.averaged != used.averaged, track.motion.odometry is None
+    differs, unused = differs or best.mean_stamps != used.mean_stamps, track.motion.odometry is None
     return best if unused or (differs and best.error < IMPROVED * with_noise(odometry, path, used).error) else None
 
 

@@ -360,8 +360,8 @@ def test_a_local_map_is_that_of_its_part_of_the_path_wherever_the_path_lies() ->
     ring_walk = walk("ring")
     keys = key_frames_of(ring_walk, ring_walk.truth)
     moved = [replace(key, map_T_laser=Pose(3.0, -2.0, 0.7) @ key.map_T_laser) for key in keys]
-    middle, part = LocalMaps(keys, Config()).around(20)
-    again, same = LocalMaps(moved, Config()).around(20)
+    middle, part = LocalMaps(keys, Config()).part_at(20)
+    again, same = LocalMaps(moved, Config()).part_at(20)
     assert middle == again
     assert abs(keys[middle].path_m - keys[20].path_m) <= PART_M
     near = [key for key in keys if abs(key.path_m - keys[middle].path_m) <= 1.5 * PART_M]
@@ -379,17 +379,17 @@ def test_few_local_maps_are_kept_and_drawn_again_when_needed() -> None:
     keys = key_frames_of(ring_walk, ring_walk.truth)
     far = [replace(key, path_m=50.0 * k) for k, key in enumerate((2 * keys)[: KEPT + 1])]
     local = LocalMaps(far, Config())
-    first = local.around(0)[1]
-    assert local.around(0)[1] is first
+    first = local.part_at(0)[1]
+    assert local.part_at(0)[1] is first
     for k in range(len(far)):
-        local.around(k)
-    assert local.around(0)[1] is not first
-    assert local.around(0)[1].lines.count == first.lines.count
+        local.part_at(k)
+    assert local.part_at(0)[1] is not first
+    assert local.part_at(0)[1].lines.count == first.lines.count
 
 
 def test_local_maps_draw_free_space_up_to_a_range() -> None:
     wall = KeyFrame(0, 0.0, np.array([[RAYS_M - 0.5, 0.0], [0.0, RAYS_M + 0.5]]), Pose())
-    part = LocalMaps([wall], Config()).around(0)[1]
+    part = LocalMaps([wall], Config()).part_at(0)[1]
     assert part.lines.count == 1 + 2
     assert part.grid.hits.sum() == 1
 

@@ -86,12 +86,12 @@ def test_stamps_of_arrival_are_averaged_where_odometry_then_fits_better() -> Non
     odometry = replace(wheels(path), scans_ns=arrived.stamps_ns)
     fit, as_recorded = fit_odometry(odometry, arrived, GOOD_ODOMETRY), fit_odometry(odometry, path, GOOD_ODOMETRY)
     assert fit is not None
-    assert fit.averaged
+    assert fit.mean_stamps
     assert fit.offset_s == pytest.approx(0.045, abs=0.01)
-    recorded = with_noise(odometry, arrived, fit._replace(averaged=False))
+    recorded = with_noise(odometry, arrived, fit._replace(mean_stamps=False))
     assert fit.noise_m_per_m < 0.3 * recorded.noise_m_per_m
     assert as_recorded is not None
-    assert not as_recorded.averaged
+    assert not as_recorded.mean_stamps
     pose = odometry.lookup(fit)(int(arrived.stamps_ns[50]))
     assert pose is not None
     assert pose.gap(path[50])[0] < 0.01
