@@ -1,9 +1,9 @@
-"""Measurement of the additional memory of a block of code, on Linux."""
+"""Measurement of the additional memory of a call, on Linux."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+import gc
+from collections.abc import Callable
 from ctypes import CDLL
 from pathlib import Path
 
@@ -19,12 +19,16 @@ def in_use_mb(what: str = "VmRSS") -> float:
     return next(int(line.split()[1]) / 1024 for line in STATUS.read_text().splitlines() if line.startswith(what))
 
 
-@contextmanager
-def taking_less_than(max_mb: float) -> Iterator[None]:
-    """Fail if the peak memory of the block exceeds the memory before it by ``max_mb`` or more."""
+def added_mb(call: Callable[[], object], times: int = 2) -> float:
+    """Return by how many MB a call raises the peak memory: the least, as a first one may load code."""
+    return min(_added_mb(call) for _ in range(times))
+
+
+def _added_mb(call: Callable[[], object]) -> float:
     in_use_mb()  # skips other systems than Linux
+    gc.collect()
     CDLL(None).malloc_trim(0)
     before_mb = in_use_mb()
     REFS.write_text("5")  # resets the peak
-    yield
-    assert in_use_mb("VmHWM") - before_mb < max_mb
+    call()
+    return in_use_mb("VmHWM") - before_mb
