@@ -117,7 +117,6 @@ def disagreement_over(evidence: TrackEvidence, window_s: float) -> float:
 
 def made(folder: Path, name: str) -> Run:
     """Make a run; return its features and errors."""
-    os.nice(5)
     features: list[dict[str, float]] = []
 
     def keep(track: Track, refiner: Refiner) -> Track:
@@ -150,7 +149,7 @@ def collect(file: Path, folder: Path, jobs: int, only: str) -> None:
     there = {run["name"] for run in read(file)} if file.exists() else set()
     names = [name for name in every_name() if only in name and name not in there]
     np.random.default_rng(0).shuffle(names)
-    with ProcessPoolExecutor(jobs) as pool, file.open("a", encoding="utf-8") as out:
+    with ProcessPoolExecutor(jobs, initializer=os.nice, initargs=(5,)) as pool, file.open("a", encoding="utf-8") as out:
         for run in pool.map(partial(made, folder), names):
             out.write(json.dumps(run) + "\n")
             out.flush()

@@ -221,11 +221,12 @@ def _fit(odometry: LogOdometry, motions: _Motions, offset_s: float, scales: Odom
             turn = _scale(turns[kept], turned[kept], _mean2(off_rad[kept]) * overlapping)
     errors = np.sqrt((_mean2(off[kept]), _mean2(off_rad[kept])))
     sizes = np.sqrt((_mean2(moved[kept]), _mean2(turned[kept])))
-    if np.hypot(*sizes) < LEAST_MOTION:
+    size = float(np.hypot(*np.maximum(sizes, np.sqrt((_mean2(distance * ahead[kept]), _mean2(turn * turns[kept]))))))
+    if size < LEAST_MOTION:
         return OdometryFit(offset_s, distance, turn, error=np.inf)
     of_path, of_turns = (errors / np.maximum(sizes, 1e-9)).tolist()
     return OdometryFit(
-        offset_s, distance, turn, of_path, of_turns, float(np.hypot(np.hypot(*errors) / np.hypot(*sizes), LEAST_ERROR))
+        offset_s, distance, turn, of_path, of_turns, float(np.hypot(np.hypot(*errors) / size, LEAST_ERROR))
     )
 
 

@@ -82,6 +82,14 @@ def test_a_track_ends_early_where_its_odometry_is_wrong(*, wrong: bool, ends: bo
     assert len(passed) == (FIRST_CHECK if ends else len(path))
 
 
+def test_odometry_that_drives_contradicts_a_track_that_stands() -> None:
+    driven = swerving()
+    standing = Trajectory(driven.stamps_ns, np.zeros((len(driven), 3)))  # as behind something carried along
+    stuck, still = track_with(driven, standing), track_with(standing, standing)
+    assert contradicts(stuck, stuck.steps)
+    assert not contradicts(still, still.steps)
+
+
 def test_odometry_faster_than_any_vehicle_predicts_nothing() -> None:
     poses = {S: Pose(), 2 * S: Pose(2.0)}
     motion = Motion(1.0, poses.get, stamp_ns=S, fastest=(3.0, 1.0))
