@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from mavnav.pose import Pose
-from mavnav.slam.doubt.judge import judge_track
+from mavnav.slam.doubt.judge import judge_redrawn, judge_track
 from mavnav.slam.loop_closure.detection import close_loops
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, LogOdometry, in_meters
@@ -121,7 +121,7 @@ def finish(track: Track) -> SlamResult:
 
 
 def after(track: Track, passes: tuple[Pass, ...]) -> Track:
-    """Run passes over a track in order; none in causal mode and with a method that has no refiner."""
+    """Run passes over a track in order, none in causal mode and with a method that has no refiner, and judge it."""
     for each in passes:
         track = each(track, track.refiner) if track.refiner else track
-    return track
+    return track if track.findings.doubt else judge_redrawn(track)

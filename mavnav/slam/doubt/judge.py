@@ -14,6 +14,9 @@ from msgspec.structs import replace
 from mavnav.profiling import timed
 from mavnav.slam.doubt.features import DISAGREEMENT, FEATURES, ONE_TRACK, TWO_TRACKS, evidence_of, resampled_poses
 from mavnav.slam.findings import Doubt, Reason
+from mavnav.slam.matching.steps import Steps
+from mavnav.slam.methods.robust import Robust
+from mavnav.slam.refinement.refine import refine_against_final_map
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -25,7 +28,7 @@ if TYPE_CHECKING:
     from mavnav.slam.methods.registry import Refiner
     from mavnav.slam.track import Track
 
-WORTH_A_TRACK = 0.1
+WORTH_A_TRACK = 0.05
 """Minimum probability with which the log is tracked once more."""
 
 LEAST_SHARE = 0.2
@@ -37,19 +40,42 @@ FEWEST = 2
 RESAMPLED = "resampled track"
 
 
-def judge_track(track: Track, refiner: Refiner) -> Track:
-    """Add the probability that a track is wrong; not in causal mode, in a given map, or if nothing was tracked."""
+def judge_track(track: Track, refiner: Refiner, worth_a_track: float = WORTH_A_TRACK) -> Track:
+    """Add the probability that a track is wrong; not in a given map, or if nothing was tracked.
+
+    From ``worth_a_track`` on, the track is compared with a resampled one.
+    """
     complete = len(track.findings.observed) == len(track.steps)
     enough = track.steps.column("tracked").sum() >= FEWEST
-    return judge_by_features(track, refiner) if refiner.builds_map and complete and enough else track
+    return judge_by_features(track, refiner, worth_a_track) if refiner.builds_map and complete and enough else track
+
+
+def judge_redrawn(track: Track) -> Track:
+    """Judge a track that no pass may change by a map of its scans at their poses; not where nothing was tracked.
+
+    So are judged a causal track, one in a given map, and that of another method, which is always compared with a track
+    of the default one.
+    """
+    if track.steps.column("tracked").sum() < FEWEST:
+        return track
+    config = replace(track.config, method="robust", final_pass=True)
+    drawn = Robust(config)
+    for step, scan, motion in track.placed_scans("doubt"):
+        drawn.insert(scan, step.match.map_T_laser, motion)
+    drawn.remove_dynamic_cells()
+    motion = track.motion._replace(expects_rest=False)
+    alone = replace(track, config=config, method=drawn, motion=motion, steps=Steps(track.steps), prior_map=None)
+    alone = refine_against_final_map(alone, drawn)
+    least = WORTH_A_TRACK if track.config.method == config.method else 0.0
+    return track.with_findings(doubt=judge_track(alone, drawn, least).findings.doubt)
 
 
 @timed("doubt")
-def judge_by_features(track: Track, refiner: Refiner) -> Track:
+def judge_by_features(track: Track, refiner: Refiner, worth_a_track: float) -> Track:
     """Judge a track by its features; compare it with a resampled track if these raise doubt."""
     evidence = evidence_of(track, refiner)
     doubt = doubt_of(evidence)
-    worthwhile = doubt.probability >= WORTH_A_TRACK and track.steps.share("tracked") >= LEAST_SHARE
+    worthwhile = doubt.probability >= worth_a_track and track.steps.share("tracked") >= LEAST_SHARE
     resampled = resampled_poses(track) if worthwhile else None
     if resampled is not None:
         doubt = doubt_of(replace(evidence, resampled=resampled), (RESAMPLED,))

@@ -65,9 +65,6 @@ ACCELERATION_M_S2, ACCELERATION_RAD_S2 = 4.0, 600 * DEG
 SLACK_M, SLACK_RAD = 0.1, 5 * DEG
 """Strong accelerations of vehicles and hands, and the error of velocity estimates and stamps; for the motion cost."""
 
-OTHER_HEADING_M, OTHER_HEADING_RAD = 0.3, 30 * DEG
-"""Radius of the disc for other headings (``heading_margin``), and their minimum difference from the pose's."""
-
 MOST_MOTION_COST = 4.0
 """Upper limit of the motion cost: beyond, someone carried the laser, and all poses are equally likely."""
 
@@ -269,18 +266,6 @@ def unobservable_direction(
     along_rad = 0.5 * atan2(-float(small @ np.sin(2 * DIRECTIONS_RAD)), -float(small @ np.cos(2 * DIRECTIONS_RAD)))
     across = along_rad + np.array((0.5, -0.5)) * pi
     return along_rad if growth(points, map_T_laser, line_map, across, SEPARATE_M, config).min() >= ACROSS else None
-
-
-def heading_margin(points: Floats, map_T_laser: Pose, line_map: LineMap, config: Config) -> float:
-    """Return the additional cost of the best other heading near a pose, as a share of the worst cost.
-
-    It is nearly 0, or negative, where the walls look alike from several headings.
-    """
-    truncate_m, some = config.robust.expert.truncate_m, points[: config.robust.expert.first_level_points]
-    xy_m, yaws_rad = around(map_T_laser, OTHER_HEADING_M, pi)
-    costs = line_map.costs(some, xy_m, yaws_rad, truncate_m)
-    other = np.abs(yaws_rad - map_T_laser.yaw_rad) > OTHER_HEADING_RAD
-    return float(costs[other].min() - costs[~other].min()) / truncate_m**2
 
 
 def motion_cost(expected: Pose, pose: Pose, elapsed_s: float) -> float:

@@ -60,9 +60,6 @@ class Refiner(Protocol):
     def conflicts(self, points: NDArray[np.float64], match: Match) -> float:
         """Return the share of visibility conflicts of a refined scan with the finished map."""
 
-    def heading_margin(self, points: NDArray[np.float64], match: Match) -> float:
-        """Return the additional cost of the best other heading of a refined scan, as a share of the worst cost."""
-
     def remove_dynamic_cells(self) -> None:
         """Remove the hits of dynamic cells from the map."""
 

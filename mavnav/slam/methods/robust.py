@@ -21,7 +21,6 @@ from mavnav.slam.matching.relocalization import (
     best_of,
     candidates,
     everywhere,
-    heading_margin,
     reached_by,
     with_conflicts,
     within_reach,
@@ -318,10 +317,6 @@ class Robust:
     def conflicts(self, points: NDArray[np.float64], match: Match) -> float:
         """Return the share of visibility conflicts of a sample of the points."""
         return with_conflicts(match, points, self.lines, self.known).conflicts
-
-    def heading_margin(self, points: NDArray[np.float64], match: Match) -> float:
-        """Return the additional cost of the best other heading near the pose."""
-        return heading_margin(points, match.map_T_laser, self.lines, self.config)
 
     def release_map(self) -> Grid:
         """Return the map, and free its working copy and its lines: a large map may not fit into memory twice."""

@@ -109,10 +109,8 @@ def test_every_reason_of_the_doubt_has_a_meaning() -> None:
             "the map cannot be measured: 0.3 m of its occupied cells lie on straight lines, 2 m are needed",
             "compare map.png with the place",
         ),
-        (doubtful(None), "the path is not checked without the final pass", "replay it without --online"),
-        (doubtful(None) | {"method": "paper"}, "method paper does not check its path", "use --method robust"),
+        (doubtful(None), "too few scans to check the path", "compare map.png with the place"),
         (doubtful(None) | {"localisation": {}, "partial": True}, "the run was stopped", "repeat it"),
-        (doubtful(None) | {"localisation": {"x": 0}}, "a path in a given map is not checked", "compare map.png"),
     ],
 )
 def test_what_makes_a_run_suspect(change: dict[str, Any], reason: str, advice: str) -> None:

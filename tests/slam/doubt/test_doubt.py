@@ -10,12 +10,17 @@ from msgspec.structs import replace
 
 from mavnav.config.models import Config
 from mavnav.logs import open_log
-from mavnav.pose import Rotation
+from mavnav.pose import Pose, Rotation
 from mavnav.slam.doubt import judge
-from mavnav.slam.doubt.features import DISAGREEMENT, FEATURES, TrackEvidence
+from mavnav.slam.doubt.features import DISAGREEMENT, FEATURES, WRONG_M, TrackEvidence
 from mavnav.slam.doubt.judge import contributions, doubt_of, probability
 from mavnav.slam.findings import NOT_PLANAR, SECOND_MOTION, Doubt, Reason
+from mavnav.slam.matching.motion_model import Motion
+from mavnav.slam.matching.scan_matching import first_match
+from mavnav.slam.matching.steps import Step, Steps
+from mavnav.slam.methods.registry import make_method
 from mavnav.slam.pipeline import run_slam
+from mavnav.slam.track import Track
 from mavnav.units import DEG
 from support.synthetic import along, furnished_rooms, record
 
@@ -30,7 +35,6 @@ def clean(*, compared: bool = False, **changes: object) -> TrackEvidence:
     good = TrackEvidence(
         period_s=0.1,
         odometry=np.zeros(N, np.bool_),
-        contradicted=False,
         refused=0,
         closed=0,
         stamps_ns=np.arange(N, dtype=np.int64) * PERIOD_NS,
@@ -38,8 +42,8 @@ def clean(*, compared: bool = False, **changes: object) -> TrackEvidence:
         points=np.full(N, 300),
         observed=np.full(N, 0.1),
         conflicts=np.zeros(N),
-        heading_margins=np.full(N, np.inf),
         resampled=xyyaw.copy() if compared else np.full((N, 3), np.nan),
+        wheels=np.full((N, 3), np.nan),
         tilt_rad=np.zeros(N),
         second_motion=np.zeros(N),
         by_odometry_m=np.zeros(N),
@@ -61,11 +65,11 @@ def some(value: float, usual: float) -> np.ndarray:
     return out
 
 
-def late() -> np.ndarray:
-    """Return the stamps with a gap of 4 s."""
-    stamps_ns = clean().stamps_ns.copy()
-    stamps_ns[AT.start :] += 4_000_000_000
-    return stamps_ns
+def missed() -> np.ndarray:
+    """Return the poses of a second track that lost the laser in the middle."""
+    poses = clean().xyyaw.copy()
+    poses[N // 4 : -N // 4] = np.nan
+    return poses
 
 
 PLANTED = {
@@ -73,14 +77,13 @@ PLANTED = {
     "two tracks disagree": clean(resampled=jumped(x_m=0.4)),
     "weakly constrained pose": clean(observed=np.full(N, 0.001)),
     "sampling too sparse for the motion": clean(xyyaw=clean().xyyaw * (8.0, 1.0, 1.0)),
-    "symmetric place": clean(xyyaw=jumped(yaw_deg=90.0), heading_margins=some(0.05, np.inf)),
+    "a second track is lost": clean(resampled=missed()),
     NOT_PLANAR: clean(conflicts=np.full(N, 0.08), tilt_rad=np.full(N, 0.2)),
     "too few beams": clean(points=np.full(N, 50)),
-    "gap": clean(stamps_ns=late()),
     "unclosed loop": clean(refused=30),
     SECOND_MOTION: clean(second_motion=some(0.4, 0.0)),
     "placed by odometry alone": clean(by_odometry_m=some(0.3, 0.0)),
-    "odometry contradicts": clean(contradicted=True),
+    "odometry contradicts": clean(wheels=jumped(x_m=1.0)),
 }
 
 
@@ -106,17 +109,45 @@ def test_a_clean_track_shows_none(compared: bool) -> None:
     assert found.probability < 0.1
 
 
-def test_weak_geometry_counts_less_where_odometry_is_used() -> None:
+def test_weak_geometry_counts_where_the_laser_moves_without_odometry() -> None:
     weak = PLANTED["weakly constrained pose"]
-    assert doubt_of(weak).probability > doubt_of(replace(weak, odometry=np.ones(N, np.bool_))).probability
+    for known in (replace(weak, odometry=np.ones(N, np.bool_)), replace(weak, xyyaw=np.zeros((N, 3)))):
+        assert doubt_of(weak).probability > doubt_of(known).probability
+
+
+def test_a_slide_of_two_seconds_in_a_minute_shows() -> None:
+    time_s = 0.1 * np.arange(600)
+    slide = clean(
+        odometry=np.zeros(600, np.bool_),
+        stamps_ns=np.arange(600, dtype=np.int64) * PERIOD_NS,
+        xyyaw=np.column_stack((0.5 * time_s, np.zeros((600, 2)))),
+        observed=np.where((time_s >= 30.0) & (time_s < 32.0), 0.001, 0.1),
+    )
+    shown = FEATURES["weakly_constrained"].of(slide)
+    assert shown.max() == pytest.approx(1.0 / WRONG_M)
+    assert np.flatnonzero(shown)[[0, -1]].tolist() == [300, 319]
+
+
+def test_conflicts_count_where_the_laser_moves() -> None:
+    standing = clean(xyyaw=np.zeros((N, 3)), conflicts=np.full(N, 0.2))
+    assert not FEATURES["not_planar"].of(standing).any()
+    assert FEATURES["not_planar"].of(replace(standing, xyyaw=clean().xyyaw)).min() > 1.0
+
+
+def test_odometry_may_err_by_a_share_of_the_motion() -> None:
+    poses = clean().xyyaw
+    little, much = (
+        FEATURES["odometry_disagrees"].of(clean(wheels=poses * (factor, factor, 1.0))).max() for factor in (1.05, 2.0)
+    )
+    assert little < 1.0 < much
 
 
 @pytest.mark.parametrize("name", FEATURES)
 @pytest.mark.parametrize("second", [np.nan, 0.3])
 def test_the_doubt_grows_with_each_feature(name: str, second: float) -> None:
     values = {**dict.fromkeys(FEATURES, 0.3), DISAGREEMENT: second}
-    if name == DISAGREEMENT and np.isnan(second):
-        assert DISAGREEMENT not in contributions(values)
+    if name not in contributions(values):
+        assert (np.isnan(second) and not FEATURES[name].alone) or (np.isfinite(second) and not FEATURES[name].compared)
         return
     doubts = [probability({**values, name: value}) for value in np.geomspace(0.01, 100.0, 30)]
     assert (np.diff(doubts) >= 0.0).all()
@@ -156,10 +187,31 @@ def test_a_second_track_is_tried_only_where_the_first_is_in_doubt(monkeypatch: p
     assert few.doubt == found.doubt
 
 
-def test_what_does_not_look_back_is_not_judged() -> None:
+def test_a_causal_track_is_judged() -> None:
+    drive = record(furnished_rooms(), along([(0.8, 0.7), (1.6, 0.7)]))
+    causal = run_slam(lambda: drive.scans, Config(final_pass=False), 0.1)
+    assert causal.doubt is not None
+    assert causal.doubt.probability < judge.WORTH_A_TRACK
+
+
+@pytest.mark.parametrize("scale", [1.0, 3.0])
+def test_a_track_of_another_method_is_judged_by_its_map(scale: float) -> None:
+    drive, config = record(furnished_rooms(), along([(0.8, 0.7), (1.6, 0.7)])), Config(method="paper")
+    poses = [pose._replace(x_m=scale * pose.x_m) for pose in drive.map_T_laser]
+    matches = [first_match(300)._replace(map_T_laser=pose) for pose in poses]
+    steps = (Step(k, scan.stamp_ns, matches[k], tracked=True) for k, scan in enumerate(drive.scans))
+    track = Track(lambda: drive.scans, config, Motion(0.1), make_method(config), Steps(steps))
+    judged = judge.judge_redrawn(track)
+    assert judged.findings.doubt is not None
+    assert judged.findings.doubt.tried == (judge.RESAMPLED,)
+    assert judged.findings.doubt.high == (scale > 1.0)
+    assert [step.match.map_T_laser for step in judged.steps] == poses
+
+
+def test_a_track_of_nothing_is_not_judged() -> None:
     drive = record(furnished_rooms(), along([(0.8, 0.7), (1.0, 0.7)]))
-    assert run_slam(lambda: drive.scans, Config(final_pass=False), 0.1).doubt is None
-    assert run_slam(lambda: drive.scans, Config(method="paper"), 0.1).doubt is None
+    blind = [replace(scan, ranges_m=np.full(scan.spec.beams, np.nan)) for scan in drive.scans]
+    assert run_slam(lambda: blind, Config(final_pass=False), 0.1).doubt is None
 
 
 def test_the_tilt_of_an_inertial_sensor_is_a_reason() -> None:
