@@ -40,24 +40,17 @@ FEWEST = 2
 RESAMPLED = "resampled track"
 
 
-def judge_track(track: Track, refiner: Refiner, worth_a_track: float = WORTH_A_TRACK) -> Track:
-    """Add the probability that a track is wrong; not in a given map, or if nothing was tracked.
-
-    From ``worth_a_track`` on, the track is compared with a resampled one.
-    """
-    complete = len(track.findings.observed) == len(track.steps)
-    enough = track.steps.column("tracked").sum() >= FEWEST
-    return judge_by_features(track, refiner, worth_a_track) if refiner.builds_map and complete and enough else track
+def judge_track(track: Track, refiner: Refiner) -> Track:
+    """Add the probability that a track is wrong; not in a given map, or if nothing was tracked."""
+    return _judge(track, refiner, WORTH_A_TRACK) if refiner.builds_map else track
 
 
 def judge_redrawn(track: Track) -> Track:
-    """Judge a track that no pass may change by a map of its scans at their poses; not where nothing was tracked.
+    """Judge a track that no pass may change by a map of its scans at their poses.
 
     So are judged a causal track, one in a given map, and that of another method, which is always compared with a track
     of the default one.
     """
-    if track.steps.column("tracked").sum() < FEWEST:
-        return track
     config = replace(track.config, method="robust", final_pass=True)
     drawn = Robust(config)
     for step, scan, motion in track.placed_scans("doubt"):
@@ -67,12 +60,14 @@ def judge_redrawn(track: Track) -> Track:
     alone = replace(track, config=config, method=drawn, motion=motion, steps=Steps(track.steps), prior_map=None)
     alone = refine_against_final_map(alone, drawn)
     least = WORTH_A_TRACK if track.config.method == config.method else 0.0
-    return track.with_findings(doubt=judge_track(alone, drawn, least).findings.doubt)
+    return track.with_findings(doubt=_judge(alone, drawn, least).findings.doubt)
 
 
 @timed("doubt")
-def judge_by_features(track: Track, refiner: Refiner, worth_a_track: float) -> Track:
-    """Judge a track by its features; compare it with a resampled track if these raise doubt."""
+def _judge(track: Track, refiner: Refiner, worth_a_track: float) -> Track:
+    """Judge a track by its features; from a doubt of ``worth_a_track`` on, compare it with a resampled track."""
+    if len(track.findings.observed) < len(track.steps) or track.steps.column("tracked").sum() < FEWEST:
+        return track
     evidence = evidence_of(track, refiner)
     doubt = doubt_of(evidence)
     worthwhile = doubt.probability >= worth_a_track and track.steps.share("tracked") >= LEAST_SHARE

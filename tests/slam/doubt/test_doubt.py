@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from mavnav.config.models import Config
 from mavnav.logs import open_log
-from mavnav.pose import Pose, Rotation
+from mavnav.pose import Rotation
 from mavnav.slam.doubt import judge
 from mavnav.slam.doubt.features import DISAGREEMENT, FEATURES, WRONG_M, TrackEvidence
 from mavnav.slam.doubt.judge import contributions, doubt_of, probability

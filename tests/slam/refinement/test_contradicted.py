@@ -51,7 +51,8 @@ def localised(wrong: range, lost: range) -> Track:
 
 
 def checked(track: Track) -> Track:
-    return after(track, (drop_contradicted,))
+    assert track.refiner
+    return drop_contradicted(track, track.refiner)
 
 
 def poses(track: Track) -> list[int]:

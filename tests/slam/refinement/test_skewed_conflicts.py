@@ -19,17 +19,17 @@ WALLS = np.vstack([furnished_rooms(), *(box(2.2 + dx, 1.4 + dy, 0.06, 0.06) for 
 
 
 def spin(scans: int = 40) -> list[Scan]:
-    """Return the sweeps of a robot vacuum that turns on the spot, every beam cast at its own time."""
+    """Return the sweeps of a robot vacuum that turns while it creeps ahead, every beam cast at its own heading."""
     rng, found = np.random.default_rng(0), []
     for k in range(scans):
         time_s = (k + np.arange(BEAMS) / BEAMS) * PERIOD_S
         yaw_rad = TURN_RAD_S * np.maximum(time_s - 1.0, 0.0)
-        ranges_m = cast(WALLS, (1.6, 1.1), SPEC.angles_rad + yaw_rad) + rng.normal(0.0, 0.008, BEAMS)
+        ranges_m = cast(WALLS, (1.6, 0.9 + 0.024 * k), SPEC.angles_rad + yaw_rad) + rng.normal(0.0, 0.008, BEAMS)
         found.append(Scan(int(k * PERIOD_S * 1e9), np.where(ranges_m < SPEC.range_max_m, ranges_m, np.nan), SPEC))
     return found
 
 
-def test_turning_on_the_spot_is_planar(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_turning_is_planar(monkeypatch: pytest.MonkeyPatch) -> None:
     scans = spin()
     found = run_slam(lambda: scans, Config(), PERIOD_S)
     monkeypatch.setattr(refine, "SKEWED_RAD", np.inf)
@@ -39,4 +39,4 @@ def test_turning_on_the_spot_is_planar(monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_array_equal(found.trajectory.xyyaw, as_recorded.trajectory.xyyaw)
     assert NOT_PLANAR in {reason.name for reason in as_recorded.doubt.reasons}
     assert NOT_PLANAR not in {reason.name for reason in found.doubt.reasons}
-    assert found.doubt.probability < 0.5 * as_recorded.doubt.probability
+    assert found.doubt.probability < as_recorded.doubt.probability
