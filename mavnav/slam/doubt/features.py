@@ -109,7 +109,7 @@ def resampled_poses(track: Track) -> Floats | None:
     return np.where(other.steps.column("tracked")[:, None], other.steps.column("map_T_laser"), np.nan)
 
 
-WINDOWS_S, WHEELS_S = (2.0, 10.0, 60.0), (2.0, 10.0)
+WINDOWS_S = (2.0, 10.0)
 """Lengths of the windows over which the motion is compared with that of another track, and with odometry."""
 
 WRONG_M, WRONG_RAD = 0.2, 5 * DEG
@@ -146,22 +146,22 @@ def disagreement(evidence: TrackEvidence) -> Floats:
     NaN without a second track.
     """
     known = np.isfinite(evidence.resampled[:, 0]).any()
-    return difference(evidence, evidence.resampled, WINDOWS_S) if known else np.full(len(evidence.stamps_ns), np.nan)
+    return difference(evidence, evidence.resampled) if known else np.full(len(evidence.stamps_ns), np.nan)
 
 
 def odometry_disagrees(evidence: TrackEvidence) -> Floats:
     """Return the difference between track and odometry, as a multiple of the bound for wrong and the usual error."""
-    return difference(evidence, evidence.wheels, WHEELS_S, WHEELS_SHARE)
+    return difference(evidence, evidence.wheels, WHEELS_SHARE)
 
 
-def difference(evidence: TrackEvidence, other: Floats, windows_s: tuple[float, ...], share: float = 0.0) -> Floats:
+def difference(evidence: TrackEvidence, other: Floats, share: float = 0.0) -> Floats:
     """Return the difference to other poses (n, 3) in the motion from or to each scan (n,), NaN where there are none.
 
     It is a multiple of the bound for wrong and a share of the motion.
     """
     common, out = np.flatnonzero(np.isfinite(other[:, 0])), np.zeros(len(evidence.stamps_ns))
     stamps_s, start = evidence.stamps_ns[common] * NS, np.arange(len(common))
-    for window_s in windows_s if len(common) else ():
+    for window_s in WINDOWS_S if len(common) else ():
         end = np.minimum(np.searchsorted(stamps_s, stamps_s + window_s), len(common) - 1)
         moved = motions(other[common], start, end)
         off = motions(evidence.xyyaw[common], start, end) - moved
@@ -272,13 +272,13 @@ DISAGREEMENT: Final = "tracks_disagree"
 ONE_SCAN, MANY_SCANS = 1.0, 0.9
 
 FEATURES: Final = {
-    DISAGREEMENT: Feature("two tracks disagree", disagreement, ONE_SCAN, 0.0, 1.45),
-    "second_lost": Feature("a second track is lost", second_lost, ONE_SCAN, 0.0, 0.6),
+    DISAGREEMENT: Feature("two tracks disagree", disagreement, ONE_SCAN, 0.0, 1.48),
+    "second_lost": Feature("a second track is lost", second_lost, ONE_SCAN, 0.0, 0.56),
     "slip": Feature("slip", slip, ONE_SCAN, 0.47, 0.1),
-    "weakly_constrained": Feature("weakly constrained pose", weak, ONE_SCAN, 1.31, 0.97),
-    "second_motion": Feature(SECOND_MOTION, other_motion, ONE_SCAN, 1.92, 1.84),
-    "odometry_disagrees": Feature("odometry contradicts", odometry_disagrees, MANY_SCANS, 0.45, 0.34),
-    "placed_by_odometry": Feature("placed by odometry alone", placed_by_odometry, ONE_SCAN, 1.17, 0.77),
+    "weakly_constrained": Feature("weakly constrained pose", weak, ONE_SCAN, 1.31, 0.91),
+    "second_motion": Feature(SECOND_MOTION, other_motion, ONE_SCAN, 1.92, 1.77),
+    "odometry_disagrees": Feature("odometry contradicts", odometry_disagrees, MANY_SCANS, 0.45, 0.29),
+    "placed_by_odometry": Feature("placed by odometry alone", placed_by_odometry, ONE_SCAN, 1.17, 0.79),
     "not_planar": Feature(NOT_PLANAR, not_planar, MANY_SCANS, 0.2, 0.1),
     "unclosed_loop": Feature("unclosed loop", unclosed_loop, ONE_SCAN, 0.1, 0.1),
     "sparse_sampling": Feature("sampling too sparse for the motion", sparse, MANY_SCANS, 0.32, 0.0),
@@ -295,4 +295,4 @@ class Weights(NamedTuple):
 
 
 ONE_TRACK: Final = Weights(-4.06, {name: feature.alone for name, feature in FEATURES.items() if feature.alone})
-TWO_TRACKS: Final = Weights(-4.58, {name: feature.compared for name, feature in FEATURES.items() if feature.compared})
+TWO_TRACKS: Final = Weights(-4.24, {name: feature.compared for name, feature in FEATURES.items() if feature.compared})
