@@ -77,6 +77,15 @@ def test_the_trap_holds_the_plain_field_only() -> None:
     assert trapped.goal_distance_m > 1.0
 
 
+def test_a_door_of_little_more_than_twice_the_width_is_passed() -> None:
+    """The laser sees the second room only from the door: future work of the paper."""
+    flight = flown("doorway")
+    assert flight.mission.reached
+    x_m, y_m = flight.map_T_laser.seen_from(flight.world_T_map).xyyaw[:, :2].T
+    assert 3.1 < np.interp(4.0, x_m, y_m) < 3.9
+    assert ate_m(flight) < 0.1
+
+
 def test_places_on_the_way_are_visited_before_the_goal() -> None:
     flight = fly(load_scenario("corner", ["via_m=[[0.7, 0.7]]", "goal_m=[3.3, 0.8]"]))
     assert flight.mission.reached
