@@ -54,20 +54,28 @@ def beams(
     spec = next((log.sensor for log in logs if log), None)
     if spec is None:
         return {}
-    alike = [[s for s in log.scans() if _same_beams(s.spec, spec)] if log else [] for log in logs]
-    step = max(1, ceil(sum(map(len, alike)) * spec.beams / max_ranges))
-    rows, count = [], 0
-    for scans, stamps in zip(alike, np.split(stamps_s, firsts[1:]), strict=True):
-        row = _nearest(np.array([scan.stamp_ns for scan in scans]) * NS, stamps)
-        rows.append(np.where(row >= 0, row + count, -1))
-        count += len(scans)
-    range_mm = np.array([scan.ranges_m[::step] for scans in alike for scan in scans]).reshape(count, -1) / MM
-    whole_mm = np.nan_to_num(range_mm).clip(0, MAX_RANGE_MM).round().astype(np.uint16)
+    step = max(1, ceil(sum(len(log) for log in logs if log) * spec.beams / max_ranges))
+    rows: list[NDArray[np.intp]] = []
+    ranges_mm: list[NDArray[np.uint16]] = []
+    for log, stamps in zip(logs, np.split(stamps_s, firsts[1:]), strict=True):
+        first, recorded_s = len(ranges_mm), []
+        for scan in log.scans() if log else ():
+            if _same_beams(scan.spec, spec):
+                recorded_s.append(scan.stamp_ns * NS)
+                ranges_mm.append(_whole_mm(scan.ranges_m[::step]))
+        row = _nearest(np.array(recorded_s), stamps)
+        rows.append(np.where(row >= 0, first + row, -1))
+    bearing_rad = np.arctan2(*spec.directions[::step].T[::-1])
+    stacked_mm = np.array(ranges_mm, np.uint16).reshape(-1, len(bearing_rad))
     return {
         "row": np.concatenate(rows).astype(np.int32),
-        "range": np.diff(whole_mm, axis=1, prepend=np.zeros((count, 1), np.uint16)),
-        "bearing": np.arctan2(*spec.directions[::step].T[::-1]).astype(np.float32),
+        "range": np.diff(stacked_mm, axis=1, prepend=np.zeros((len(stacked_mm), 1), np.uint16)),
+        "bearing": bearing_rad.astype(np.float32),
     }
+
+
+def _whole_mm(ranges_m: NDArray[np.float64]) -> NDArray[np.uint16]:
+    return np.nan_to_num(ranges_m / MM).clip(0, MAX_RANGE_MM).round().astype(np.uint16)
 
 
 def _same_beams(spec: LaserSpec, other: LaserSpec) -> bool:
