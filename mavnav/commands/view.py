@@ -18,18 +18,16 @@ mavnav view runs/batch --no-browser
 mavnav view runs/compare --serve
 """
 
-PAGE = "report.html"
-
 
 def view(
     directory: Annotated[
-        Path, typer.Argument(metavar="RUN", help="Directory of a run, comparison or batch.", show_default=False)
+        Path, typer.Argument(metavar="RUN", help="Directory of a run, comparison, merge or batch.", show_default=False)
     ],
     *,
     output: Annotated[
         Path | None,
         shared.output_option(
-            "--output", "-o", metavar="FILE.html", help="Where the page goes (default report.html in RUN)."
+            "--output", "-o", metavar="FILE.html", help="Where the page goes (default report.html or view.html in RUN)."
         ),
     ] = None,
     no_browser: Annotated[
@@ -45,11 +43,12 @@ def view(
         with loading_modules():
             from mavnav.outputs.report.finished import finished_page
         report("drawing the page", 0, None)
-        page = finished_page(directory).encode("utf-8", "backslashreplace")  # names need not be UTF-8
+        name, text = finished_page(directory)
+        page = text.encode("utf-8", "backslashreplace")  # names need not be UTF-8
     if serve:
         _serve(page)
         return
-    path = _write(page, output or directory / PAGE)
+    path = _write(page, output or directory / name)
     emit(str(path))
     if not no_browser:
         import webbrowser

@@ -26,7 +26,7 @@ def test_a_run_is_shown(mavnav, finished_run, tmp_path, monkeypatch):
     code, out, err = mavnav("view", run, "-q")
     assert (code, out, err) == (0, f"{run}/report.html\n", "")
     assert opened == [(run / "report.html").as_uri()]
-    assert (run / "report.html").read_text() == finished_page(run)
+    assert (run / "report.html").read_text() == finished_page(run)[1]
 
 
 def test_without_a_browser_the_path_is_printed(mavnav, finished_run, tmp_path, monkeypatch):
@@ -58,7 +58,7 @@ def test_the_page_is_served_to_who_knows_its_address_until_ctrl_c(spawn, finishe
         address = process.stdout.readline().strip()
         assert address.startswith("http://127.0.0.1:")
         with urllib.request.urlopen(address) as answer:
-            assert answer.read().decode() == finished_page(finished_run)
+            assert answer.read().decode() == finished_page(finished_run)[1]
             assert answer.headers["Content-Type"] == "text/html; charset=utf-8"
         base = address.rsplit("/", 2)[0]
         for wrong in (f"{base}/", f"{base}/run.json", f"{address}../run.json", f"{address}run.json", address[:-2]):

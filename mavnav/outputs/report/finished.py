@@ -30,21 +30,21 @@ def _of_run(document: dict[str, Any], directory: Path) -> str:
     return page_text(single(document), directory)
 
 
-PAGES: Final[dict[str, Callable[[dict[str, Any], Path], str]]] = {
-    "comparison.json": page_text,
-    "batch.json": _of_batch,
-    MERGE_FILE: _of_merge,
-    RUN_FILE: _of_run,
+PAGES: Final[dict[str, tuple[str, Callable[[dict[str, Any], Path], str]]]] = {
+    "comparison.json": ("report.html", page_text),
+    "batch.json": ("view.html", _of_batch),
+    MERGE_FILE: ("view.html", _of_merge),
+    RUN_FILE: ("report.html", _of_run),
 }
-"""The document of a directory -> its page."""
+"""The document of a directory -> the name and the text of its page; report.html of a merge is another one."""
 
 
-def finished_page(directory: Path) -> str:
-    """Return the page of a directory; raises UsageError where it holds nothing that has one."""
-    for name, page in PAGES.items():
+def finished_page(directory: Path) -> tuple[str, str]:
+    """Return name and text of the page of a directory; raises UsageError where it holds nothing that has one."""
+    for name, (file, page) in PAGES.items():
         if (directory / name).is_file():
             try:
-                return page(read_json(directory / name), directory)
+                return file, page(read_json(directory / name), directory)
             except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
                 reason = f"{name} lacks what is needed, as of an earlier version or altered"
                 raise UsageError(f"{directory} cannot be shown: {reason}; make it again") from error

@@ -15,13 +15,16 @@ from PIL import Image
 
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, Grid, occupancy
 from mavnav.mapping.slices import Slice, Slices
-from mavnav.outputs.files.gridmap import slice_files, write_slice
+from mavnav.outputs.files.gridmap import slice_files, write_npz, write_slice
+from mavnav.outputs.files.trajectory import write_poses, write_scans
 from mavnav.outputs.report.entry import Entry, file_in, load
+from mavnav.outputs.report.merged import load_merge
 from mavnav.outputs.report.view import library
 from mavnav.outputs.report.view.images import SHADES, map_images, slice_images
 from mavnav.outputs.report.view.packing import pack
 from mavnav.outputs.report.view.page_data import view_data
 from mavnav.outputs.report.view.recording import beams
+from mavnav.pose import Trajectory
 from support.report_runs import leave
 
 
@@ -101,6 +104,29 @@ def test_without_a_recording_the_page_has_poses_and_no_beams(run, tmp_path, cont
     arrays = unpack(shown)
     assert "range" not in arrays and len(arrays["time"]) == 20
     assert arrays["state"].tolist() == [int(k not in {10, 11}) for k in range(20)]
+
+
+def test_sessions_of_a_merge_follow_one_another_with_their_scans(run, tmp_path):
+    scans, poses = list(run.log.scans()), run.slam.trajectory
+    kept = [scan for scan in scans if scan.stamp_ns in set(poses.stamps_ns.tolist())]
+    write_npz(run, tmp_path / "hits.npz")
+    rows = []
+    for name, part in {"monday": slice(10, 18), "tuesday": slice(0, 6)}.items():
+        row = {"name": name, "joined": True, "trajectory": f"{name}.tum", "recording": f"{name}.mcap"}
+        write_poses(Trajectory(poses.stamps_ns[part], poses.xyyaw[part]), tmp_path / row["trajectory"])
+        write_scans(lambda part=part: iter(kept[part]), tmp_path / row["recording"])
+        rows.append(row)
+    refused = {"name": "friday", "joined": False, "trajectory": None, "recording": None}
+    entry = load_merge({"sessions": [*rows, refused]}, tmp_path)
+    (shown,) = view_data([entry], {})
+    arrays = unpack(shown)
+    assert shown["sessions"] == [{"name": "monday", "first": 0}, {"name": "tuesday", "first": 8}]
+    assert arrays["row"].tolist() == list(range(14)) and (np.diff(arrays["time"]) > 0).all()
+    order = [*range(10, 18), *range(6)]
+    np.testing.assert_allclose(arrays["xy"].reshape(-1, 2), poses.xyyaw[order, :2], atol=1e-5)
+    np.testing.assert_allclose(arrays["yaw"], poses.xyyaw[order, 2], atol=1e-5)
+    ranges = np.cumsum(arrays["range"].reshape(14, -1), axis=1, dtype=np.uint16)
+    np.testing.assert_allclose(ranges[9], np.nan_to_num(kept[1].ranges_m * 1e3), atol=1.0)
 
 
 @pytest.mark.parametrize("name", ["../run/result.mcap", "/etc/hostname", "", "run/../x"])
