@@ -21,10 +21,10 @@ def page_server(page: bytes) -> tuple[ThreadingHTTPServer, str]:
         server_version, sys_version = "mavnav", ""
 
         def do_HEAD(self) -> None:
-            found = compare_digest(self.path.encode(), path.encode())
-            self.send_response(200 if found else 404)
+            known = compare_digest(self.path.encode(), path.encode())
+            self.send_response(200 if known else 404)
             self.send_header("Content-Type", "text/html; charset=utf-8")
-            self.send_header("Content-Length", str(len(page) if found else 0))
+            self.send_header("Content-Length", str(len(page) if known else 0))
             self.send_header("Cache-Control", "no-store")
             self.end_headers()
 

@@ -50,7 +50,7 @@ class ScanColumns(Struct, frozen=True):
     roll_pitch_height: NDArray[np.float64]
 
 
-class Session(Struct, frozen=True):
+class SessionPart(Struct, frozen=True):
     """A part of the scans of an entry that begins at scan ``first``, and the file of its recording."""
 
     name: str
@@ -76,7 +76,7 @@ class Entry(Struct, frozen=True):
     true_walls: list[NDArray[np.float64]]
     goal_xy_m: NDArray[np.float64]
     view_3d: Image.Image | None = None
-    sessions: tuple[Session, ...] = (Session("", "result.mcap", 0),)
+    sessions: tuple[SessionPart, ...] = (SessionPart("", "result.mcap", 0),)
 
 
 class Failure(Struct, frozen=True):

@@ -9,7 +9,7 @@ import numpy as np
 
 from mavnav.metrics.wall_spread import WallCuts
 from mavnav.outputs.files.gridmap import read_npz
-from mavnav.outputs.report.entry import Entry, ScanColumns, Session, file_in
+from mavnav.outputs.report.entry import Entry, ScanColumns, SessionPart, file_in
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -36,7 +36,7 @@ def load_merge(document: dict[str, Any], folder: Path) -> Entry:
         true_walls=[],
         goal_xy_m=np.zeros((0, 2)),
         sessions=tuple(
-            Session(each["name"], each["recording"], first) for each, first in zip(joined, firsts, strict=False)
+            SessionPart(each["name"], each["recording"], first) for each, first in zip(joined, firsts, strict=False)
         ),
     )
 

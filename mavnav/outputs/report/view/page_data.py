@@ -53,7 +53,7 @@ def _run(entry: Entry, top_hits: float, runs: int, closeups: Sequence[Closeup]) 
         "window": [window.x0_m, window.y0_m, window.x1_m, window.y1_m],
         "images": map_images(entry.grid, top_hits, MAX_PIXELS // runs) + slices,
         "places": [*_places(entry), *map(_closeup, closeups)],
-        **pack(_scan_arrays(entry.scans) | _walls(entry) | _recorded(entry, MAX_RANGES // runs)),
+        **pack(_scan_arrays(entry.scans) | _walls(entry) | _recordings(entry, MAX_RANGES // runs)),
     }
 
 
@@ -84,7 +84,7 @@ def _walls(entry: Entry) -> Arrays:
     }
 
 
-def _recorded(entry: Entry, max_ranges: int) -> Arrays:
+def _recordings(entry: Entry, max_ranges: int) -> Arrays:
     """Return what the recordings add: the beams, and ``odometry``, the path by odometry alone, (n, 2) m."""
     logs = [read_recording(file_in(entry.folder, session.recording)) for session in entry.sessions]
     arrays = beams(logs, entry.scans.stamp_s, [session.first for session in entry.sessions], max_ranges)
