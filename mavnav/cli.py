@@ -50,6 +50,7 @@ COMMANDS: Final = {
     "compare": "compare.md",
     "batch": "ci.md",
     "check": "cli.md#quality-gates",
+    "view": "report.md",
     "metrics": "metrics.md",
     "diff": "diff.md",
     "merge": "merge.md",

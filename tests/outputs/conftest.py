@@ -52,6 +52,9 @@ class FabricatedLog(Struct, frozen=True):
     damage: tuple[Damage, ...] = ()
     warnings: tuple[str, ...] = ("a warning",)
 
+    def __len__(self) -> int:
+        return len(self.recorded)
+
     @property
     def mid_sweep_s(self) -> float:
         return 0.0

@@ -4,6 +4,6 @@ The page is generated only from finished run directories and the comparison's do
 at any time. The same files give the same bytes.
 """
 
-from mavnav.outputs.report.page import single, write_report
+from mavnav.outputs.report.page import list_text, page_text, single, write_report
 
-__all__ = ["single", "write_report"]
+__all__ = ["list_text", "page_text", "single", "write_report"]

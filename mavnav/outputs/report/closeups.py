@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, uniform_filter
 
 from mavnav.mapping.occupancy_grid import cell_centres
 from mavnav.outputs.pictures.viewport import Viewport
@@ -39,6 +38,8 @@ def differing_places(grids: Sequence[Grid], window: Viewport) -> list[Viewport]:
     """
     if len(grids) < 2:
         return []
+    from scipy.ndimage import distance_transform_edt  # noqa: PLC0415  it loads longer than a page is drawn
+
     cell_m = max(g.cell_m for g in grids)
     walls = [wall_cells(g, window, cell_m) for g in grids]
     gap = np.max([distance_transform_edt(~w) if w.any() else np.full(w.shape, np.inf) for w in walls], axis=0)
@@ -65,6 +66,8 @@ def wall_cells(grid: Grid, window: Viewport, cell_m: float) -> NDArray[np.bool_]
 
 def peaks(difference: NDArray[np.float64], side_cells: int) -> list[tuple[int, int]]:
     """Return the centers (row, col) of up to `MAX_CLOSEUPS` squares with the largest sums, without overlap."""
+    from scipy.ndimage import uniform_filter  # noqa: PLC0415  as above
+
     left, centers = difference.copy(), []
     for _ in range(MAX_CLOSEUPS):
         content = uniform_filter(left, side_cells, mode="constant") * side_cells**2

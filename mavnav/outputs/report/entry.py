@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zipfile
 from csv import DictReader
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -19,8 +20,6 @@ from mavnav.outputs.pictures.viewport import wall_lines
 from mavnav.outputs.run import WallShapes
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from numpy.typing import NDArray
 
     from mavnav.mapping.occupancy_grid import Grid
@@ -32,13 +31,14 @@ FAILED: Final = "failed"
 class ScanColumns(Struct, frozen=True):
     """The scans of a run in their order; arrays of shape (n,), unless stated; ``xy_m`` is (n, 2).
 
-    ``time_s`` counts from the first scan. ``cost_mm2`` is the cost of the match, and ``threshold_mm2`` its acceptance
-    threshold (NaN without one). ``xy_m`` and ``yaw_rad`` are in the map frame (NaN for a scan without a pose).
-    ``doubtful`` marks scans of a reason to doubt the track, if the doubt is high.
+    ``stamp_s`` are the stamps; ``time_s`` counts from the first scan. ``cost_mm2`` is the cost of the match, and
+    ``threshold_mm2`` its acceptance threshold (NaN without one). ``xy_m`` and ``yaw_rad`` are in the map frame (NaN for
+    a scan without a pose). ``doubtful`` marks scans of a reason to doubt the track, if the doubt is high.
     ``error_m`` is the position error (NaN without ground truth). ``roll_pitch_height`` is (n, 3), rad and m (NaN if
     unknown).
     """
 
+    stamp_s: NDArray[np.float64]
     time_s: NDArray[np.float64]
     cost_mm2: NDArray[np.float64]
     threshold_mm2: NDArray[np.float64]
@@ -50,15 +50,25 @@ class ScanColumns(Struct, frozen=True):
     roll_pitch_height: NDArray[np.float64]
 
 
+class SessionPart(Struct, frozen=True):
+    """A part of the scans of an entry that begins at scan ``first``, and the file of its recording."""
+
+    name: str
+    recording: str
+    first: int
+
+
 class Entry(Struct, frozen=True):
     """A finished run on the page; ``true_walls`` are lines (k, 2) in the map frame, m, empty if unknown.
 
-    ``goal_xy_m`` is that of a mission, (1, 2); without one (0, 2). ``view_3d`` is the picture of the slices by height,
-    None without.
+    ``folder`` is its directory. ``goal_xy_m`` is that of a mission, (1, 2); without one (0, 2). ``view_3d`` is the
+    picture of the slices by height, None without. ``sessions`` are the sessions of a merge, of whose scans
+    ``scans`` has one after the other.
     """
 
     log: str
     name: str
+    folder: Path
     document: dict[str, Any]
     grid: Grid
     scans: ScanColumns
@@ -66,6 +76,7 @@ class Entry(Struct, frozen=True):
     true_walls: list[NDArray[np.float64]]
     goal_xy_m: NDArray[np.float64]
     view_3d: Image.Image | None = None
+    sessions: tuple[SessionPart, ...] = (SessionPart("", "result.mcap", 0),)
 
 
 class Failure(Struct, frozen=True):
@@ -74,6 +85,13 @@ class Failure(Struct, frozen=True):
     log: str
     name: str
     why: str
+
+
+def file_in(folder: Path, name: str) -> Path:
+    """Return a file of a run directory; raises ValueError for a name that leads out of it."""
+    if not name or Path(name).name != name:
+        raise ValueError(f"{name} is no file of {folder.name}")
+    return folder / name
 
 
 def name_of(cell: dict[str, Any]) -> str:
@@ -93,6 +111,7 @@ def load(cell: dict[str, Any], base: Path) -> Entry | Failure:
         return Entry(
             log=log,
             name=name,
+            folder=folder,
             document=document,
             grid=read_npz(folder / "hits.npz"),
             scans=_scans(folder / "trajectory.csv"),
@@ -110,6 +129,7 @@ def _scans(path: Path) -> ScanColumns:
         rows = list(DictReader(file))
     stamps_s = _column(rows, "stamp")
     return ScanColumns(
+        stamp_s=stamps_s,
         time_s=stamps_s - stamps_s[:1],
         cost_mm2=_column(rows, "cost_m2") * 1e6,
         threshold_mm2=_column(rows, "threshold_m2") * 1e6,

@@ -39,9 +39,10 @@ def environment(*packages: str) -> Environment:
     return templates
 
 
-def inline(templates: Environment, *names: str) -> Inlined:
-    """Return files of ours one after the other, as they stand."""
-    text = "".join(templates.loader.get_source(templates, name)[0] for name in names)  # type: ignore[union-attr]
+def inline(templates: Environment, *names: str, before: str = "") -> Inlined:
+    """Return files of ours one after the other, as they stand, ``before`` them a library of others."""
+    ours = "".join(templates.loader.get_source(templates, name)[0] for name in names)  # type: ignore[union-attr]
+    text = before + ours
     digest = b64encode(sha256(text.encode()).digest()).decode()
     return Inlined(Markup(text), f"'sha256-{digest}'")  # noqa: S704  nothing of a log is in it
 

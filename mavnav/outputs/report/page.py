@@ -15,10 +15,16 @@ from mavnav.outputs.report.entry import Entry, Failure, load
 from mavnav.outputs.report.headline import headline
 from mavnav.outputs.report.html import environment, facts, inline
 from mavnav.outputs.report.pictures import Pictures, draw
+from mavnav.outputs.report.view import library
+from mavnav.outputs.report.view.page_data import view_data
 from mavnav.version import __version__
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
+
+SCRIPTS: Final = ("data", "map", "plots", "viewer")
+"""The scripts of the interactive map, each of which needs those before it."""
 
 MAX_TOTAL_BYTES: Final = 3_000_000
 """Maximum size of all pictures of a page, in bytes; base64 adds a third."""
@@ -89,19 +95,45 @@ def _write_pictures(section: LogSection, folder: Path, number: str) -> None:
             unfinished.write_bytes(panels.png(picture))
 
 
+def page_text(comparison: dict[str, Any], directory: Path) -> str:
+    """Return the page of `write_report` alone."""
+    return _page(comparison, _sections(comparison, directory))
+
+
+def list_text(loaded: Sequence[Entry | Failure], title: str) -> str:
+    """Return a page of many runs: a list of them, and the interactive map of the one that is chosen."""
+    entries = [each for each in loaded if isinstance(each, Entry)]
+    failures = [each for each in loaded if isinstance(each, Failure)]
+    return _render("list.html", {}, view_data(entries, {}), title=title, failures=failures)
+
+
 def _page(comparison: dict[str, Any], sections: list[LogSection]) -> str:
-    templates = environment("mavnav.outputs.report")
-    style = inline(templates, "report.css")
     max_bytes = min(MAX_PICTURE_BYTES, MAX_TOTAL_BYTES // max(1, sum(s.pictures.count for s in sections if s.pictures)))
-    return templates.get_template("report.html").render(
+    entries = [entry for section in sections for entry in section.entries]
+    several = {s.log: s.pictures.closeups for s in sections if s.pictures and len(s.entries) > 1}
+    return _render(
+        "report.html",
+        comparison,
+        view_data(entries, several),
         title=_title(sections),
         sections=sections,
         tables=tables,
+        data_uri=partial(panels.data_uri, max_bytes=max_bytes),
+    )
+
+
+def _render(template: str, comparison: dict[str, Any], view: list[dict[str, Any]], **more: object) -> str:
+    """Fill a template; the interactive map and its scripts are on the page if there is any run to show."""
+    templates = environment("mavnav.outputs.report")
+    style = inline(templates, "report.css", *(["view/view.css"] if view else []), before=library.style())
+    script = inline(templates, *(f"view/{name}.js" for name in SCRIPTS), before=library.script()) if view else None
+    return templates.get_template(template).render(
         style=style,
-        script=None,
+        script=script,
+        view=view,
         version=comparison.get("mavnav_version") or __version__,
         profile=comparison.get("profile"),
-        data_uri=partial(panels.data_uri, max_bytes=max_bytes),
+        **more,
     )
 
 

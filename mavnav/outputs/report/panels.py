@@ -72,9 +72,7 @@ def stack(sheets: Sequence[Image.Image]) -> Image.Image:
 def png(image: Image.Image) -> bytes:
     """Return the bytes of a PNG file with `COLOURS` colors."""
     buffer = io.BytesIO()
-    image.quantize(COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(
-        buffer, format="PNG", optimize=True
-    )
+    image.quantize(COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(buffer, format="PNG")
     return buffer.getvalue()
 
 

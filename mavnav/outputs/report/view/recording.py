@@ -1,0 +1,100 @@
+"""What the recording of a run adds to the interactive page: the range of every beam, and the path by odometry."""
+
+from __future__ import annotations
+
+from math import ceil
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from mavnav.errors import MavnavError
+from mavnav.logs import open_log
+from mavnav.pose import transform_points
+from mavnav.units import MM, NS
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from mavnav.logs import Log
+    from mavnav.pose import Pose
+    from mavnav.scan import LaserSpec
+
+MAX_RANGES: Final = 2_000_000
+"""Maximum number of ranges of a page; of more only every second beam is kept, or every third, and so on."""
+
+MAX_RANGE_MM: Final = 65_535
+
+SAME_S: Final = 1e-3
+"""Scans whose stamps differ no more are the same, s: a stamp in seconds has no nanoseconds."""
+
+UNREADABLE: Final = (OSError, ValueError, LookupError, TypeError, MavnavError)
+"""What reading a recording raises where it is missing, cut or altered."""
+
+
+def read_recording(path: Path) -> Log | None:
+    """Open the recording of a run; None where there is none, or it cannot be read."""
+    try:
+        return open_log(path) if path.is_file() else None
+    except UNREADABLE:
+        return None
+
+
+def beams(
+    logs: Sequence[Log | None], stamps_s: NDArray[np.float64], firsts: Sequence[int], max_ranges: int
+) -> dict[str, NDArray[Any]]:
+    """Return what was seen: ``bearing`` (beams,) in rad, ``range`` (rows, beams) in mm, 0 is no return.
+
+    ``stamps_s`` (n,) are those of the scans; those from ``firsts[k]`` on are of ``logs[k]``. ``row`` (n,) is the row of
+    each in ``range``, -1 for none. A row holds the differences between neighboring beams, which compress well. Sensors
+    are those of the first log; scans of others, and all without a log, have no row.
+    """
+    spec = next((log.sensor for log in logs if log), None)
+    if spec is None:
+        return {}
+    step = max(1, ceil(sum(len(log) for log in logs if log) * spec.beams / max_ranges))
+    rows: list[NDArray[np.intp]] = []
+    ranges_mm: list[NDArray[np.uint16]] = []
+    for log, stamps in zip(logs, np.split(stamps_s, firsts[1:]), strict=True):
+        first, recorded_s = len(ranges_mm), []
+        for scan in log.scans() if log else ():
+            if _same_beams(scan.spec, spec):
+                recorded_s.append(scan.stamp_ns * NS)
+                ranges_mm.append(_whole_mm(scan.ranges_m[::step]))
+        row = _nearest(np.array(recorded_s), stamps)
+        rows.append(np.where(row >= 0, first + row, -1))
+    bearing_rad = np.arctan2(*spec.directions[::step].T[::-1])
+    stacked_mm = np.array(ranges_mm, np.uint16).reshape(-1, len(bearing_rad))
+    return {
+        "row": np.concatenate(rows).astype(np.int32),
+        "range": np.diff(stacked_mm, axis=1, prepend=np.zeros((len(stacked_mm), 1), np.uint16)),
+        "bearing": bearing_rad.astype(np.float32),
+    }
+
+
+def _whole_mm(ranges_m: NDArray[np.float64]) -> NDArray[np.uint16]:
+    return np.nan_to_num(ranges_m / MM).clip(0, MAX_RANGE_MM).round().astype(np.uint16)
+
+
+def _same_beams(spec: LaserSpec, other: LaserSpec) -> bool:
+    return spec.beams == other.beams and np.array_equal(spec.directions, other.directions)
+
+
+def _nearest(sorted_s: NDArray[np.float64], wanted_s: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Return the row of each wanted time in sorted times, -1 where none is within `SAME_S`."""
+    if not len(sorted_s):
+        return np.full(len(wanted_s), -1)
+    row = np.searchsorted(0.5 * (sorted_s[1:] + sorted_s[:-1]), wanted_s)
+    return np.where(np.abs(sorted_s[row] - wanted_s) <= SAME_S, row, -1)
+
+
+def odometry_path(log: Log, stamp_s: float, map_T_laser: Pose) -> NDArray[np.float64]:
+    """Return the path of the laser by odometry alone, (n, 2) m, which begins at the pose at a time; may be empty."""
+    if log.odometry is None:
+        return np.zeros((0, 2))
+    path = log.odometry.odom_T_laser
+    start = int(np.searchsorted(path.stamps_ns, round((stamp_s - SAME_S) / NS)).clip(0, len(path) - 1))
+    map_T_odom = map_T_laser @ path[start].inverse()
+    return transform_points(map_T_odom, path.xyyaw[start:, :2])
