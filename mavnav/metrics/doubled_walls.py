@@ -2,12 +2,13 @@
 
 Two scans are compared in three steps. The beams of one pass through a wall that the other saw: a visibility conflict.
 Near its given pose there is a pose at which their walls coincide. At that pose the conflicts are gone. Moving things,
-glass and clutter cause conflicts as well, but there is no other pose that explains the whole scan. Definition:
-docs/metrics.md.
+glass and clutter cause conflicts as well, but there is no other pose that explains the whole scan. A sweep in a fast
+turn is skewed, and another pose explains a part of its view: it is not compared. Definition: docs/metrics.md.
 """
 
 from __future__ import annotations
 
+from math import tau
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
     from mavnav.metrics.journey import PlacedScans
     from mavnav.pose import Trajectory
+    from mavnav.scan import LaserSpec
 
     Array = NDArray[np.float64]
 
@@ -32,6 +34,9 @@ LEAST_OFFSET_M, MAX_OFFSET_M = 0.08, 1.15
 
 KEY_STEP_M, KEY_TURN_RAD, MOST_KEYS = 0.1, 10.0 * DEG, 1500
 """Distance and turn, added as shares, between key scans, and the maximum number of these, evenly spread."""
+
+MOST_SKEWED_RAD: Final = 2.0 * DEG
+"""Largest turn during the sweep of a key scan: half of it moves what is 4 m away by 70 mm."""
 
 PARTNERS, PARTNER_SHARE = 8, 0.75
 """Maximum number of earlier scans, evenly spread, per key scan, and their largest distance as a share of the range."""
@@ -123,7 +128,8 @@ def doubled_walls(trajectory: Trajectory, scans: PlacedScans, cell_m: float) -> 
 def _keys(trajectory: Trajectory, scans: PlacedScans) -> _Keys:
     spec = scans.spec
     beams = used_beams(spec)
-    keys_ns = trajectory.stamps_ns[key_rows(trajectory)]
+    keys = key_rows(trajectory)
+    keys_ns = trajectory.stamps_ns[keys[_skews_rad(trajectory, spec)[keys] <= MOST_SKEWED_RAD]]
     rows = np.flatnonzero(np.isin(scans.stamps_ns, keys_ns))  # some may be left out
     ranges_m = np.ascontiguousarray(scans.ranges_m[rows])
     return _Keys(
@@ -134,6 +140,19 @@ def _keys(trajectory: Trajectory, scans: PlacedScans) -> _Keys:
         directions=spec.directions,
         beams=np.array(beams),
     )
+
+
+def _skews_rad(trajectory: Trajectory, spec: LaserSpec) -> Array:
+    """Return by how much the laser turns during each sweep, (n,); a turn of it takes the stated time, or a period."""
+    elapsed_s = np.diff(trajectory.stamps_ns) * NS
+    if not len(elapsed_s) or not spec.angle_step_rad:
+        return np.zeros(len(trajectory))
+    period_s = float(np.median(elapsed_s))
+    turn_s = spec.stated_turn_s if spec.has_plausible_sweep(period_s) else spec.usual_turn_s(period_s)
+    rates = np.diff(np.unwrap(trajectory.xyyaw[:, 2])) / elapsed_s
+    rate = np.abs([np.append(rates, rates[-1]), np.append(rates[0], rates)]).max(axis=0)
+    skews_rad: Array = rate * turn_s * spec.field_of_view_rad / tau
+    return skews_rad
 
 
 def _pairs(keys: _Keys) -> NDArray[np.int64]:

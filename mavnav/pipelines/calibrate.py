@@ -84,9 +84,11 @@ def calibrate(request: CalibrationRequest, progress: Progress) -> dict[str, Any]
     progress("calibrating", 0, None)
     motions = _motions(log, outcome)
     verdict = track_verdict(outcome, log, request.config)
-    doubtful = outcome.lost_for_good or (outcome.doubt is not None and outcome.doubt.high)
-    why = f"{verdict.reason}; {verdict.advice or 'try a part with --start and --end'}" if doubtful else ""
-    result = refusal(why, motion_of(motions)) if why else calibration_of(motions)
+    doubtful = outcome.doubt is not None and outcome.doubt.high
+    result = calibration_of(motions, doubtful=doubtful)
+    if outcome.lost_for_good or (doubtful and result.refused):
+        why = f"{verdict.reason}; {verdict.advice or 'try a part with --start and --end'}"
+        result = refusal(why, motion_of(motions))
     document = _document(request, log, outcome, result)
     document |= {"verdict": plain(verdict), "headline": calibration_headline(document)}
     _write(request, document, result, motions)
@@ -184,7 +186,8 @@ def calibration_headline(document: dict[str, Any]) -> str:
     texts += [f"the {name.replace('_', ' ')} differs" for name in differing if name not in MOST_TELLING]
     texts += [text for name, text in SWITCHES.items() if document[name]["agrees"] is False]
     known = sum(row["value"] is not None for row in rows.values())
-    text = "; ".join(texts) or f"the log agrees with all that is determined, {known} of {len(rows)} quantities"
+    agreeing = f"the log agrees with all that is determined, {known} of {len(rows)} quantities"
+    text = "; ".join(texts) or (agreeing if known else f"nothing is determined: {document['quantities'][0]['refused']}")
     return f"{text[0].upper()}{text[1:]}."
 
 

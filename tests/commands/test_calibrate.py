@@ -101,7 +101,7 @@ def test_logs_that_show_nothing(mavnav, tmp_path) -> None:
         ([tmp_path / "gone.mcap"], 2, "no such file"),
         ([empty], 4, "no usable scans"),
         ([torn], 4, "no usable scan"),
-        ([at_rest(tmp_path / "short.mcap", 8)], 1, "40 are needed"),
+        ([at_rest(tmp_path / "short.mcap", 8)], 1, "20 are needed"),
         ([at_rest(tmp_path / "rest.mcap", 100)], 1, "the laser moves by 0.00 m and turns by 0 deg in all"),
     ):
         found, out, err = mavnav("calibrate", *args, "-q")

@@ -76,6 +76,35 @@ def test_slips_do_not_spoil_it() -> None:
     assert (np.abs(errors(found.fit.values, CROOKED)) < (0.02, 0.02, 1 * DEG, 0.02, 0.02, 0.04, 2 * DEG)).all()
 
 
+def test_a_doubtful_track_has_wider_intervals_that_include_its_halves() -> None:
+    path = path_of(CROOKED)
+    motions = motions_of(perfect_track(CROOKED, path), odometry_of(CROOKED, path, np.random.default_rng(0)), 0.0)
+    sure, doubtful = calibration_of(motions), calibration_of(motions, doubtful=True)
+    halves = [calibration_of(half) for half in motions.halves()]
+    given = 0
+    for k, (before, after) in enumerate(zip(sure.quantities, doubtful.quantities, strict=True)):
+        assert before.value == after.value
+        if after.value is not None and before.ci95 and after.ci95:
+            assert after.ci95 > before.ci95
+            values = [half.quantities[k].value for half in halves]
+            assert all(value is None or abs(value - after.value) < after.ci95 for value in values)
+            given += 1
+    assert given >= 6
+
+
+def test_halves_of_a_doubtful_track_that_do_not_agree_are_refused() -> None:
+    """From the middle on the track is a third too long, as where a corridor hides the motion."""
+    path = path_of(CROOKED)
+    odometry, track = odometry_of(CROOKED, path, np.random.default_rng(0)), perfect_track(CROOKED, path)
+    late = np.arange(len(track)) >= len(track) // 2
+    steps = np.diff(track.xyyaw[:, :2], axis=0, prepend=track.xyyaw[:1, :2]) * np.where(late, 4 / 3, 1.0)[:, None]
+    stretched = Trajectory(track.stamps_ns, np.column_stack((np.cumsum(steps, axis=0), track.xyyaw[:, 2])))
+    found = calibration_of(motions_of(stretched, odometry, 0.0), doubtful=True)
+    refused = {quantity.kind.name: quantity.refused for quantity in found.quantities}
+    assert refused["distance_scale"].startswith("the halves of the log do not agree: 1.0")
+    assert not refused["turn_scale"]
+
+
 def test_without_turns_there_is_no_lever_arm() -> None:
     found = calibrated(replace(CROOKED, veer_rad_m=0.0), waypoints=[(0.5, 0.5), (12.0, 0.5)])
     given = {quantity.kind.name: quantity for quantity in found.quantities}
@@ -135,10 +164,10 @@ def test_short_and_empty_tracks_are_refused() -> None:
     path = path_of(CROOKED)
     odometry = odometry_of(CROOKED, path, np.random.default_rng(0))
     track = perfect_track(CROOKED, path)
-    for end in (0, 1, 60):
+    for end in (0, 1, 40):
         part = Trajectory(track.stamps_ns[:end], track.xyyaw[:end])
-        assert "40 are needed" in calibration_of(motions_of(part, odometry, 0.0)).refused
-    assert "40 are needed" in calibration_of(motions_of(track, Trajectory.of([0], [Pose()]), 0.0)).refused
+        assert "20 are needed" in calibration_of(motions_of(part, odometry, 0.0)).refused
+    assert "20 are needed" in calibration_of(motions_of(track, Trajectory.of([0], [Pose()]), 0.0)).refused
 
 
 def test_odometry_that_comes_rarely() -> None:

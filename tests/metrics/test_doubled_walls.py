@@ -14,7 +14,7 @@ from mavnav.metrics.doubled_walls import MOST_KEYS, doubled_walls, key_rows
 from mavnav.metrics.journey import Journey, PlacedScans, placed_scans
 from mavnav.pose import Pose, Trajectory
 from mavnav.slam.pipeline import run_slam
-from support.ghost_scenes import GHOSTS, LMS_200, REAL, honest, planted
+from support.ghost_scenes import GHOSTS, LMS_200, REAL, Shift, ghosts_of, honest, planted, swept, with_ghost
 from support.synthetic import along, record, room
 
 CASES = list(enumerate(product(GHOSTS, (0.1, 0.3, 0.63, 1.0)), 20))
@@ -31,6 +31,22 @@ def test_planted_ghosts_are_found(seed: int, case: tuple[str, float]) -> None:
 @pytest.mark.parametrize(("seed", "kind"), list(enumerate(REAL, 20)), ids=list(REAL))
 def test_what_only_looks_doubled_is_not_reported(seed: int, kind: str) -> None:
     assert honest(kind, seed).count == 0
+
+
+@pytest.mark.parametrize(
+    ("kind", "seed"),
+    [("206 deg", 25), ("clockwise", 20), ("half a turn", 22), ("120 deg", 25), ("slow", 25), ("unstated", 20),
+     ("reversed", 20)],
+)  # fmt: skip
+def test_a_sweep_in_a_turn_is_no_second_wall(kind: str, seed: int) -> None:
+    """As recorded, these scans give 1.9 to 9.9 m of ghost walls."""
+    assert honest(kind, seed).count == 0
+
+
+def test_fast_turns_hide_no_second_wall() -> None:
+    scans = swept("206 deg", 20)
+    shift = Shift(scans.poses[len(scans.poses) // 2, :2], np.array([0.3, 0.3]), 0.0)
+    assert shift.found_m(ghosts_of(with_ghost(scans, shift, sudden=True))) > 3.0
 
 
 @pytest.fixture(scope="module")

@@ -16,6 +16,7 @@ from mavnav.metrics.ghost_walls import GhostWall, GhostWalls
 from mavnav.metrics.journey import PlacedScans
 from mavnav.pose import Trajectory
 from mavnav.scan import LaserSpec
+from support.field_logs import cast_moving, poses_at
 from support.synthetic import (
     DEG,
     LDS_01,
@@ -34,6 +35,27 @@ from support.synthetic import (
 UST_10LX = LaserSpec(-135 * DEG, 0.5 * DEG, 541, 0.06, 10.0, 0.0, 0.1)
 LMS_200 = LaserSpec(-90 * DEG, DEG, 181, 0.05, 30.0, 0.0, 0.2)
 SENSORS = (URG_04LX, LDS_01, UST_10LX, LMS_200)
+
+
+def sweeping(view_deg: float, beams: int, turn_s: float = 0.1, listed: int = 1, *, stated: bool = True) -> LaserSpec:
+    """Return a laser that turns once in ``turn_s``; ``listed`` is the sign of the step between its beams."""
+    step_rad = listed * view_deg * DEG / (beams - 1)
+    time_s = turn_s * abs(step_rad) / (2 * np.pi) * stated
+    return LaserSpec(-0.5 * step_rad * (beams - 1), step_rad, beams, 0.1, 12.0, time_s, turn_s)
+
+
+SWEEPING = {
+    "206 deg": sweeping(206, 240),
+    "clockwise": sweeping(206, 240, listed=-1),
+    "half a turn": sweeping(180, 181),
+    "120 deg": sweeping(120, 160),
+    "a full turn": sweeping(359, 360),
+    "60 beams": sweeping(200, 60),
+    "slow": sweeping(206, 240, 0.2),
+    "unstated": sweeping(206, 240, stated=False),
+    "reversed": sweeping(206, 240),
+}
+"""Lasers that move during their sweeps; those that are upside down list their beams clockwise."""
 NOISE = (0.005, 0.01, 0.015, 0.003)
 OFFSETS_M = (0.1, 0.2, 0.3, 0.5, 0.63, 0.8, 1.0)
 LENGTH_M, WIDTH_M = 14.0, 2.2
@@ -205,6 +227,21 @@ def read(scene: Scene, poses: Trajectory, k: int, spec: LaserSpec, noise: float,
     return np.where(returned, pane_m * (1 + noise * rng.standard_normal(len(pane_m))), ranges_m)
 
 
+def swept(kind: str, seed: int) -> PlacedScans:
+    """Return scans of a laser of `SWEEPING` in fast turns, with the poses at mid-sweep, off as in `placed`."""
+    rng, spec, turn_rad_s = np.random.default_rng((seed, 3)), SWEEPING[kind], (2.3, 1.2, 1.7)[seed % 3]
+    scene = (hall_with_box, shelves, rooms, legs, door_frames)[seed % 5](rng)
+    path = along(scene.path, 0.02, 0.6, turn_rad_s)
+    stamps_ns = np.arange(path.stamps_ns[0], path.stamps_ns[-1], round(spec.scan_time_s * 1e9))[:-1]
+    late_ns = np.linspace(0.0, spec.scan_time_s * 1e9 * spec.field_of_view_rad / (2 * np.pi), spec.beams).astype(int)
+    order, walls = late_ns[:: -1 if kind == "reversed" else 1], np.vstack(scene.walls)
+    ranges = [cast_moving(walls, poses_at(path, stamp_ns + order), spec.angles_rad) for stamp_ns in stamps_ns]
+    ranges_m = np.array(ranges) * (1 + NOISE[seed // 4 % 4] * rng.standard_normal((len(stamps_ns), spec.beams)))
+    poses = poses_at(path, stamps_ns + late_ns[-1] // 2)
+    poses += rng.normal(0, (0.008, 0.008, 0.2 * DEG), poses.shape)
+    return PlacedScans(spec, stamps_ns, poses, np.where(ranges_m <= spec.range_max_m, ranges_m, np.nan))
+
+
 class Shift(Struct):
     """Displacement of the poses of the second half: rotation about a point, then translation; m, rad."""
 
@@ -258,6 +295,8 @@ def planted(kind: str, seed: int, offset_m: float) -> tuple[GhostWalls, float]:
 
 
 def honest(kind: str, seed: int) -> GhostWalls:
+    if kind in SWEEPING:
+        return ghosts_of(swept(kind, seed))
     rng = np.random.default_rng((seed, 2))
     return ghosts_of(placed(REAL[kind](rng), seed, rng))
 
@@ -268,7 +307,7 @@ def table(seeds: range) -> Iterator[str]:
             lengths_m = [planted(kind, seed, offset_m)[1] for seed in seeds]
             found = sum(length_m >= 1.0 for length_m in lengths_m)
             yield f"{kind}, {offset_m} m: found in {found} of {len(seeds)}, {np.median(lengths_m):.1f} m"
-    for kind in REAL:
+    for kind in (*REAL, *SWEEPING):
         reported = [ghosts.length_m for seed in seeds if (ghosts := honest(kind, seed)).count]
         yield f"{kind}: reported in {len(reported)} of {len(seeds)}, {sum(reported):.1f} m"
 

@@ -88,6 +88,21 @@ class Motions(Struct, frozen=True):
         """Return the same as seen by a laser that is turned over about its x axis."""
         return replace(self, where=self.where.conj(), heading_rad=-self.heading_rad)
 
+    def halves(self) -> tuple[Motions, Motions]:
+        """Return the motions of the first and of the second half of the track; both have the pose between them."""
+        middle = len(self.linked) // 2
+        first, second = (
+            replace(
+                self,
+                laser_s=self.laser_s[begin : end + 1],
+                where=self.where[begin : end + 1],
+                heading_rad=self.heading_rad[begin : end + 1],
+                linked=self.linked[begin:end],
+            )
+            for begin, end in ((0, middle), (middle, len(self.linked)))
+        )
+        return first, second
+
     def laser_steps(self) -> PlaneSteps:
         """Return the steps of the laser (n - 1)."""
         return PlaneSteps.between(self.where, self.heading_rad)

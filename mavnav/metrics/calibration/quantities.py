@@ -12,6 +12,8 @@ from mavnav.metrics.calibration.solve import LEAST_STEPS, estimate, start_of
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from mavnav.metrics.calibration.motion import Array, Complex, Motions
@@ -103,8 +105,11 @@ class Calibration(Struct, frozen=True):
     fit: Estimate | None = None
 
 
-def calibration_of(motions: Motions) -> Calibration:
-    """Estimate what the motions show, and refuse the rest."""
+def calibration_of(motions: Motions, *, doubtful: bool = False) -> Calibration:
+    """Estimate what the motions show, and refuse the rest.
+
+    Of a ``doubtful`` track the halves must agree, and the intervals include those of both.
+    """
     motion = motion_of(motions)
     if why := _unusable(motions, motion):
         return refusal(why, motion)
@@ -112,8 +117,9 @@ def calibration_of(motions: Motions) -> Calibration:
     start = start_of(motions, turning=turning)
     if why := _contradiction(start, motion):
         return refusal(why, motion)
-    fit = estimate(motions, start)
-    quantities = tuple(_quantity(k, fit, motion, start) for k in range(len(KINDS)))
+    fit, sided = estimate(motions, start), motions.mirror() if start.mirrored else motions
+    halves = [estimate(half, start._replace(mirrored=False)) for half in sided.halves()] if doubtful else []
+    quantities = tuple(_quantity(k, fit, motion, start, halves) for k in range(len(KINDS)))
     return Calibration(quantities, motion, "", fit.mirrored if turning else None, fit)
 
 
@@ -167,11 +173,26 @@ def _contradiction(start: FirstEstimate, motion: Travel) -> str:
     return ""
 
 
-def _quantity(number: int, fit: Estimate, motion: Travel, start: FirstEstimate) -> QuantityValue:
+def _quantity(
+    number: int, fit: Estimate, motion: Travel, start: FirstEstimate, halves: Sequence[Estimate]
+) -> QuantityValue:
     kind, value, ci95 = KINDS[number], float(fit.values[number]), float(fit.ci95[number])
-    if why := _doubt(kind, ci95, motion, start):
+    parts = [(float(half.values[number]), float(half.ci95[number])) for half in halves]
+    if why := _disagreement(kind, parts) or _doubt(kind, ci95, motion, start):
         return QuantityValue(kind, refused=why)
+    ci95 = max(ci95, *(abs(part - value) + own for part, own in parts)) if parts else ci95
     return QuantityValue(kind, value * kind.per_si, ci95 * kind.per_si)
+
+
+def _disagreement(kind: QuantityKind, parts: Sequence[tuple[float, float]]) -> str:
+    """Return how the halves of a doubtful track, each a value and its interval, disagree; empty where they agree."""
+    if not parts:
+        return ""
+    (first, first_ci95), (second, second_ci95) = parts
+    if abs(first - second) <= np.hypot(first_ci95, second_ci95):
+        return ""
+    values = f"{first * kind.per_si:.3g} and {second * kind.per_si:.3g} {kind.unit}".rstrip()
+    return f"the halves of the log do not agree: {values}"
 
 
 def _doubt(kind: QuantityKind, ci95: float, motion: Travel, start: FirstEstimate) -> str:

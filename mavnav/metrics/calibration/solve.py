@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 ROUNDS, LIKELIEST, CLOSE = 20, (0, 2, 5), 1e-5
 """Rounds at most; those in which the noise is estimated anew; changes below this end them."""
 
-PARTS, STEPS_A_PART, LEAST_STEPS = 20, 5, 40
+PARTS, STEPS_A_PART, LEAST_STEPS = 20, 5, 20
 """Parts of the log for the jackknife, steps that each has at least, and steps that a calibration needs."""
 
 PRIOR: Final = np.array((1.0, 1.0, 3.0, 0.5, 0.3, 0.3, 10 * DEG))
@@ -134,7 +134,7 @@ def _correlation(a: Array, b: Array) -> float:
 
 
 def estimate(motions: Motions, start: FirstEstimate) -> Estimate:
-    """Estimate all parameters from the first ones on; the motions have `LEAST_STEPS` or more."""
+    """Estimate all parameters from the first ones on; the motions have half of `LEAST_STEPS` or more."""
     motions = motions.mirror() if start.mirrored else motions
     values, equations = _solve(motions, np.clip(start.parameters, LOW, HIGH))
     ci95, parts = _uncertainty(equations)
