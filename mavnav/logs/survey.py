@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from mavnav.errors import MavnavError
 from mavnav.logs.attitude import AttitudeTracks
-from mavnav.logs.content import check_file, check_window, size_and_sha256, unreadable
+from mavnav.logs.content import check_file, check_files, check_window, size_and_sha256, unreadable
 from mavnav.logs.formats import detect
 from mavnav.logs.imu import ImuTrack
 from mavnav.logs.messages.decode import decoder, is_laser, scan_topic, scan_topics
@@ -30,7 +30,7 @@ from mavnav.logs.transforms import FrameTree
 from mavnav.profiling import timed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
 
 _PROGRESS_STEPS = 200
@@ -53,6 +53,7 @@ class Survey(Struct, frozen=True):
     warnings: tuple[str, ...]
     window_s: tuple[float | None, float | None]
     strict: bool
+    more: tuple[Path, ...] = ()
 
 
 class Motion(Struct):
@@ -167,6 +168,7 @@ def survey(
     truth: str | None = None,
     odom: str = "auto",
     attitude: str = "auto",
+    more: tuple[Path, ...] = (),
 ) -> Survey:
     """Read a log once, from front to back.
 
@@ -188,19 +190,21 @@ def survey(
         Read poses of this topic as odometry, too, whatever their type.
     attitude
         Read tilt and height of the laser from this topic, ``auto`` from where there are any, or not, with ``off``.
+    more
+        Files that are the further parts of the bag.
 
     Raises
     ------
     UsageError
-        No such file, not a regular file or folder, not readable, or an empty window. What is wrong with the content
-        never raises: it stands in the survey.
+        No such file, not a regular file or folder, not readable, files that are no parts of one bag, or an empty
+        window. What is wrong with the content never raises: it stands in the survey.
     """
-    check_file(path)
+    check_files(path, more)
     check_window(start_s, end_s)
 
     def read(topic: str | None) -> Survey:
         motion = Motion(OdometryTracks(odom), TruthTracks(truth), AttitudeTracks(attitude))
-        return _survey(path, _Pass(topic, strict, motion), (start_s, end_s), progress)
+        return _survey(path, more, _Pass(topic, strict, motion), (start_s, end_s), progress)
 
     contents = read(topic)
     others = [t.name for t in contents.topics if t.type in OTHER_TYPES and t.count]
@@ -212,7 +216,11 @@ def survey(
 
 
 def _survey(
-    path: Path, state: _Pass, window_s: tuple[float | None, float | None], progress: Callable[[int, int], None] | None
+    path: Path,
+    more: tuple[Path, ...],
+    state: _Pass,
+    window_s: tuple[float | None, float | None],
+    progress: Callable[[int, int], None] | None,
 ) -> Survey:
     report = state.report
     try:
@@ -220,9 +228,9 @@ def _survey(
         if name == detect.UNKNOWN:
             report.damage(detect.refusal(path), path.name)
         else:
-            _run(path, state, progress)
+            _run(detect.read(path, report, more), state, progress)
             state.finish()
-        size_bytes, sha256 = size_and_sha256(path)
+        size_bytes, sha256 = size_and_sha256(path, more)
     except OSError as error:
         raise unreadable(path, error) from error
     scans_of = dict(_by_laser(state, report))
@@ -238,6 +246,7 @@ def _survey(
         warnings=report.warnings,
         window_s=window_s,
         strict=state.strict,
+        more=more,
     )
 
 
@@ -272,9 +281,9 @@ def motion_and_scan_topics(path: Path, most_s: float) -> tuple[set[str], set[str
     return {channel.topic for channel in channels if channel.type == ODOMETRY}, scans
 
 
-def _run(path: Path, state: _Pass, progress: Callable[[int, int], None] | None) -> None:
+def _run(messages: Iterable[RawMessage], state: _Pass, progress: Callable[[int, int], None] | None) -> None:
     reported = -1
-    for message in detect.read(path, state.report):
+    for message in messages:
         state.take(message)
         if progress is None:
             continue

@@ -69,7 +69,7 @@ def storage_files(
 def _find_storage(folder: Path, report: ReadReport, is_storage: Callable[[Path], bool]) -> list[Path]:
     """Return the storage files of a folder by number; links that lead out of it are reported."""
     files = []
-    for file in sorted(folder.iterdir(), key=_natural_key):
+    for file in sorted(folder.iterdir(), key=natural_key):
         if file.is_file() and not file.resolve().is_relative_to(folder.resolve()):
             report.damage(f"{file.name!r} is a link that leads out of the folder; it is not read", folder.name)
         elif is_storage(file):
@@ -77,7 +77,7 @@ def _find_storage(folder: Path, report: ReadReport, is_storage: Callable[[Path],
     return files
 
 
-def _natural_key(path: Path) -> list[tuple[bool, int, str]]:
+def natural_key(path: Path) -> list[tuple[bool, int, str]]:
     """Return the sort key that puts x_2 before x_10."""
     return [(part.isdigit(), int(part) if part.isdigit() else 0, part) for part in re.split(r"(\d+)", path.name)]
 
