@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from contextlib import suppress
+from functools import partial
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
@@ -69,33 +70,32 @@ class Motion(Struct):
         """Return whether single poses of a channel are wanted."""
         return any(tracks.takes(channel) for tracks in (self.truth, self.odometry, self.attitudes))
 
-    def take(self, channel: Channel, log_ns: int, decoded: Any) -> None:  # noqa: ANN401
-        """Take in a message that is no scan."""
+    def takers(self, channel: Channel) -> Iterator[Callable[[Any, int], None]]:
+        """Yield what takes in the messages of a channel that are no scans, decoded and with the time of recording."""
         if self.attitudes.takes(channel):
-            self.attitudes.add(channel.topic, decoded[0], log_ns)
+            yield partial(self.attitudes.add, channel.topic)
         if self.truth.takes(channel):
-            self.truth.add(channel.topic, decoded[0], log_ns)
+            yield partial(self.truth.add, channel.topic)
         elif channel.type == IMU:
-            if channel.topic not in self.imus:
-                self.imus[channel.topic] = ImuTrack(channel.topic, decoded.frame_id)
-            self.imus[channel.topic].add(decoded, log_ns)
+            yield self.imus.setdefault(channel.topic, ImuTrack(channel.topic)).add
         elif channel.type == ODOMETRY or self.odometry.takes(channel):
-            self.odometry.add_odometry(channel.topic, decoded[0], log_ns)
+            yield partial(self.odometry.add_odometry, channel.topic)
         elif channel.type != POSE:
             static = channel.topic.endswith("tf_static")
-            self.frames[namespace(channel.topic)].add(decoded, static=static)
+            yield partial(self.frames[namespace(channel.topic)].add, static=static)
             if not static:
-                self.odometry.add_transforms(channel.topic, decoded, log_ns)
+                yield partial(self.odometry.add_transforms, channel.topic)
 
 
 class _MessageKind(Struct):
     """What there is to know of a channel's messages; ``decode`` is None where there is no use for them.
 
-    ``scans`` are those of the topic whose scans they are, None where they are none.
+    ``scans`` are those of the topic whose scans they are, None where they are none; others go to ``takers``.
     """
 
-    decode: Callable[[bytes], Any] | None
-    scans: TopicScans | None
+    decode: Callable[[bytes], Any] | None = None
+    scans: TopicScans | None = None
+    takers: tuple[Callable[[Any, int], None], ...] = ()
     count: int = 0
     joiners: SweepJoiners | None = None
 
@@ -131,8 +131,8 @@ class _Pass(Struct):
         if kind.scans and kind.joiners:
             for scan in kind.joiners.push(Recorded(decoded, message.log_ns, message.suspect)):
                 kind.scans.take(*scan)
-        else:
-            self.motion.take(channel, message.log_ns, decoded)
+        for take in kind.takers:
+            take(decoded, message.log_ns)
 
     def finish(self) -> None:
         """Take in the scans that wait for others."""
@@ -143,7 +143,7 @@ class _Pass(Struct):
 
     def _new_kind(self, channel: Channel) -> _MessageKind:
         topic = scan_topic(channel, self.topic)
-        kind = self.kinds[channel] = _MessageKind(None, None)
+        kind = self.kinds[channel] = _MessageKind()
         if topic is None and is_laser(channel):
             return kind
         try:
@@ -153,6 +153,8 @@ class _Pass(Struct):
         if kind.decode and topic is not None:
             kind.scans = self.scans.setdefault(topic, TopicScans(ScanFilter(topic, self.report.warn)))
             kind.joiners = SweepJoiners(topic, self.report.warn)
+        elif kind.decode:
+            kind.takers = tuple(self.motion.takers(channel))
         return kind
 
 
