@@ -85,7 +85,7 @@ def calibrate(request: CalibrationRequest, progress: Progress) -> dict[str, Any]
     motions = _motions(log, outcome)
     verdict = track_verdict(outcome, log, request.config)
     doubtful = outcome.lost_for_good or (outcome.doubt is not None and outcome.doubt.high)
-    why = f"{verdict.reason}; {verdict.advice or 'try a part with --start and --end'}" if doubtful else ""
+    why = f"{verdict.reason}; {verdict.advice}" if doubtful else ""
     result = refusal(why, motion_of(motions)) if why else calibration_of(motions)
     document = _document(request, log, outcome, result)
     document |= {"verdict": plain(verdict), "headline": calibration_headline(document)}

@@ -79,6 +79,18 @@ def test_nothing_on_standard_input_is_no_log(
     assert "/mavnav-" not in error
 
 
+def test_a_terminal_is_no_log_but_a_pipe_is(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    terminal = Piped(b"")
+    monkeypatch.setattr(terminal, "isatty", lambda: True, raising=False)
+    monkeypatch.setattr(sys, "stdin", terminal)
+    words = ["-o", str(tmp_path / "run"), "-q", "--outputs", "trajectory"]
+    assert run(["replay", "-", *words]) == 2
+    assert "write mavnav replay - < drive.mcap, or name a log" in capsys.readouterr().err
+    assert run(["replay", by_stdin(log, monkeypatch), *words]) == 0
+
+
 def test_the_parts_of_a_bag_of_ros_1_are_one_log(tmp_path: Path) -> None:
     messages, folder = drive(30), tmp_path / "parts"
     folder.mkdir()

@@ -58,8 +58,9 @@ def storage_files(
     unlisted = [file for file in files if file not in listed]
     parts = [file for file in unlisted if not listed or name_stem(file) in set(map(name_stem, listed))]
     if len({name_stem(file) for file in parts}) > 1:
-        names_found = ", ".join(file.name for file in files[:5]) + (", ..." if len(files) > 5 else "")
-        raise UsageError(f"{folder}: {len(files)} logs that are no parts of one bag ({names_found}); name one of them")
+        several = ", ".join(file.name for file in files[:5]) + (", ..." if len(files) > 5 else "")
+        advice = "name one, or use 'mavnav batch FOLDER'"
+        raise UsageError(f"{folder}: {len(files)} logs that are no parts of one bag ({several}); {advice}")
     for file in unlisted if metadata else ():
         outcome = "was read too" if file in parts else "was not read"
         report.warn(f"{file.name} lies in the folder, but metadata.yaml does not list it; it {outcome}")
