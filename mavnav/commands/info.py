@@ -36,10 +36,10 @@ ssh robot cat drive.mcap | mavnav info -
 
 
 @shared.with_options("topic", "strict")
-def info(log: shared.LogSource, *, json: shared.Json = False, quiet: shared.Quiet = False, **given: object) -> None:
+def info(logs: shared.LogParts, *, json: shared.Json = False, quiet: shared.Quiet = False, **given: object) -> None:
     """Examine a log: topics, sensor, scans, rate, validity of ranges, odometry, and everything that is damaged."""
     options = read_options(given)
-    with local_log(log) as source:
+    with local_log(logs) as source:
         _print_info(source, options.get("topic"), options.get("strict", False), json=json, quiet=quiet)
 
 
@@ -47,11 +47,11 @@ def _print_info(log: LocalLog, name: str | None, strict: bool, *, json: bool, qu
     from mavnav.logs import survey
 
     with reporting(quiet=quiet) as report:
-        contents = survey(log.path, topic=name, strict=strict, progress=partial(report, "reading"))
+        contents = survey(log.path, topic=name, strict=strict, progress=partial(report, "reading"), more=log.more)
     logs, error = _choices(contents, name)
     code = error.exit_code if error else ExitCode.DAMAGED_INPUT if contents.damage else ExitCode.DONE
     shown = document(contents, logs, code)
-    shown["input"]["path"] = log.name
+    shown["input"] |= {"path": log.name} | ({"parts": [*map(str, log.more)]} if log.more else {})
     if error and not json:  # the error line names its cause
         shown["damage"] = [each for each in shown["damage"] if each["what"] not in str(error)]
     print_result(shown, _rows(shown), json=json)
@@ -203,7 +203,7 @@ def _mounting(log: Log, base_T_laser: Pose) -> dict[str, Any]:
 def _rows(document: dict[str, Any]) -> Rows:
     """Yield the rows of the table."""
     source, scans = document["input"], document["scans"]
-    yield "log", source["path"]
+    yield "log", " ".join([source["path"], *source.get("parts", [])])
     yield "format", f"{source['format']}, {source['size_bytes'] / 1e6:.1f} MB"
     yield from _list("topics", [f"{t['name']}  {t['type']}  {t['encoding']}  {t['count']}" for t in document["topics"]])
     skipped = "".join(f", {count} {reason.replace('_', ' ')}" for reason, count in scans["skipped"].items())

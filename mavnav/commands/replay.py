@@ -20,12 +20,14 @@ from mavnav.errors import UsageError
 from mavnav.units import pluralize
 
 if TYPE_CHECKING:
+    from mavnav.commands.sources import LocalLog
     from mavnav.config.models import Config
     from mavnav.config.options import ReplayOptions
 
 EPILOG = """
 [bold]Examples[/bold]
 mavnav replay drive.mcap
+mavnav replay drive_0.mcap drive_1.mcap
 mavnav replay drive.bag -o runs/drive --odom off --start 5 --end 60
 mavnav replay rosbag2_folder --method paper --grid 20x20 --azimuth 40
 mavnav replay drive.mcap --map office.yaml --start-pose 2.1,0.4,1.57
@@ -38,7 +40,7 @@ ssh robot cat drive.mcap | mavnav replay - -o runs/drive
 @shared.with_options(*OPTIONS)
 def replay(
     context: typer.Context,
-    log: shared.MaybeLogSource = None,
+    logs: shared.MaybeLogParts = None,
     *,
     again: shared.Again = None,
     config: shared.ConfigFile = None,
@@ -58,16 +60,16 @@ def replay(
     **given: object,
 ) -> None:
     """Map a recorded log: trajectory, map, pictures and wall thickness."""
-    with local_log(log) if log else nullcontext() as source:
-        given_log = source.path if source else None
-        fields = {} if again is None else _earlier_fields(context, again, given_log, directory)
-        path = fields.pop("log", given_log)
+    with local_log(logs) if logs else nullcontext() as source:
+        fields = {} if again is None else _earlier_fields(context, again, source, directory)
+        path = fields.pop("log", source.path if source else None)
         if path is None:
             raise UsageError("no log; name one, or a run directory with --again")
         options = fields.pop("options", None) or read_options(given)
         chosen = fields.pop("config", None) or _config(config, sets or [], options)
         bounds, written = shared.gates_of(gates), shared.output_values(outputs, report=report, preview=preview)
-        _check_files(path, options)
+        more = fields.setdefault("more", source.more if source else ())
+        _check_files([path, *more], options)
         optional = {"reference": {*REFERENCES}, "localisation": {"map"}, "continued": {"continue_from"}}
         shared.check_gates(bounds, *(section for section, names in optional.items() if names & options.keys()))
         with reporting(quiet=quiet, stages=REPLAY) as progress:
@@ -92,12 +94,16 @@ def replay(
         raise typer.Exit(shared.gated_code(document, bounds))
 
 
-def _earlier_fields(context: typer.Context, again: Path, log: Path | None, directory: Path | None) -> dict[str, Any]:
-    """Return the fields of a request that repeat a run, and report what differs; ``log`` is given if it has moved."""
+def _earlier_fields(
+    context: typer.Context, again: Path, source: LocalLog | None, directory: Path | None
+) -> dict[str, Any]:
+    """Return the fields of a request that repeat a run, and report what differs; its log is given if it has moved."""
     from mavnav.pipelines.again import replay_again, typed_again
 
-    run = shared.run_to_repeat(context, again, directory, "log", "profile", simulated=False)
-    return replay_again(run, log) | {"typed": typed_again(run, context.obj)}
+    run = shared.run_to_repeat(context, again, directory, "logs", "profile", simulated=False)
+    return replay_again(run, *((source.path, source.more) if source else (None,))) | {
+        "typed": typed_again(run, context.obj)
+    }
 
 
 def _config(file: str | None, sets: list[str], options: ReplayOptions[Path]) -> Config:
@@ -114,14 +120,14 @@ def _config(file: str | None, sets: list[str], options: ReplayOptions[Path]) -> 
     return config
 
 
-def _check_files(log: Path, options: ReplayOptions[Path]) -> None:
+def _check_files(logs: list[Path], options: ReplayOptions[Path]) -> None:
     known = options.get("map")
     if "start_pose" in options and known is None:
         raise UsageError("--start-pose is a pose in a known map; name the map with --map")
     if known is not None and not known.exists():
         raise UsageError(f"{known}: no such file; name the YAML file of a map, or a run directory")
-    if not log.exists():
-        raise UsageError(f"{log}: no such file; name a log")
+    if missing := next((log for log in logs if not log.exists()), None):
+        raise UsageError(f"{missing}: no such file; name a log")
 
 
 def _note_continued(continued: dict[str, Any]) -> None:

@@ -103,11 +103,11 @@ LogFile = Annotated[Path, _log_argument()]
 _source_argument = partial(
     typer.Argument,
     metavar="LOG",
-    help="MCAP, ROS 1 bag, ROS 2 bag folder, .db3 or CARMEN log; a folder of the parts of a bag, an address, or -.",
+    help="MCAP, ROS 1 bag, ROS 2 bag folder, .db3 or CARMEN log; the parts of one, or their folder; an address, or -.",
     show_default=False,
 )
-LogSource = Annotated[str, _source_argument()]
-MaybeLogSource = Annotated[str | None, _source_argument()]
+LogParts = Annotated[list[str], _source_argument()]
+MaybeLogParts = Annotated[list[str] | None, _source_argument()]
 Again = Annotated[
     Path | None, input_option("--again", metavar="RUN", help="Repeat the run in this directory, with its options.")
 ]

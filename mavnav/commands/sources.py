@@ -17,10 +17,11 @@ STDIN: Final = "-"
 
 
 class LocalLog(NamedTuple):
-    """A log as a file or folder, and the address that it was fetched from, or ``-``; None for a path."""
+    """A log as a file or folder, the address that it was fetched from, or ``-``, None for a path, and further parts."""
 
     path: Path
     address: str | None = None
+    more: tuple[Path, ...] = ()
 
     @property
     def name(self) -> str:
@@ -31,23 +32,26 @@ class LocalLog(NamedTuple):
 
 
 @contextmanager
-def local_log(source: str | Path) -> Iterator[LocalLog]:
-    """Yield a log by a path, an address or ``-``, which are copied to a temporary folder while they are needed.
+def local_log(sources: list[str]) -> Iterator[LocalLog]:
+    """Yield a log by its path, those of its parts, or an address or ``-``, of which a copy is kept while it is needed.
 
     Errors contain the address in place of the temporary path. Raises UsageError if there is nothing to be read.
     """
-    if isinstance(source, str) and source == STDIN:
+    source, *more = sources
+    if more and any(each == STDIN or "://" in each for each in sources):
+        raise UsageError("parts of a log are files; fetch what lies elsewhere, or run several logs with mavnav batch")
+    if source == STDIN:
         with TemporaryDirectory(prefix="mavnav-") as made, _named(LocalLog(Path(made) / "stdin", STDIN)) as log:
             _copy_stdin(log.path)
             yield log
-    elif isinstance(source, str) and "://" in source:
+    elif "://" in source:
         from mavnav.batch.remote import download
         from mavnav.outputs.documents.addresses import public_address
 
         with download(source) as folder, _named(LocalLog(folder / public_address(source), source)) as log:
             yield log
     else:
-        yield LocalLog(Path(source))
+        yield LocalLog(Path(source), more=tuple(map(Path, more)))
 
 
 @contextmanager

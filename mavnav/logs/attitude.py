@@ -79,8 +79,9 @@ class AttitudeTracks(Struct):
         named = frame_name(channel.topic) == frame_name(self.wanted) if self.is_named else is_usual(channel.topic)
         return named or (channel.type == ODOMETRY and not self.is_named)
 
-    def add(self, topic: str, message: TransformMessage, log_ns: int) -> None:
-        """Take in a pose."""
+    def add(self, topic: str, messages: list[TransformMessage], log_ns: int) -> None:
+        """Take in a message of one pose."""
+        message = messages[0]
         track = self.topics.get(topic)
         if track is None:
             track = self.topics[topic] = AttitudeTrack(topic, frame_name(message.child))

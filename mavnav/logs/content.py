@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 from mavnav.errors import NoScansError, UsageError, lacks_memory
 from mavnav.logs.formats import detect
-from mavnav.logs.formats.rosbag2 import METADATA
+from mavnav.logs.formats.rosbag2 import METADATA, name_stem, part_number
 from mavnav.logs.formats.source import Source
 from mavnav.logs.read_report import ReadReport
 
@@ -20,18 +20,33 @@ _MOST_HOLES_BYTES: Final = 4 << 30
 """Holes take no space on the disk, but must be hashed as zeros; no recorder leaves any."""
 
 _MOST_EXTENTS: Final = 10_000
+_MOST_NAMED: Final = 4
 _ZEROS: Final = memoryview(bytes(1 << 16))
 
 
-def check_log(path: Path, start_s: float | None = None, end_s: float | None = None) -> None:
+def check_log(
+    path: Path, start_s: float | None = None, end_s: float | None = None, more: tuple[Path, ...] = ()
+) -> None:
     """Raise UsageError or NoScansError for what shows at a glance: no such log, no log at all, an empty window."""
-    check_file(path)
+    check_files(path, more)
     check_window(start_s, end_s)
     try:
         if detect.sniff(path) == detect.UNKNOWN:
             raise NoScansError(f"{path}: no usable scans; {detect.refusal(path)}")
     except OSError as error:
         raise unreadable(path, error) from error
+
+
+def check_files(path: Path, more: tuple[Path, ...]) -> None:
+    """Raise what `check_file` does, and UsageError for files that are not named as the parts of one bag are."""
+    files = path, *more
+    for file in files:
+        check_file(file)
+    numbers = {None if file.is_dir() else part_number(file) for file in files}
+    if more and (None in numbers or len({*map(name_stem, files)}) > 1 or len(numbers) < len(files)):
+        named = f"{', '.join(file.name for file in files[:_MOST_NAMED])}{', ...' * (len(files) > _MOST_NAMED)}"
+        advice = "run several logs with 'mavnav batch LOG ...', or name parts drive_0.mcap, drive_1.mcap and so on"
+        raise UsageError(f"{named}: no parts of one bag by their names; {advice}")
 
 
 def check_file(path: Path) -> None:
@@ -61,21 +76,23 @@ def unreadable(path: Path, error: OSError) -> UsageError | MemoryError:
     return UsageError(f"{path}: cannot be read ({error.strerror}); check the file and its permissions")
 
 
-def content_sha256(path: Path) -> str:
+def content_sha256(path: Path, more: tuple[Path, ...] = ()) -> str:
     """Return the SHA-256 by which a survey knows a log's content, without reading its messages; raises UsageError."""
-    check_file(path)
+    check_files(path, more)
     try:
-        return size_and_sha256(path)[1]
+        return size_and_sha256(path, more)[1]
     except OSError as error:
         raise unreadable(path, error) from error
 
 
-def size_and_sha256(path: Path) -> tuple[int, str]:
-    """Return size and SHA-256: of a file; of a folder, over the lines ``<sha256>  <name>`` of its bag's files."""
-    if path.is_file():
+def size_and_sha256(path: Path, more: tuple[Path, ...] = ()) -> tuple[int, str]:
+    """Return size and SHA-256: of a file; of the parts of a bag, over the lines ``<sha256>  <name>`` of its files."""
+    if path.is_file() and not more:
         return path.stat().st_size, _sha256(path)
-    files = sorted({*detect.parts(path, ReadReport()), *[f for f in [path / METADATA] if f.is_file()]})
-    lines = "".join(f"{_sha256(file)}  {file.relative_to(path)}\n" for file in files)
+    parts, _ = detect.parts(path, ReadReport(), more)
+    files = sorted({*parts, *[f for f in [path / METADATA] if f.is_file()]}, key=lambda file: file.name)
+    names = (file.name if more else file.relative_to(path) for file in files)
+    lines = "".join(f"{_sha256(file)}  {name}\n" for file, name in zip(files, names, strict=True))
     return sum(file.stat().st_size for file in files), hashlib.sha256(lines.encode()).hexdigest()
 
 

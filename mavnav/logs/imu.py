@@ -50,6 +50,7 @@ class ImuTrack(Struct):
     def add(self, message: ImuMessage, log_ns: int) -> None:
         """Take in one message; one with rates or accelerations that are not finite, or impossible, is dropped."""
         rates, accelerations = message.angular_velocity_rad_s, message.acceleration_m_s2
+        self.frame_id = self.frame_id or message.frame_id
         possible = all(abs(a) <= MOST_M_S2 for a in accelerations)  # False for NaN, too
         if possible and all(abs(rate) <= MOST_RAD_S for rate in rates):
             self.stamps.add(message.stamp_ns, log_ns)

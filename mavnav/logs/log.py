@@ -99,6 +99,8 @@ class Log(Struct, frozen=True, eq=False, kw_only=True):
         What is odd about the log, a line each.
     strict
         Whether scans from where a checksum does not match are left out.
+    more
+        Files that are the further parts of the bag.
     stamps_ns
         Stamps (n,) of the usable scans, in ns.
     """
@@ -131,6 +133,7 @@ class Log(Struct, frozen=True, eq=False, kw_only=True):
     damage: tuple[Damage, ...]
     warnings: tuple[str, ...]
     strict: bool
+    more: tuple[Path, ...] = ()
     _order: NDArray[np.int64]
     stamps_ns: NDArray[np.int64]
     _ranges: list[tuple[LaserSpec, NDArray[np.float64]]] | None = None
@@ -232,7 +235,7 @@ class Log(Struct, frozen=True, eq=False, kw_only=True):
         topic, frame = topic_and_frame(self.topic)
         joiners: dict[Channel, SweepJoiners] = {}
         decoders: dict[Channel, Callable[[bytes], LaserMessage] | None] = {}
-        for message in detect.read(self.path, report):
+        for message in detect.read(self.path, report, self.more):
             channel = message.channel
             if scan_topic(channel, self.topic) is None or (self.strict and message.suspect):
                 continue

@@ -26,8 +26,11 @@ SLACK: Final = np.array((0.1, 0.15))
 """Error of a step, m and rad, as quantized encoders and stamps that jitter have it."""
 
 FASTER: Final = 2.0
-USUAL: Final = np.array((1.0, 2.0))
-"""Ratio of the speed of a step to that before it, and speed, m/s and rad/s, from which any vehicle starts."""
+LEAST: Final = np.array((1.0, 2.0))
+"""Ratio of the speed of a step to that before it, and speed, m/s and rad/s, from which any vehicle starts.
+
+It may start from what is usual in the log, too: so odometry in centimeters does not jump where the vehicle sets off.
+"""
 
 NEXT: Final = 4
 """Number of poses after one, of which some are of the same publisher."""
@@ -70,9 +73,12 @@ def without_jumps(odom_T_base: Trajectory) -> tuple[Trajectory, LeftOut | None]:
     Of chains at the same time the one with most poses is kept. Chains that follow each other are joined as if the
     motion before the jump went on. Odometry of which too little would be left stays as it is.
     """
-    if len(odom_T_base) < 3 or not _breaks(odom_T_base).any():
+    if len(odom_T_base) < 3:
         return odom_T_base, None
-    chains = sorted(_longest_apart(list(_chains(odom_T_base))))
+    usual = np.maximum(_usual_speeds(odom_T_base), LEAST)
+    if not _breaks(odom_T_base, usual).any():
+        return odom_T_base, None
+    chains = sorted(_longest_apart(list(_chains(odom_T_base, usual))))
     kept = np.concatenate(chains)
     dropped = np.setdiff1d(np.arange(len(odom_T_base)), kept)
     if len(dropped) > MOST_LEFT_OUT * len(odom_T_base):
@@ -92,7 +98,7 @@ def _sizes(odom_T_base: Trajectory, start: NDArray[np.intp], end: NDArray[np.int
 
 def _is_reachable(sizes: Steps, elapsed_s: Steps | float, speeds: Steps) -> NDArray[np.bool_]:
     """Return which steps, (n, 2) m and rad, a vehicle of some speeds before them can make."""
-    return np.asarray((sizes <= SLACK + FASTER * np.maximum(speeds, USUAL) * elapsed_s).all(axis=-1))
+    return np.asarray((sizes <= SLACK + FASTER * speeds * elapsed_s).all(axis=-1))
 
 
 def _usual_speeds(odom_T_base: Trajectory) -> Steps:
@@ -102,21 +108,21 @@ def _usual_speeds(odom_T_base: Trajectory) -> Steps:
     return np.asarray(np.quantile(np.min([sizes / elapsed_s for sizes, elapsed_s in steps], axis=0), 0.9, axis=0))
 
 
-def _breaks(odom_T_base: Trajectory) -> NDArray[np.bool_]:
-    """Return which steps (n - 1,) do not continue the motion before them."""
+def _breaks(odom_T_base: Trajectory, usual: Steps) -> NDArray[np.bool_]:
+    """Return which steps (n - 1,) do not continue the motion before them, nor start with ``usual`` speeds."""
     numbers, stamps_ns = np.arange(len(odom_T_base)), odom_T_base.stamps_ns
     sizes, elapsed_s = _sizes(odom_T_base, numbers[:-1], numbers[1:])
     earlier = np.clip(np.searchsorted(stamps_ns, stamps_ns - round(BEFORE_S / NS)), 0, numbers - 1)[1:-1]
     moved, before_s = _sizes(odom_T_base, earlier, numbers[1:-1])
-    speeds = np.vstack((_usual_speeds(odom_T_base), moved / before_s))
-    return np.asarray(~_is_reachable(sizes, elapsed_s, speeds))
+    speeds = np.vstack((usual, moved / before_s))
+    return np.asarray(~_is_reachable(sizes, elapsed_s, np.maximum(speeds, usual)))
 
 
-def _chains(odom_T_base: Trajectory) -> Iterator[list[int]]:
+def _chains(odom_T_base: Trajectory, usual: Steps) -> Iterator[list[int]]:
     """Yield the chains, as numbers of poses: each pose continues the chain whose end is nearest, if it can."""
     stamps_s = ((odom_T_base.stamps_ns - odom_T_base.stamps_ns[0]) * NS).tolist()
     poses = [odom_T_base[k] for k in range(len(odom_T_base))]
-    usual, chains = _usual_speeds(odom_T_base), []
+    chains: list[list[int]] = []
     ends: list[list[int]] = []
     for k, pose in enumerate(poses):
         ends = [chain for chain in ends[-MOST_OPEN:] if stamps_s[k] - stamps_s[chain[-1]] <= CLOSED_S]
@@ -139,12 +145,12 @@ def _chains(odom_T_base: Trajectory) -> Iterator[list[int]]:
 
 
 def _speed(poses: list[Pose], stamps_s: list[float], chain: list[int], usual: Steps) -> Steps:
-    """Return the speeds, m/s and rad/s, at the end of a chain; ``usual`` ones at its start."""
+    """Return the speeds, m/s and rad/s, at the end of a chain, at least ``usual`` ones."""
     last = chain[-1]
     earlier = next((k for k in reversed(chain[-20:-1]) if stamps_s[last] - stamps_s[k] >= BEFORE_S), chain[0])
     if earlier == last:
         return usual
-    return np.array(poses[earlier].gap(poses[last])) / (stamps_s[last] - stamps_s[earlier])
+    return np.maximum(np.array(poses[earlier].gap(poses[last])) / (stamps_s[last] - stamps_s[earlier]), usual)
 
 
 def _longest_apart(chains: list[list[int]]) -> Iterator[list[int]]:

@@ -51,6 +51,7 @@ def open_log(
     truth: str | None = None,
     attitude: str = "auto",
     upside_down: bool = False,
+    more: tuple[Path, ...] = (),
 ) -> Log:
     """Survey a log and choose what to use of it.
 
@@ -76,17 +77,19 @@ def open_log(
         Tilt and height of the laser, by which scans are levelled: ``auto``, ``off``, or a topic.
     upside_down
         The laser is mounted upside down, whatever the log says.
+    more
+        Files that are the further parts of the bag, in any order.
 
     Raises
     ------
     UsageError
-        No such file, or an empty window.
+        No such file, files that are no parts of one bag, or an empty window.
     TopicError
         Several scan topics to choose from, or no such topic; no ground truth, or several; no attitude.
     NoScansError
         No log, or no usable scan in it.
     """
-    window = partial(survey, path, start_s=start_s, end_s=end_s)
+    window = partial(survey, path, start_s=start_s, end_s=end_s, more=more)
     surveyed = window(topic=topic, progress=progress, strict=strict, truth=truth, odom=odom, attitude=attitude)
     return choose(surveyed, topic=topic, odom=odom, extrinsic=extrinsic, upside_down=upside_down)
 

@@ -39,8 +39,8 @@ class Stamps(Struct):
 
     def add(self, header_ns: int, log_ns: int) -> None:
         """Take in the stamps of one message."""
-        self.header_ns.append(_storable(header_ns))
-        self.log_ns.append(_storable(log_ns))
+        self.header_ns.append(header_ns if 0 <= header_ns < _LATEST_NS else _storable(header_ns))
+        self.log_ns.append(log_ns if 0 <= log_ns < _LATEST_NS else _storable(log_ns))
 
     def by(self, source: StampSource) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the stamps of a source, and those of recording, (n,) each."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from contextlib import suppress
+from functools import partial
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,7 @@ from msgspec.structs import replace
 
 from mavnav.errors import MavnavError
 from mavnav.logs.attitude import AttitudeTracks
-from mavnav.logs.content import check_file, check_window, size_and_sha256, unreadable
+from mavnav.logs.content import check_file, check_files, check_window, size_and_sha256, unreadable
 from mavnav.logs.formats import detect
 from mavnav.logs.imu import ImuTrack
 from mavnav.logs.messages.decode import decoder, is_laser, scan_topic, scan_topics
@@ -30,7 +31,7 @@ from mavnav.logs.transforms import FrameTree
 from mavnav.profiling import timed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
 
 _PROGRESS_STEPS = 200
@@ -53,6 +54,7 @@ class Survey(Struct, frozen=True):
     warnings: tuple[str, ...]
     window_s: tuple[float | None, float | None]
     strict: bool
+    more: tuple[Path, ...] = ()
 
 
 class Motion(Struct):
@@ -68,33 +70,32 @@ class Motion(Struct):
         """Return whether single poses of a channel are wanted."""
         return any(tracks.takes(channel) for tracks in (self.truth, self.odometry, self.attitudes))
 
-    def take(self, channel: Channel, log_ns: int, decoded: Any) -> None:  # noqa: ANN401
-        """Take in a message that is no scan."""
+    def takers(self, channel: Channel) -> Iterator[Callable[[Any, int], None]]:
+        """Yield what takes in the messages of a channel that are no scans, decoded and with the time of recording."""
         if self.attitudes.takes(channel):
-            self.attitudes.add(channel.topic, decoded[0], log_ns)
+            yield partial(self.attitudes.add, channel.topic)
         if self.truth.takes(channel):
-            self.truth.add(channel.topic, decoded[0], log_ns)
+            yield partial(self.truth.add, channel.topic)
         elif channel.type == IMU:
-            if channel.topic not in self.imus:
-                self.imus[channel.topic] = ImuTrack(channel.topic, decoded.frame_id)
-            self.imus[channel.topic].add(decoded, log_ns)
+            yield self.imus.setdefault(channel.topic, ImuTrack(channel.topic)).add
         elif channel.type == ODOMETRY or self.odometry.takes(channel):
-            self.odometry.add_odometry(channel.topic, decoded[0], log_ns)
+            yield partial(self.odometry.add_odometry, channel.topic)
         elif channel.type != POSE:
             static = channel.topic.endswith("tf_static")
-            self.frames[namespace(channel.topic)].add(decoded, static=static)
+            yield partial(self.frames[namespace(channel.topic)].add, static=static)
             if not static:
-                self.odometry.add_transforms(channel.topic, decoded, log_ns)
+                yield partial(self.odometry.add_transforms, channel.topic)
 
 
 class _MessageKind(Struct):
     """What there is to know of a channel's messages; ``decode`` is None where there is no use for them.
 
-    ``scans`` are those of the topic whose scans they are, None where they are none.
+    ``scans`` are those of the topic whose scans they are, None where they are none; others go to ``takers``.
     """
 
-    decode: Callable[[bytes], Any] | None
-    scans: TopicScans | None
+    decode: Callable[[bytes], Any] | None = None
+    scans: TopicScans | None = None
+    takers: tuple[Callable[[Any, int], None], ...] = ()
     count: int = 0
     joiners: SweepJoiners | None = None
 
@@ -130,8 +131,8 @@ class _Pass(Struct):
         if kind.scans and kind.joiners:
             for scan in kind.joiners.push(Recorded(decoded, message.log_ns, message.suspect)):
                 kind.scans.take(*scan)
-        else:
-            self.motion.take(channel, message.log_ns, decoded)
+        for take in kind.takers:
+            take(decoded, message.log_ns)
 
     def finish(self) -> None:
         """Take in the scans that wait for others."""
@@ -142,7 +143,7 @@ class _Pass(Struct):
 
     def _new_kind(self, channel: Channel) -> _MessageKind:
         topic = scan_topic(channel, self.topic)
-        kind = self.kinds[channel] = _MessageKind(None, None)
+        kind = self.kinds[channel] = _MessageKind()
         if topic is None and is_laser(channel):
             return kind
         try:
@@ -152,6 +153,8 @@ class _Pass(Struct):
         if kind.decode and topic is not None:
             kind.scans = self.scans.setdefault(topic, TopicScans(ScanFilter(topic, self.report.warn)))
             kind.joiners = SweepJoiners(topic, self.report.warn)
+        elif kind.decode:
+            kind.takers = tuple(self.motion.takers(channel))
         return kind
 
 
@@ -167,6 +170,7 @@ def survey(
     truth: str | None = None,
     odom: str = "auto",
     attitude: str = "auto",
+    more: tuple[Path, ...] = (),
 ) -> Survey:
     """Read a log once, from front to back.
 
@@ -188,19 +192,21 @@ def survey(
         Read poses of this topic as odometry, too, whatever their type.
     attitude
         Read tilt and height of the laser from this topic, ``auto`` from where there are any, or not, with ``off``.
+    more
+        Files that are the further parts of the bag.
 
     Raises
     ------
     UsageError
-        No such file, not a regular file or folder, not readable, or an empty window. What is wrong with the content
-        never raises: it stands in the survey.
+        No such file, not a regular file or folder, not readable, files that are no parts of one bag, or an empty
+        window. What is wrong with the content never raises: it stands in the survey.
     """
-    check_file(path)
+    check_files(path, more)
     check_window(start_s, end_s)
 
     def read(topic: str | None) -> Survey:
         motion = Motion(OdometryTracks(odom), TruthTracks(truth), AttitudeTracks(attitude))
-        return _survey(path, _Pass(topic, strict, motion), (start_s, end_s), progress)
+        return _survey(path, more, _Pass(topic, strict, motion), (start_s, end_s), progress)
 
     contents = read(topic)
     others = [t.name for t in contents.topics if t.type in OTHER_TYPES and t.count]
@@ -212,7 +218,11 @@ def survey(
 
 
 def _survey(
-    path: Path, state: _Pass, window_s: tuple[float | None, float | None], progress: Callable[[int, int], None] | None
+    path: Path,
+    more: tuple[Path, ...],
+    state: _Pass,
+    window_s: tuple[float | None, float | None],
+    progress: Callable[[int, int], None] | None,
 ) -> Survey:
     report = state.report
     try:
@@ -220,9 +230,9 @@ def _survey(
         if name == detect.UNKNOWN:
             report.damage(detect.refusal(path), path.name)
         else:
-            _run(path, state, progress)
+            _run(detect.read(path, report, more), state, progress)
             state.finish()
-        size_bytes, sha256 = size_and_sha256(path)
+        size_bytes, sha256 = size_and_sha256(path, more)
     except OSError as error:
         raise unreadable(path, error) from error
     scans_of = dict(_by_laser(state, report))
@@ -238,6 +248,7 @@ def _survey(
         warnings=report.warnings,
         window_s=window_s,
         strict=state.strict,
+        more=more,
     )
 
 
@@ -272,9 +283,9 @@ def motion_and_scan_topics(path: Path, most_s: float) -> tuple[set[str], set[str
     return {channel.topic for channel in channels if channel.type == ODOMETRY}, scans
 
 
-def _run(path: Path, state: _Pass, progress: Callable[[int, int], None] | None) -> None:
+def _run(messages: Iterable[RawMessage], state: _Pass, progress: Callable[[int, int], None] | None) -> None:
     reported = -1
-    for message in detect.read(path, state.report):
+    for message in messages:
         state.take(message)
         if progress is None:
             continue

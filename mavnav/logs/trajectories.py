@@ -98,8 +98,9 @@ class OdometryTracks(Struct):
         named = self.wanted not in ("auto", "off") and frame_name(channel.topic) == frame_name(self.wanted)
         return named and channel.type in (POSE, TRANSFORM)
 
-    def add_odometry(self, topic: str, message: TransformMessage, log_ns: int) -> None:
+    def add_odometry(self, topic: str, messages: list[TransformMessage], log_ns: int) -> None:
         """Take in a nav_msgs/Odometry message, or a pose of the wanted topic."""
+        message = messages[0]
         track = self.topics.get(topic)
         if track is None:
             track = self.topics[topic] = OdometryTrack(topic, frame_name(message.child))
@@ -217,8 +218,9 @@ class TruthTracks(Struct):
             return TRUTH_NAMES.search(channel.topic) is not None
         return frame_name(channel.topic) == frame_name(self.wanted)
 
-    def add(self, topic: str, message: TransformMessage, log_ns: int) -> None:
-        """Take in one pose."""
+    def add(self, topic: str, messages: list[TransformMessage], log_ns: int) -> None:
+        """Take in a message of one pose."""
+        message = messages[0]
         track = self.topics.get(topic)
         if track is None:
             track = self.topics[topic] = PoseTrack(topic, frame_name(message.child))

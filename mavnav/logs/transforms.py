@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from math import atan2, cos, radians
+from math import atan2, cos, isfinite, radians
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -57,7 +57,7 @@ def planar_pose(message: TransformMessage) -> Pose | None:
     x, y, _ = message.xyz
     yaw = yaw_of_quaternion(*message.xyzw)
     near = abs(x) <= LARGEST_COORDINATE_M and abs(y) <= LARGEST_COORDINATE_M  # False for NaN, too
-    return Pose(x, y, yaw) if near and np.isfinite(yaw) and any(message.xyzw) else None
+    return Pose(x, y, yaw) if near and isfinite(yaw) and any(message.xyzw) else None
 
 
 class FrameTree(Struct):
@@ -72,7 +72,7 @@ class FrameTree(Struct):
     changed: set[tuple[str, str]] = field(default_factory=set)
     latest: dict[tuple[str, str], tuple[object, object]] = field(default_factory=dict)
 
-    def add(self, messages: Iterable[TransformMessage], *, static: bool) -> None:
+    def add(self, messages: Iterable[TransformMessage], _log_ns: int = 0, *, static: bool) -> None:
         """Take in the transforms of one message."""
         for message in messages:
             edge = frame_name(message.parent), frame_name(message.child)

@@ -102,14 +102,16 @@ def _check_document(document: dict[str, Any]) -> str:
     return kind
 
 
-def replay_again(run: EarlierRun, log: Path | None) -> dict[str, Any]:
-    """Return the fields of the request that repeats a replay; ``log`` is where the log is now, if it has moved.
+def replay_again(run: EarlierRun, log: Path | None, more: tuple[Path, ...] = ()) -> dict[str, Any]:
+    """Return the fields of the request that repeats a replay; ``log`` and ``more`` are its files, if it has moved.
 
     Raises UsageError where the log is gone or has another content, ConfigError where this version has other keys.
     """
+    more = more if log else tuple(map(run.path, run.document["input"].get("parts", ())))
     return {
         "options": restore_options(run.document["provenance"]["options"], run.path),
-        "log": _same_log(run, log),
+        "log": _same_log(run, log, more),
+        "more": more,
         "config": load_config(values=_layer(run.document["config"], run.directory / RUN_FILE)),
         "report": (run.directory / REPORT_FILE).is_file(),
     }
@@ -149,7 +151,7 @@ def _layer(section: dict[str, Any], path: Path) -> Layer:
     return layer_of(json.dumps(section), str(path)).rename_keys(key_now)
 
 
-def _same_log(run: EarlierRun, log: Path | None) -> Path:
+def _same_log(run: EarlierRun, log: Path | None, more: tuple[Path, ...]) -> Path:
     """Return the log of a run; raises UsageError unless it is there with the same content."""
     was, sha256 = (run.document["input"][key] for key in ("path", "sha256"))
     again = f"write mavnav replay LOG --again {run.directory}"
@@ -158,22 +160,22 @@ def _same_log(run: EarlierRun, log: Path | None) -> Path:
     path = log or run.path(was)
     if not path.exists():
         raise UsageError(f"{path}: the log of the run is not there; {again} with its place now")
-    if (digest := content_sha256(path)) != sha256:
+    if (digest := content_sha256(path, more)) != sha256:
         changed = f"{path} is not the log of {run.directory}, its SHA-256 was {sha256} and is {digest}"
         raise UsageError(f"{changed}; name the right one, or leave out --again")
     return path
 
 
-def replay_words(log: str, options: ReplayOptions[Path], config: Config) -> list[str]:
+def replay_words(logs: list[str], options: ReplayOptions[Path], config: Config) -> list[str]:
     """Return the words of a command line that repeats a replay from anywhere, without its configuration file.
 
     It lists all values that differ from the method's defaults, or from those of the run that is continued. A log at an
     address is a batch of one.
     """
-    command = "batch" if is_address(log) else "replay"
+    command = "batch" if is_address(logs[0]) else "replay"
     changed = changed_values(config, _base(options.get("continue_from"), config))
     sets = [f"--set={key}={to_scalar(value)}" for key, value in changed.items()]
-    return ["mavnav", command, log, *words_of(options), *sets]
+    return ["mavnav", command, *logs, *words_of(options), *sets]
 
 
 def _base(continued: Path | None, config: Config) -> Config:

@@ -87,8 +87,7 @@ def calibrate(request: CalibrationRequest, progress: Progress) -> dict[str, Any]
     doubtful = outcome.doubt is not None and outcome.doubt.high
     result = calibration_of(motions, doubtful=doubtful)
     if outcome.lost_for_good or (doubtful and result.refused):
-        why = f"{verdict.reason}; {verdict.advice or 'try a part with --start and --end'}"
-        result = refusal(why, motion_of(motions))
+        result = refusal(f"{verdict.reason}; {verdict.advice}", motion_of(motions))
     document = _document(request, log, outcome, result)
     document |= {"verdict": plain(verdict), "headline": calibration_headline(document)}
     _write(request, document, result, motions)

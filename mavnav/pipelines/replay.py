@@ -59,7 +59,7 @@ class ReplayRequest(Struct, frozen=True):
 
     ``report`` writes the page as well; ``outputs`` are the groups of files to write, None for all. ``address`` is where
     the log was fetched from, for run.json; ``log_sha256`` is the content that the log must have, if the run is to be
-    known by it. ``typed`` is the command line.
+    known by it. ``typed`` is the command line, ``more`` are the further parts of the log.
     """
 
     log: Path
@@ -72,12 +72,13 @@ class ReplayRequest(Struct, frozen=True):
     address: str | None = None
     log_sha256: str | None = None
     typed: Typed = field(default_factory=Typed)
+    more: tuple[Path, ...] = ()
 
     @property
     def inputs(self) -> tuple[Path | None, ...]:
         """The paths that the run reads; None for those that are not given."""
         config = Path(self.typed.config) if self.typed.config else None
-        named = (self.log, *paths_of(self.options), config)
+        named = (self.log, *self.more, *paths_of(self.options), config)
         maps = [path for path in (self.options.get("map"), self.options.get("truth_map")) if path]
         if not maps:
             return named
@@ -142,7 +143,7 @@ def replay_log(
     packages raise: TopicError, NoScansError, UsageError, OutputError; and StoppedError where nothing was tracked yet.
     """
     options = request.options
-    check_log(request.log, options.get("start_s"), options.get("end_s"))
+    check_log(request.log, options.get("start_s"), options.get("end_s"), request.more)
     check_groups(request.outputs or ())
     check_directory(request.directory, force=request.force, inputs=request.inputs)
     given = Given(
@@ -172,7 +173,8 @@ def _compile(config: Config, progress: Progress, *, rare: bool) -> tuple[float, 
 
 def replay_provenance(request: ReplayRequest) -> Provenance:
     """Describe a replay that starts now."""
-    again = replay_words(request.address or str(request.log.absolute()), request.options, request.config)
+    logs = [request.address or str(request.log.absolute()), *(str(part.absolute()) for part in request.more)]
+    again = replay_words(logs, request.options, request.config)
     options = options_section(request.options, request.config, request.typed.config, request.typed.sets)
     return provenance(utc_now(), request.typed, again, options)
 
@@ -252,6 +254,7 @@ def _open(request: ReplayRequest, progress: Progress) -> Log:
         truth=recorded_topic(truth) if isinstance(truth, str) else None,
         attitude=config.attitude,
         upside_down=config.upside_down,
+        more=request.more,
         progress=lambda done, total: progress("reading", done, total),
     )
     return with_corrected_odometry(log, config)

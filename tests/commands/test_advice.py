@@ -4,23 +4,28 @@ from __future__ import annotations
 
 import json
 import re
+from ast import literal_eval
 from pathlib import Path
 from shlex import split
 from typing import Any
 
 import numpy as np
 import pytest
+from mcap.writer import Writer
 from msgspec.structs import replace
 
+import mavnav
 from mavnav.cli import run
 from mavnav.config.loading import load_config
-from mavnav.errors import NoScansError, TopicError
-from mavnav.logs import open_log
+from mavnav.errors import NoScansError, TopicError, UsageError
+from mavnav.logs import open_log, survey
 from mavnav.outputs.documents import verdict
 from mavnav.pose import Pose
+from mavnav.scan import Attitude
 from support.field_logs import START_S, drive_log, with_fields
 from support.log_files import LASER, ODOM, PERIOD_NS, START_NS, TF, Message, laser, write_bag1, write_mcap
 from support.synthetic import TOUR, along, box, polyline
+from support.tilted import attitude_message
 
 TURNING = along([(1.0, 0.8), (4.9, 0.8), (4.6, 2.9), (2.2, 3.0)], 0.02, 0.7, 1.5, START_S * 10**9)
 
@@ -213,3 +218,103 @@ def test_a_log_of_calibrated_odometry_is_replayed_as_the_calibration_says(
     assert run([*words, "-o", str(tmp_path / "run"), "-q", "--outputs", "trajectory"]) == 0
     used = json.loads((tmp_path / "run" / "run.json").read_text())["tracking"]["odometry"]
     assert (used["used"], used["offset_s"]) == (True, pytest.approx(-0.5, abs=0.06))
+
+
+def test_logs_without_scans_are_explained_by_info(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    paths = [write_mcap(tmp_path / name, scans(ranges=[])) for name in ("a.mcap", "b.mcap")]
+    assert run(["merge", *map(str, paths), "-o", str(tmp_path / "m"), "-q"]) == 4
+    assert "has a tracked scan; examine them with mavnav info" in capsys.readouterr().err
+    assert run(["info", str(paths[0])]) == 4
+    assert "none of the 30 scans on /scan is usable (30 empty)" in capsys.readouterr().err
+
+
+def test_settings_of_python_are_a_dictionary_as_the_error_writes_it(tmp_path: Path) -> None:
+    log = write_mcap(tmp_path / "log.mcap", drive_log(0.6, beams=60))
+    with pytest.raises(UsageError, match="give a dictionary such as") as error:
+        mavnav.replay(log, settings="robust.cell_mm=25")  # type: ignore[arg-type]
+    written = literal_eval(str(error.value)[str(error.value).index("{") :])
+    assert mavnav.replay(log, settings=written | {"final_pass": False}).metrics["config"]["robust"]["cell_mm"] == 25
+
+
+def test_scans_that_repeat_are_cut_off(tmp_path: Path) -> None:
+    repeated = [laser(min(k, 20)) for k in range(30)]
+    messages = [replace(m, stamp_ns=START_NS + k * PERIOD_NS) for k, m in enumerate(repeated)]
+    path = write_mcap(tmp_path / "a", messages)
+    assert "cut the log with --start and --end" in warning_of(path, "repeat the one before")
+    assert open_log(path, end_s=1.9).warnings == ()
+
+
+def test_the_returns_that_info_names_are_used_or_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Some of the walls lie beyond the default; a driver writes the largest range where there is no return."""
+
+    def found(log: Path) -> str:
+        assert run(["info", str(log)]) == 0
+        return capsys.readouterr().out
+
+    walls = np.vstack((polyline((0, 0), (60, 0), (60, 20), (0, 20), closed=True), box(30.0, 12.0, 4.0, 2.0, 0.0)))
+    path = along([(12.0, 8.0), (16.0, 8.0)], 0.02, 1.0, 1.0, START_S * 10**9)
+    messages = drive_log(path=path, walls=walls, beams=360, range_max_m=80.0)
+    far = write_mcap(tmp_path / "far.mcap", messages)
+    assert "replay with a larger robust.far_mm, in mm (--set)" in found(far)
+    usual, larger = (
+        replayed(far, tmp_path / name, *more)[1] for name, more in (("a", []), ("b", ["--set", "robust.far_mm=60000"]))
+    )
+    assert larger["search"]["beams_used"]["median"] > usual["search"]["beams_used"]["median"]
+    capped = [
+        replace(m, fields=m.fields | {"ranges": np.minimum(m.fields["ranges"], 20.0), "range_max": 25.0})
+        for m in messages
+    ]
+    log = write_mcap(tmp_path / "capped.mcap", capped)
+    words = advised(found(log))
+    assert words == ["--set", "robust.far_mm=19999"]
+    code, document = replayed(log, tmp_path / "c", *words)
+    assert (code, document["verdict"]["word"]) == (0, "good")
+
+
+def test_a_truth_without_a_mounting_is_that_of_the_laser_once_it_is_given(tmp_path: Path) -> None:
+    messages = [*scans(), *(replace(m, fields=m.fields | {"child": "body"}) for m in odometry("/gt"))]
+    path = write_mcap(tmp_path / "a", messages)
+    assert "give the mounting with --extrinsic x,y,yaw" in warning_of(
+        path, "the ground truth is taken as", truth="auto"
+    )
+    log = open_log(path, truth="auto", extrinsic=Pose(0.5, 0.0, 0.0))
+    assert log.truth is not None
+    assert (log.truth.world_T_laser[0].x_m, log.warnings) == (pytest.approx(0.5), ())
+
+
+def test_an_attitude_of_a_part_is_enough_for_that_part(tmp_path: Path) -> None:
+    tilts = [attitude_message(START_NS + k * PERIOD_NS, Attitude(0.1 * np.sin(k), 0.0, 1.0)) for k in range(15)]
+    path = write_mcap(tmp_path / "a", [*scans(), *tilts])
+    assert "cut the log with --start and --end" in warning_of(path, "have no attitude")
+    log = open_log(path, end_s=1.4)
+    assert (log.attitude is not None, log.warnings) == (True, ())
+
+
+def test_an_attitude_that_cannot_be_used_is_left_out_by_off(tmp_path: Path) -> None:
+    late = [attitude_message(START_NS + 10**12 + k, Attitude(0.1, 0.0, 1.0), "/late") for k in range(15)]
+    path = write_mcap(tmp_path / "a", [*scans(), *late])
+    with pytest.raises(TopicError, match="or write --attitude off"):
+        open_log(path, attitude="/late")
+    assert open_log(path, attitude="off").warnings == ()
+
+
+def test_warnings_of_many_topics_are_listed_by_topic(tmp_path: Path) -> None:
+    many = [laser(k, topic=f"/scan{n:03}", angle_increment=0.0, angle_max=1.0) for n in range(120) for k in range(2)]
+    path = write_mcap(tmp_path / "a", many)
+    assert [text for text in survey(path).warnings if "more warnings; choose a topic with --topic" in text]
+    assert len(survey(path, topic="/scan119").warnings) == 1
+
+
+def test_damage_that_is_not_printed_is_in_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2")
+        channel = writer.register_channel("/odom", "cdr", writer.register_schema(ODOM, "ros2msg", b""))
+        for k in range(15):
+            writer.add_message(channel, START_NS + k, b"none", START_NS + k)
+        writer.finish()
+    assert run(["info", str(path)]) == 4
+    assert "mavnav: damage: 5 more; --json lists them" in capsys.readouterr().err
+    assert run(["info", str(path), "--json"]) == 4
+    assert len(json.loads(capsys.readouterr().out)["damage"]) == 15

@@ -53,6 +53,12 @@ def test_what_changed_is_listed_and_drawn(mavnav, maps, tmp_path) -> None:
     assert "--force" in err
 
 
+def test_changes_that_are_not_printed_are_in_json(mavnav, maps, monkeypatch) -> None:
+    monkeypatch.setattr("mavnav.commands.diff.LISTED", 0)
+    assert "2 more; --json lists them" in mavnav("diff", *maps, "-q")[1]
+    assert len(json.loads(mavnav("diff", *maps, "-q", "--json")[1])["changes"]) == 2
+
+
 def test_the_same_map_passes(mavnav, maps) -> None:
     code, out, err = mavnav("diff", maps[0], maps[0], "-q", "--gate", "changed_m2==0", "--gate", "same_share>0.99")
     assert (code, err) == (0, "")

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from mavnav.cli import run
@@ -78,6 +79,18 @@ def test_nothing_on_standard_input_is_no_log(
     assert "/mavnav-" not in error
 
 
+def test_a_terminal_is_no_log_but_a_pipe_is(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    terminal = Piped(b"")
+    monkeypatch.setattr(terminal, "isatty", lambda: True, raising=False)
+    monkeypatch.setattr(sys, "stdin", terminal)
+    words = ["-o", str(tmp_path / "run"), "-q", "--outputs", "trajectory"]
+    assert run(["replay", "-", *words]) == 2
+    assert "write mavnav replay - < drive.mcap, or name a log" in capsys.readouterr().err
+    assert run(["replay", by_stdin(log, monkeypatch), *words]) == 0
+
+
 def test_the_parts_of_a_bag_of_ros_1_are_one_log(tmp_path: Path) -> None:
     messages, folder = drive(30), tmp_path / "parts"
     folder.mkdir()
@@ -94,3 +107,69 @@ def test_other_bags_in_a_folder_are_no_parts(tmp_path: Path, capsys: pytest.Capt
         write_bag1(tmp_path / name, drive(3))
     assert run(["info", str(tmp_path)]) == 2
     assert "no parts of one bag" in capsys.readouterr().err
+
+
+def split_log(folder: Path, *names: str) -> list[Path]:
+    """Write a drive of three seconds as parts of a second each."""
+    messages = drive_log(3.0, beams=120)
+    cuts = [messages[0].time_ns + k * 10**9 for k in range(3)] + [messages[-1].time_ns + 1]
+    folder.mkdir()
+    return [
+        write_mcap(folder / name, [message for message in messages if begin <= message.time_ns < end])
+        for name, begin, end in zip(names, cuts, cuts[1:], strict=False)
+    ]
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1)])
+def test_parts_that_are_named_are_one_log(order: tuple[int, ...], tmp_path: Path) -> None:
+    whole = open_log(write_mcap(tmp_path / "whole.mcap", drive_log(3.0, beams=120)))
+    parts = split_log(tmp_path / "parts", "drive_2.mcap", "drive_9.mcap", "drive_10.mcap")
+    first, *more = (parts[k] for k in order)
+    log = open_log(first, more=tuple(more))
+    assert (log.stamps_ns.tolist(), log.damage, log.warnings) == (whole.stamps_ns.tolist(), (), ())
+    for a, b in zip(log.scans(), whole.scans(), strict=True):
+        assert np.array_equal(a.ranges_m, b.ranges_m, equal_nan=True)
+
+
+def test_a_replay_of_parts_is_repeated_and_is_that_of_the_whole_log(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    parts = [str(part) for part in split_log(tmp_path / "parts", "d_0.mcap", "d_1.mcap", "d_2.mcap")]
+    whole = write_mcap(tmp_path / "whole.mcap", drive_log(3.0, beams=120))
+    words = ["-q", "--outputs", "trajectory"]
+    for name, given in {
+        "parts": parts,
+        "whole": [str(whole)],
+        "again": ["--again", str(tmp_path / "parts.run")],
+        "moved": [*parts[::-1], "--again", str(tmp_path / "parts.run")],
+    }.items():
+        assert run(["replay", *given, "-o", str(tmp_path / f"{name}.run"), *words]) == 0
+    tracks = {(tmp_path / f"{name}.run/trajectory.tum").read_bytes() for name in ("parts", "whole", "again", "moved")}
+    assert len(tracks) == 1
+    document = json.loads((tmp_path / "parts.run/run.json").read_text())
+    assert [document["input"]["path"], *document["input"]["parts"]] == parts
+    assert all(part in document["provenance"]["again"] for part in parts)
+    capsys.readouterr()
+    assert run(["info", *parts, "--json", "-q"]) == 0
+    assert json.loads(capsys.readouterr().out)["input"]["sha256"] == document["input"]["sha256"]
+
+
+@pytest.mark.parametrize("command", ["info", "replay"])
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (["a.mcap", "b.mcap"], "no parts of one bag by their names; run several logs with 'mavnav batch LOG ...'"),
+        (["a_0.mcap", "b_1.mcap"], "no parts of one bag"),
+        (["a_0.mcap", "."], "no parts of one bag"),
+        (["a_0.mcap", "a_3.mcap"], "a_3.mcap: no such file"),
+        (["a_0.mcap", "-"], "parts of a log are files"),
+    ],
+    ids=["logs", "bags", "folder", "missing", "stdin"],
+)
+def test_what_are_no_parts_of_one_bag_is_refused(
+    command: str, names: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("a.mcap", "b.mcap", "a_0.mcap", "b_1.mcap"):
+        write_mcap(tmp_path / name, drive(2))
+    assert run([command, *(name if name == "-" else str(tmp_path / name) for name in names)]) == 2
+    assert message in capsys.readouterr().err

@@ -100,3 +100,16 @@ def test_what_was_left_out_is_said() -> None:
     text = LeftOut(3, 1, 2.25).text
     assert "1 jump and 3 poses, the first 2.2 s after its start" in text
     assert "pose" not in LeftOut(0, 2, 1.0).text
+
+
+@pytest.mark.parametrize("unit", [1.0, 100.0, 1000.0])
+def test_setting_off_is_no_jump_in_any_unit(unit: float) -> None:
+    """After a rest odometry in centimeters is at once faster than any vehicle, which is no reset."""
+    path = drive(100)
+    rest = np.repeat(path.xyyaw[:1], 20, axis=0)
+    xyyaw = np.vstack((rest, path.xyyaw)) * (unit, unit, 1.0)
+    found, left_out = without_jumps(Trajectory(np.arange(len(xyyaw)) * 50 * MS, xyyaw))
+    assert left_out is None
+    assert np.array_equal(found.xyyaw, xyyaw)
+    far = Trajectory(np.arange(len(xyyaw)) * 50 * MS, xyyaw + np.arange(len(xyyaw))[:, None] // 60 * (unit, 0.0, 0.0))
+    assert without_jumps(far)[1] == LeftOut(0, 1, 3.0)

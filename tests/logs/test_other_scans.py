@@ -150,6 +150,7 @@ def test_two_such_topics_need_a_choice(tmp_path: Path) -> None:
     with pytest.raises(NoScansError, match=r"--topic: /echoes, /points"):
         open_log(path)
     assert not survey(path).scans
+    assert [len(open_log(path, topic=topic)) for topic in ("/echoes", "/points")] == [SCANS, SCANS]
 
 
 @pytest.mark.parametrize("topic", [None, "/points/ring_1"])

@@ -31,6 +31,7 @@ class FabricatedLog(Struct, frozen=True):
 
     recorded: tuple
     path: Path = Path("room [1].mcap")
+    more: tuple = ()
     format: str = "mcap"
     size_bytes: int = 1234
     sha256: str = "0" * 64

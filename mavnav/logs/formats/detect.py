@@ -14,6 +14,7 @@ from mavnav.logs.formats.rosbag2 import (
     compare_count,
     compare_storage,
     name_stem,
+    natural_key,
     part_number,
     read_metadata,
     storage_files,
@@ -126,14 +127,15 @@ def is_named_like_a_log(path: Path) -> bool:
     return path.name.endswith(SUFFIXES) and (not path.name.endswith(_AMBIGUOUS) or sniff(path) != UNKNOWN)
 
 
-def parts(path: Path, report: ReadReport) -> list[Path]:
-    """Return the files of a log in their order: those of a ROS 2 bag's folder, or the file itself."""
-    return storage_files(path, report, _is_storage, _metadata(path, report)) if path.is_dir() else [path]
+def parts(path: Path, report: ReadReport, more: tuple[Path, ...] = ()) -> tuple[list[Path], Metadata | None]:
+    """Return the files of a log in their order, and the metadata of a ROS 2 bag's folder.
 
-
-def _metadata(folder: Path, report: ReadReport) -> Metadata | None:
-    """Return what the metadata of a bag's folder say; ROS 1 bags have none."""
-    return None if sniff(folder) == "rosbag1" else read_metadata(folder, report)
+    They are those of a folder, or the file itself and ``more`` parts of the same bag.
+    """
+    if not path.is_dir():
+        return sorted({path, *more}, key=natural_key), None
+    metadata = None if sniff(path) == "rosbag1" else read_metadata(path, report)
+    return storage_files(path, report, _is_storage, metadata), metadata
 
 
 def _is_storage(path: Path) -> bool:
@@ -143,10 +145,9 @@ def _is_storage(path: Path) -> bool:
     return _sniff_strictly(path) != UNKNOWN or (path.name.endswith(_STORAGE_SUFFIXES) and sniff(path) != UNKNOWN)
 
 
-def read(path: Path, report: ReadReport) -> Iterator[RawMessage]:
-    """Yield the messages of a log, file after file, each by the reader of its format. Raises UsageError."""
-    metadata = _metadata(path, report) if path.is_dir() else None
-    files = storage_files(path, report, _is_storage, metadata) if path.is_dir() else [path]
+def read(path: Path, report: ReadReport, more: tuple[Path, ...] = ()) -> Iterator[RawMessage]:
+    """Yield the messages of a log and ``more`` parts of it, each file by its format's reader; raises UsageError."""
+    files, metadata = parts(path, report, more)
     report.total_bytes = sum(file.stat().st_size for file in files)
     messages = 0
     for file in files:

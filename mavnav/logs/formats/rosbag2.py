@@ -58,8 +58,9 @@ def storage_files(
     unlisted = [file for file in files if file not in listed]
     parts = [file for file in unlisted if not listed or name_stem(file) in set(map(name_stem, listed))]
     if len({name_stem(file) for file in parts}) > 1:
-        names_found = ", ".join(file.name for file in files[:5]) + (", ..." if len(files) > 5 else "")
-        raise UsageError(f"{folder}: {len(files)} logs that are no parts of one bag ({names_found}); name one of them")
+        several = ", ".join(file.name for file in files[:5]) + (", ..." if len(files) > 5 else "")
+        advice = "name one, or use 'mavnav batch FOLDER'"
+        raise UsageError(f"{folder}: {len(files)} logs that are no parts of one bag ({several}); {advice}")
     for file in unlisted if metadata else ():
         outcome = "was read too" if file in parts else "was not read"
         report.warn(f"{file.name} lies in the folder, but metadata.yaml does not list it; it {outcome}")
@@ -69,7 +70,7 @@ def storage_files(
 def _find_storage(folder: Path, report: ReadReport, is_storage: Callable[[Path], bool]) -> list[Path]:
     """Return the storage files of a folder by number; links that lead out of it are reported."""
     files = []
-    for file in sorted(folder.iterdir(), key=_natural_key):
+    for file in sorted(folder.iterdir(), key=natural_key):
         if file.is_file() and not file.resolve().is_relative_to(folder.resolve()):
             report.damage(f"{file.name!r} is a link that leads out of the folder; it is not read", folder.name)
         elif is_storage(file):
@@ -77,7 +78,7 @@ def _find_storage(folder: Path, report: ReadReport, is_storage: Callable[[Path],
     return files
 
 
-def _natural_key(path: Path) -> list[tuple[bool, int, str]]:
+def natural_key(path: Path) -> list[tuple[bool, int, str]]:
     """Return the sort key that puts x_2 before x_10."""
     return [(part.isdigit(), int(part) if part.isdigit() else 0, part) for part in re.split(r"(\d+)", path.name)]
 

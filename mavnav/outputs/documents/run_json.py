@@ -79,6 +79,7 @@ class LogInput(Struct, frozen=True):
     truth: RecordedTruthSource = OPTIONAL
     imu: ImuSource = OPTIONAL
     attitude: AttitudeSource = OPTIONAL
+    parts: Annotated[list[str], text("further files of a log that was named in parts")] = OPTIONAL
 
 
 class Scans(Struct, frozen=True):

@@ -200,6 +200,7 @@ def _input(run: RunResult) -> model.LogInput:
         truth=ABSENT if log.truth is None else model.RecordedTruthSource(log.truth.topic, log.truth.body_frame),
         attitude=ABSENT if log.attitude is None else sections.attitude_source(log.attitude),
         imu=ABSENT if log.imu is None else model.ImuSource(log.imu.topic, len(log.imu.rotation.stamps_ns)),
+        parts=[*map(str, log.more)] if log.more else ABSENT,
     )
 
 

@@ -1,0 +1,305 @@
+"""Trials of what refusals of command lines advise: a part of the message, the line that causes it, those that it names.
+
+The lines are for the folder of `commands.test_advice_on_commands`: small logs, runs, and runs that lack something.
+"""
+
+from __future__ import annotations
+
+SHORT = "-q --end 0.6 --online"
+FAST = f"{SHORT} --outputs trajectory,metrics"
+
+TRIALS = [
+    (
+        "several scan topics (/rear, /scan); a replay needs --topic",
+        "info two.mcap",
+        f"replay two.mcap --topic /scan -o new {FAST}",
+    ),
+    (
+        "--attitude is that of one laser; several --topic",
+        "replay lasers.mcap --topic /scan,/rear --attitude /odom",
+        f"replay lasers.mcap --topic /scan --attitude /odom -o new {FAST}",
+    ),
+    (
+        "--extrinsic is the pose of one laser; several --topic",
+        "replay lasers.mcap --topic /scan,/rear --extrinsic 0,0,0",
+        f"replay lasers.mcap --topic /scan --extrinsic 0,0,0 -o new {FAST}",
+        f"replay lasers.mcap --topic /scan,/rear -o both {FAST}",
+    ),
+    (
+        "upside_down is of one laser; several --topic",
+        "replay lasers.mcap --topic /scan,/rear --set upside_down=true",
+        f"replay lasers.mcap --topic /scan,/rear -o new {FAST}",
+    ),
+    (
+        "record /tf_static, or choose one --topic",
+        "replay loose.mcap --topic /scan,/rear",
+        f"replay two.mcap --topic /scan -o new {FAST}",
+        f"replay lasers.mcap --topic /scan,/rear -o all {FAST}",
+    ),
+    (
+        "a map has no poses; --truth and --relations are not used for it",
+        "metrics run run/map.yaml --truth run/trajectory.tum",
+        "metrics run --truth run/trajectory.tum",
+    ),
+    ("examine the log with 'mavnav info'", "metrics nowhere", "info blind.mcap"),
+    (
+        "is a mission of mavnav simulate; record it with mavnav simulate --record, and replay the recording",
+        "replay next.mcap --continue mission",
+        "simulate short.yaml -o flown --record flown.mcap -q",
+        f"replay flown.mcap -o new {FAST}",
+    ),
+    (
+        "is of another command; write mavnav simulate --again mission",
+        "replay --again mission -o wrong",
+        "simulate --again mission -o new -q",
+    ),
+    (
+        "choose another name for the recording, or --force",
+        "simulate short.yaml -o wrong --record old.mcap",
+        "simulate short.yaml -o new --record old.mcap --force -q",
+    ),
+    (
+        "choose another name for the animation, or --force",
+        "simulate short.yaml -o wrong --animate old.gif",
+        "simulate short.yaml -o new --animate old.gif --force -q",
+    ),
+    (
+        "check that the map is of this place; give another --start-pose",
+        "replay blind.mcap --map run --start-pose 0,0,0 -q -o off",
+        f"replay log.mcap --map run --start-pose 0,0,0 -o new {FAST}",
+    ),
+    (
+        "exists; choose another directory with -o, or --force",
+        "replay log.mcap -o run",
+        f"replay log.mcap -o again {FAST}",
+        f"replay log.mcap -o again --force {FAST}",
+    ),
+    ("exists; choose another file, or --force", "diff run run -o old.png", "diff run run -o old.png --force"),
+    ("exists; choose another name, or --force", "convert log.mcap old.mcap", "convert log.mcap old.mcap --force"),
+    (
+        "name the map with --map",
+        "replay log.mcap --start-pose 0,0,0",
+        f"replay log.mcap --start-pose 0,0,0 --map run -o new {FAST}",
+    ),
+    ("no log; name one, or a run directory with --again", "replay", "replay --again run -o new -q"),
+    (
+        "--preview is drawn from map; add it to --outputs",
+        "replay log.mcap --preview --outputs trajectory",
+        f"replay log.mcap --preview -o new {FAST},map",
+    ),
+    (
+        "takes --end from the run; leave one of them out",
+        "replay --again run --end 1 -o wrong",
+        "replay --again run -o new -q",
+    ),
+    ("write mavnav replay LOG --again", "replay --again moved -o wrong", "replay log.mcap --again moved -o new -q"),
+    (
+        "name the right one, or leave out --again",
+        "replay two.mcap --again run -o wrong",
+        f"replay two.mcap --topic /scan -o new {FAST}",
+    ),
+    (
+        "repeat it by its configuration, with --config",
+        "replay --again early -o wrong",
+        f"replay log.mcap --config early.json -o new {FAST}",
+    ),
+    (
+        "run several logs with 'mavnav batch LOG ...', or name parts drive_0.mcap",
+        "info log.mcap two.mcap",
+        "info drive_0.mcap drive_1.mcap",
+        f"batch log.mcap bare.mcap {SHORT} -o new -j 1",
+    ),
+    (
+        "parts of a log are files; fetch what lies elsewhere, or run several logs",
+        "info drive_0.mcap -",
+        "info drive_0.mcap drive_1.mcap",
+    ),
+    ("use 'mavnav batch FOLDER'", "info logs", f"batch logs {SHORT} -o new -j 1"),
+    (
+        "is empty; --end must be later than --start",
+        "replay log.mcap --start 1 --end 0.5",
+        f"replay log.mcap --start 0.1 -o new {FAST}",
+    ),
+    (
+        "report is drawn from trajectory and map; add them",
+        "replay log.mcap --report --outputs metrics",
+        f"replay log.mcap --report -o new {FAST},map",
+    ),
+    ("--outputs: unknown", "replay log.mcap --outputs maps", f"replay log.mcap -o new {FAST},map"),
+    (
+        "write for example --gate 'wall_thickness.p95_mm<=150'",
+        "check run --gate thin",
+        "check run --gate wall_thickness.p95_mm<=150",
+    ),
+    (
+        "it needs --truth, --truth-map or --relations",
+        "check run --gate reference.ate.rmse_m<=1",
+        f"replay log.mcap --truth run/trajectory.tum --gate reference.ate.rmse_m<=1 -o new {FAST}",
+    ),
+    (
+        "makes a map of its own; use --method robust",
+        "replay log.mcap --method paper --map run",
+        f"replay log.mcap --method robust --map run -o new {FAST}",
+    ),
+    (
+        "leave out --start, or give the true walls",
+        "replay log.mcap --truth-map corner.yaml --start 0.2",
+        f"replay log.mcap --truth-map corner.yaml -o new {FAST}",
+    ),
+    (
+        "--continue and --map both give a map; leave one of them out",
+        "replay next.mcap --continue run --map run",
+        "replay next.mcap --continue run -o new -q",
+    ),
+    (
+        "cannot search whole maps; use the robust method",
+        "replay next.mcap --continue run --method paper",
+        "replay next.mcap --continue run --method robust -o new -q",
+    ),
+    (
+        "has the map of another run (--map); continue that run",
+        "replay next.mcap --continue located",
+        "replay next.mcap --continue run -o new -q",
+    ),
+    (
+        "cannot search whole maps; repeat it with --method robust",
+        "replay next.mcap --continue paper",
+        "replay log.mcap --method robust -o new -q",
+        "replay next.mcap --continue new -o next -q",
+    ),
+    (
+        "altered; make it again with mavnav replay",
+        "replay next.mcap --continue early",
+        "replay log.mcap -o early --force -q",
+        "replay next.mcap --continue early -o new -q",
+    ),
+    (
+        "make it again with mavnav replay --force",
+        "metrics broken",
+        "replay log.mcap -o broken --force -q",
+        "metrics broken",
+    ),
+    (
+        "make it again with mavnav replay --force",
+        "merge spoilt next.mcap",
+        "replay log.mcap -o spoilt --force -q",
+        "merge spoilt next.mcap -o new -q",
+    ),
+    (
+        "write mavnav replay two.mcap --topic NAME, and merge that run",
+        "merge two.mcap next.mcap",
+        "replay two.mcap --topic /scan -o front -q",
+        "merge front next.mcap -o new -q",
+    ),
+    (
+        "has several sessions; add others to it with mavnav replay --continue",
+        "merge merged last.mcap",
+        "replay last.mcap --continue merged -o new -q",
+    ),
+    (
+        "repeat its command with --force, without --outputs",
+        "metrics small",
+        "replay log.mcap -o small --force -q",
+        "metrics small",
+    ),
+    (
+        "--truth and --relations need a run directory",
+        "metrics run/map.yaml --truth run/trajectory.tum",
+        "metrics run --truth run/trajectory.tum",
+    ),
+    (
+        "is for replay and compare; name a TUM file",
+        "metrics run --truth auto",
+        "metrics run --truth run/trajectory.tum",
+    ),
+    ("--gate: diff has no number walls; it has", "diff run run --gate walls<=1", "diff run run --gate changed_m2<=1"),
+    ("name a run directory (mavnav replay makes one from a log)", "diff log.mcap run", "diff run run"),
+    (
+        "compare one log at a time with them",
+        "compare log.mcap two.mcap --truth run/trajectory.tum",
+        "compare log.mcap --truth run/trajectory.tum --online --end 0.6 --grid 5x5 -o new -q",
+    ),
+    (
+        "is not key=value; write for example --set robust.cell_mm=25",
+        "replay log.mcap --set robust.cell_mm",
+        f"replay log.mcap --set robust.cell_mm=25 -o new {FAST}",
+    ),
+    (
+        "sets more than one value; write for example --set robust.cell_mm=25",
+        "replay log.mcap --set 'robust={cell_mm: 25, far_mm: 9000}'",
+        f"replay log.mcap --set robust.cell_mm=25 -o new {FAST}",
+    ),
+    ("write for example --grid 10x10", "replay log.mcap --grid 1x1", f"replay log.mcap --grid 10x10 -o new {FAST}"),
+    (
+        "give it with --truth",
+        "replay log.mcap --relations run/trajectory.tum",
+        f"replay log.mcap --truth run/trajectory.tum -o new {FAST}",
+    ),
+    ("leave --set and --config", "calibrate long.mcap --set method=paper", "calibrate long.mcap -q"),
+    (
+        "leave --odom off away, or name a topic",
+        "calibrate long.mcap --set odom=off",
+        "calibrate long.mcap --odom /odom -q",
+    ),
+    ("name one --topic at a time", "calibrate two.mcap --topic /scan,/rear", "calibrate long.mcap --topic /scan -q"),
+    ("or one of 'mavnav simulate --list'", "simulate", "simulate --list"),
+    ("choose one with --topic NAME", "replay two.mcap", f"replay two.mcap --topic /rear -o new {FAST}"),
+    ("the log holds none, leave --odom out", "replay bare.mcap --odom /odom", f"replay bare.mcap -o new {FAST}"),
+    (
+        "name one of them, or write --attitude off",
+        "replay log.mcap --attitude /tilt",
+        f"replay log.mcap --attitude off -o new {FAST}",
+    ),
+    (
+        "give --truth topic:NAME, or a file",
+        "replay log.mcap --truth auto",
+        f"replay log.mcap --truth topic:/odom -o new {FAST}",
+    ),
+    (
+        "choose one with --truth topic:NAME",
+        "replay truths.mcap --truth auto",
+        f"replay truths.mcap --truth topic:/gt -o new {FAST}",
+    ),
+    ("see 'mavnav replay --help'", "replay log.mcap --resolution 0.05", "replay --help"),
+    (
+        "values of --azimuth for 1 grids",
+        "batch log.mcap --grid 5x5 --azimuth 6 --azimuth 8",
+        f"batch log.mcap --grid 5x5 --azimuth 6 {SHORT} -o new -j 1",
+    ),
+    ("write for example --part 1/4", "batch log.mcap --part 4", f"batch log.mcap --part 1/1 {SHORT} -o new -j 1"),
+    (
+        "write for example --tolerance timing.cpu_s=50%",
+        "batch log.mcap --baseline kept.json --tolerance cpu",
+        f"batch log.mcap --baseline kept.json --tolerance timing.cpu_s=5000% {SHORT} -o new -j 1",
+    ),
+    (
+        "write for example --tolerance wall_thickness.p95_mm=5%",
+        "batch log.mcap --baseline kept.json --tolerance wall_thickness.p95_mm=x",
+        f"batch log.mcap --baseline kept.json --tolerance wall_thickness.p95_mm=5% {SHORT} -o new -j 1",
+    ),
+    (
+        "name an earlier batch, or make one with --update-baseline",
+        "batch log.mcap --baseline gone.json",
+        f"batch log.mcap --baseline made.json --update-baseline {SHORT} -o new -j 1",
+    ),
+    (
+        "no baseline; name one with --baseline",
+        "batch log.mcap --update-baseline",
+        f"batch log.mcap --baseline made.json --update-baseline {SHORT} -o new -j 1",
+    ),
+    (
+        "name a file for --update-baseline to write",
+        "batch log.mcap --baseline run --update-baseline",
+        f"batch log.mcap --baseline made.json --update-baseline --force {SHORT} -o new -j 1",
+    ),
+    (
+        "would be lost; name another file for --update-baseline",
+        "batch log.mcap --baseline first/batch.json --update-baseline",
+        f"batch log.mcap --baseline made.json --update-baseline {SHORT} -o new -j 1",
+    ),
+    (
+        "give one of them",
+        "batch log.mcap --part 1/2 --baseline made.json --update-baseline",
+        f"batch log.mcap --part 1/1 {SHORT} -o new -j 1",
+    ),
+]
