@@ -1,4 +1,7 @@
-"""Some hundred mutated logs (`make fuzz` reads more): nothing but the refusals we mean, quickly, and no altered scan unmarked."""
+"""Some hundred mutated logs: nothing but the refusals we mean, quickly, and no altered scan unmarked.
+
+``make fuzz`` reads more of them for a minute or longer.
+"""
 
 from __future__ import annotations
 
