@@ -1,17 +1,37 @@
-"""Fixtures that every test may use: a finished comparison, and the real recordings."""
+"""Fixtures that every test may use: a finished comparison, and the real recordings; what processes of tests share."""
 
 from __future__ import annotations
 
 import gc
 import os
+import subprocess
+import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
 
 ROOT = Path(__file__).parent.parent
 
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # or each process that tests start compiles all modules again
+sys.dont_write_bytecode = False
+
 gc.disable()
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile all kernels before several processes would compile the same ones at the same time."""
+    if session.config.getoption("numprocesses", None):
+        subprocess.run([sys.executable, "-m", "mavnav", "warmup"], cwd=ROOT, stdout=subprocess.DEVNULL, check=False)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Keep the tests of a file in one process, which makes their fixtures once."""
+    from xdist.scheduler import LoadFileScheduling
+
+    return LoadFileScheduling(config, log)
 
 
 def pytest_collection_finish() -> None:

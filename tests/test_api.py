@@ -195,7 +195,7 @@ def test_a_run_is_given_where_a_path_can_be(log: Path, run: mavnav.Run, tmp_path
 
 
 def test_one_grid_need_not_be_a_list(tmp_path: Path) -> None:
-    log = written(cut(tour("hall"), 3)[0], tmp_path / "drive.mcap")
+    log = written(cut(tour("hall"), 6)[0], tmp_path / "drive.mcap")
     single, listed = (
         mavnav.compare(log, grids=grids, methods=methods, workers=1)
         for grids, methods in (("5x5", "robust"), (["5x5"], ["robust"]))

@@ -53,8 +53,7 @@ def braille(text: str) -> int:
 
 @pytest.mark.parametrize("columns", [80, 120])
 def test_the_screen_on_a_terminal_has_the_map_and_fits(tmp_path: Path, columns: int) -> None:
-    common = ("replay", LOG, "--end", 3, "-q", "-o", tmp_path / "r")
-    code, shown = on_terminal(*common, columns=columns)
+    code, shown = on_terminal("replay", LOG, "--end", 3, "-q", "-o", tmp_path / "r", columns=columns)
     lines = plain(shown).rstrip().splitlines()
     assert code == 0
     assert lines[0].startswith("✓ good")
@@ -62,7 +61,11 @@ def test_the_screen_on_a_terminal_has_the_map_and_fits(tmp_path: Path, columns: 
     assert sum(1 + (len(line) - 1) // columns for line in lines) <= 40
     assert max(len(line) for line in lines if not line.startswith("mavnav: ")) <= columns
     assert 5 <= braille(shown) <= 15
-    code, shown = on_terminal(*common, "--force", "--no-preview", columns=columns)
+
+
+def test_a_terminal_need_not_have_the_map(tmp_path: Path) -> None:
+    words = ("replay", LOG, "--end", 0.5, "-q", "-o", tmp_path / "r", "--outputs", "trajectory", "--no-preview")
+    code, shown = on_terminal(*words)
     assert (code, braille(shown)) == (0, 0)
 
 

@@ -203,9 +203,9 @@ def test_thousands_of_topics_share_their_warnings(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a.mcap", scans, chunk_size=1 << 20)
     began_s = time.process_time()
     found = survey(path)
-    logs = [choose(found, topic=topic) for topic in found.scans]
+    logs = [choose(found, topic=topic) for topic in list(found.scans)[::10]]
     assert sum(len(log.warnings) for log in logs) <= (MAX_WARNINGS + 3) * len(logs)
-    assert time.process_time() - began_s < 10.0
+    assert time.process_time() - began_s < 2.5
 
 
 @pytest.mark.parametrize("kind", ["reset", "one wrong pose"])

@@ -40,9 +40,9 @@ def errors(found: np.ndarray, robot: Robot) -> np.ndarray:
 
 
 def test_what_was_planted_lies_inside_the_intervals() -> None:
-    """Of 35 intervals of 95 %, 8 or more are missed once in 2000 times."""
+    """Of 21 intervals of 95 %, 6 or more are missed once in 2000 times."""
     missed = 0
-    for seed in range(5):
+    for seed in range(3):
         rng = np.random.default_rng([seed, 9])
         mounting = Pose(rng.uniform(-0.2, 0.3), rng.uniform(-0.15, 0.15), rng.uniform(-3, 3))
         wheels = (rng.uniform(0.9, 1.1), rng.uniform(0.93, 1.07), rng.uniform(-2, 2) * DEG)
@@ -52,7 +52,7 @@ def test_what_was_planted_lies_inside_the_intervals() -> None:
         assert found.fit
         missed += int((np.abs(errors(found.fit.values, robot)) > found.fit.ci95).sum())
         assert (found.fit.ci95 < (0.02, 0.02, 1.5 * DEG, 0.03, 0.02, 0.05, 2 * DEG)).all()
-    assert missed < 8
+    assert missed < 6
 
 
 def test_good_odometry_gives_the_truth() -> None:
@@ -64,7 +64,7 @@ def test_good_odometry_gives_the_truth() -> None:
 def test_noise_of_the_odometry_does_not_pull_the_laser_to_the_axle() -> None:
     """Turns with errors of 4 deg pulled x by 14 mm and y by 4 mm, and made the distances 0.6 % too large."""
     far = Robot(Pose(0.3, -0.1, 0.5), turn_scale=0.95, yaw_noise=4 * DEG, speed_m_s=0.6)
-    fits = [calibrated(far, seed).fit for seed in range(8)]
+    fits = [calibrated(far, seed).fit for seed in range(4)]
     mean = np.mean([errors(fit.values, far) for fit in fits if fit], axis=0)
     assert (np.abs(mean[[0, 1, 4]]) < (3e-3, 3e-3, 4e-3)).all()
 

@@ -34,6 +34,11 @@ def tour() -> Recording:
     return record(furnished_rooms(), along(TOUR), noise=0.01)
 
 
+def every_other(recording: Recording) -> Recording:
+    path = recording.world_T_laser
+    return Recording(recording.scans[::2], Trajectory(path.stamps_ns[::2], path.xyyaw[::2]))
+
+
 def replay(scans: list[Scan], odom: Trajectory | None = None, **config: object) -> SlamResult:
     return run_slam(lambda: scans, load_config(overrides=config), PERIOD_S, odom)
 
@@ -49,7 +54,8 @@ def errors_m(outcome: SlamResult, recording: Recording) -> np.ndarray:
 
 @pytest.mark.parametrize("grid", ["10x10", "5x7"])
 def test_robust_follows_the_tour(tour: Recording, grid: str) -> None:
-    outcome = replay(tour.scans, grid=grid)
+    tour = every_other(tour)
+    outcome = run_slam(lambda: tour.scans, load_config(overrides={"grid": grid}), 2 * PERIOD_S)
     assert len(outcome.trajectory) == len(tour.scans)
     assert not outcome.lost
     assert np.sqrt((errors_m(outcome, tour) ** 2).mean()) < 0.04

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from msgspec import Struct
-from scipy.linalg import cholesky_banded, solve_banded
+from scipy.linalg.lapack import dgbsv, dpbtrf  # scipy's own functions check for longer than LAPACK solves
 from scipy.optimize import minimize
 
 if TYPE_CHECKING:
@@ -52,13 +52,12 @@ class Noise(Struct, frozen=True):
 
     def whiten(self, errors: Array) -> Array:
         """Return errors (n,) or (n, k) as multiples of independent standard deviations."""
-        whitened: Array = solve_banded((1, 0), _factor(self.diagonal, self.between), errors)
-        return whitened
+        return _forward(_factor(self.diagonal, self.between), errors)
 
     def unlikeliness(self, errors: Array) -> float:
         """Return twice the negative log-likelihood of errors (n,), up to a constant."""
         factor = _factor(self.diagonal, self.between)
-        return float(2.0 * np.log(factor[0]).sum() + np.square(solve_banded((1, 0), factor, errors)).sum())
+        return float(2.0 * np.log(factor[0]).sum() + np.square(_forward(factor, errors)).sum())
 
     def alone(self) -> Array:
         """Return the variance of each error if all others are known, (n,)."""
@@ -70,7 +69,7 @@ class Noise(Struct, frozen=True):
         """Return how far each error (n,) is from what the others make expect."""
         factor = _factor(self.diagonal, self.between)
         upper = np.vstack((np.append(0.0, factor[1, :-1]), factor[0]))
-        weighted: Array = solve_banded((0, 1), upper, solve_banded((1, 0), factor, errors))
+        weighted: Array = dgbsv(0, 1, upper, _forward(factor, errors))[2]
         return weighted * self.alone()
 
     def of_odometry(self, errors: Array) -> Array:
@@ -92,8 +91,16 @@ class Noise(Struct, frozen=True):
 
 def _factor(diagonal: Array, between: Array) -> Array:
     """Return the Cholesky factor of a covariance, (2, n): its diagonal, and what is below."""
-    factor: Array = cholesky_banded(np.vstack((diagonal, np.append(between, 0.0))), lower=True)
-    return factor
+    factor, wrong = dpbtrf(np.vstack((diagonal, np.append(between, 0.0))), lower=1)
+    if wrong:
+        raise np.linalg.LinAlgError("not the covariance of steps")
+    return factor  # type: ignore[no-any-return]
+
+
+def _forward(factor: Array, errors: Array) -> Array:
+    """Solve for the errors (n,) or (n, k) that a factor (2, n) gives."""
+    solved: Array = dgbsv(1, 0, np.vstack((np.zeros(factor.shape[1]), factor)), errors)[2]
+    return solved
 
 
 class NoiseModel(Struct, frozen=True):
