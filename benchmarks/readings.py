@@ -96,11 +96,16 @@ class Reading(NamedTuple):
 
 
 class Flown(NamedTuple):
-    """Result of a mission: accepted share, ATE in mm, wall distance error in percent, thickness in cells and mm."""
+    """Result of a mission: accepted share, errors in mm, wall distance error in percent, thickness in cells.
+
+    ``ate_mm`` is aligned; ``unaligned_mm`` and ``final_mm``, of the last pose, are from the given start pose on.
+    """
 
     goal: bool
     accepted: float
     ate_mm: float
+    unaligned_mm: float
+    final_mm: float
     wall_percent: float
     evaluations: float
     cells: tuple[float, ...]
@@ -123,12 +128,17 @@ def mission(reading: Reading, scenario: str, seed: int, *, thickness: bool = Fal
     return Flown(
         flight.mission.end is End.GOAL,
         steps.share("tracked"),
-        1e3 * truth.get("ate_rmse_m", np.nan),
-        100.0 * truth.get("wall_distance_error_share", np.nan),
+        *(1e3 * known(value) for value in (truth.ate_rmse_m, truth.unaligned_rmse_m, truth.final_error_m)),
+        100.0 * known(truth.wall_distance_error_share),
         float(steps.column("evaluations").mean()),
         cells,
         flight.slam.lost_for_good,
     )
+
+
+def known(value: object) -> float:
+    """Return a number of run.json; NaN where it has none."""
+    return float(value) if isinstance(value, float) else np.nan
 
 
 def walls(outcome: SlamResult) -> tuple[float, ...]:
@@ -340,7 +350,7 @@ def _drawn(task: tuple[Reading, str, int]) -> dict[str, float]:
     return {
         "goal": flight.mission.end is End.GOAL,
         "accepted": steps.share("tracked"),
-        "ate_mm": 1e3 * truth_errors(flight).get("ate_rmse_m", np.nan),
+        "ate_mm": 1e3 * known(truth_errors(flight).ate_rmse_m),
         "ghosts_m": measure_map(flight.slam.grid).quality.ghost_walls.length_m,
         "evaluations": float(steps.column("evaluations").mean()),
         "ms": 1e3 * spent_s.get("search", 0.0) / len(steps),

@@ -6,7 +6,7 @@ units follow from the fields (`mavnav.outputs.documents.schema`). A field of `ab
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, Literal
 
 from msgspec import Struct
 
@@ -81,6 +81,19 @@ class LogInput(Struct, frozen=True):
     attitude: AttitudeSource = OPTIONAL
 
 
+class Refusals(Struct, frozen=True):
+    """The scans that one rule of the paper's method refused, and by how much; trajectory.csv has each of them.
+
+    ``median`` and ``worst`` are, of ``cost``, the cost as a multiple of its threshold; of ``share``, the share of the
+    valid beams that agree with the map; of ``beams``, the number of valid beams.
+    """
+
+    rule: Annotated[Literal["cost", "share", "beams"], text("cost too high; too few beams agree; too few beams")]
+    scans: Annotated[int, number("scans that the rule refused")]
+    median: Annotated[Measured, number("median of the refused values", unit="1")]
+    worst: Annotated[Measured, number("refused value farthest from the bound", unit="1")]
+
+
 class Scans(Struct, frozen=True):
     """What became of the scans."""
 
@@ -92,6 +105,7 @@ class Scans(Struct, frozen=True):
     rejected: Annotated[int, number("processed scans without a pose")]
     skipped: Annotated[dict[str, int], number("scans that cannot be used, by reason")]
     suspect: Annotated[int, number("usable scans from where a checksum does not match, or could not be checked")]
+    refused: Annotated[list[Refusals], text("why the paper's method refused scans")] = OPTIONAL
 
 
 class ClosedLoop(Struct, frozen=True):
