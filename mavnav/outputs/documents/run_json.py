@@ -6,7 +6,7 @@ units follow from the fields (`mavnav.outputs.documents.schema`). A field of `ab
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, TypeAlias
 
 from msgspec import Struct
 
@@ -81,6 +81,9 @@ class LogInput(Struct, frozen=True):
     attitude: AttitudeSource = OPTIONAL
 
 
+Rule: TypeAlias = Literal["cost", "share", "beams"]
+
+
 class Refusals(Struct, frozen=True):
     """The scans that one rule of the paper's method refused, and by how much; trajectory.csv has each of them.
 
@@ -88,7 +91,7 @@ class Refusals(Struct, frozen=True):
     valid beams that agree with the map; of ``beams``, the number of valid beams.
     """
 
-    rule: Annotated[Literal["cost", "share", "beams"], text("cost too high; too few beams agree; too few beams")]
+    rule: Annotated[Rule, text("cost too high; too few beams agree; too few beams")]
     scans: Annotated[int, number("scans that the rule refused")]
     median: Annotated[Measured, number("median of the refused values", unit="1")]
     worst: Annotated[Measured, number("refused value farthest from the bound", unit="1")]

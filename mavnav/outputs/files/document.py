@@ -222,11 +222,15 @@ def _scans(slam: SlamResult, log: Log, config: Config) -> model.Scans:
 def _refusals(steps: Steps) -> list[model.Refusals]:
     """Sum up which rules of the paper's method refused scans."""
     rules, cost = refused_by(steps), steps.column("cost_m2") / steps.column("threshold_m2")
-    values = {"cost": -cost, "share": steps.column("inliers"), "beams": steps.column("beams_used")}
-    of_rule = {rule: value[rules == rule] for rule, value in values.items()}
+    values: dict[model.Rule, NDArray[Any]] = {
+        "cost": -cost,
+        "share": steps.column("inliers"),
+        "beams": steps.column("beams_used"),
+    }
+    of_rule = ((rule, value[rules == rule]) for rule, value in values.items())
     return [
         model.Refusals(rule, len(value), abs(float(np.median(value))), abs(float(value.min())))
-        for rule, value in of_rule.items()
+        for rule, value in of_rule
         if len(value)
     ]
 
