@@ -40,7 +40,7 @@ def test_the_table_of_missions_is_made(benchmark_module, monkeypatch: pytest.Mon
 
 def test_the_table_of_wrong_matches_is_made(benchmark_module, monkeypatch: pytest.MonkeyPatch) -> None:
     readings: ModuleType = benchmark_module("readings")
-    monkeypatch.setattr(readings, "CURVE", readings.CURVE[::8])
+    monkeypatch.setattr(readings, "CURVE", readings.CURVE[::7])
     with ThreadPoolExecutor(1) as ex:
         lines = readings.gate(ex, ("corner-paper",), range(1), pairs=2)
     rows = [[cell.strip() for cell in line.split("|")] for line in lines[2:]]

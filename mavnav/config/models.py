@@ -107,9 +107,6 @@ class PaperExpert(Strict, frozen=True):
     """Readings of the paper's text, one by one; docs/paper.md has the sentences."""
 
     mixed_pixel_mm: Annotated[float, setting("cost step vii: least jump to both neighbors", gt=0, le=100_000)] = 100.0
-    mixed_pixels: Annotated[Literal["inserted", "left_out"], setting("of the map; of the cost always left out")] = (
-        "inserted"
-    )
     occlusion_mm: Annotated[float, setting("cost step viii: larger jumps are occlusions", gt=0, le=100_000)] = 300.0
     occlusion_shrink: Annotated[float, setting("factor on occlusion_mm by iteration; 1: fixed", gt=0, le=1)] = 1.0
     occlusion_least_mm: Annotated[float, setting("occlusion_mm shrinks no further", gt=0, le=100_000)] = 100.0

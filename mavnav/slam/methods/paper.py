@@ -81,11 +81,9 @@ class Paper:
         return acceptance_scale(scan.ranges_m, self.config) * self.config.paper.gate_m2
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
-        """Count the hits of every valid beam, or of those that are no mixed pixels."""
-        self._seen, expert = None, self.config.paper.expert
-        whole = expert.mixed_pixels == "inserted"
-        xy_m = scan.points() if whole else polar_points(scan.ranges_m, scan.spec, expert.mixed_pixel_m)[:, :2]
-        self.grid.insert(map_T_laser, transform_points(map_T_laser, xy_m))
+        """Count the hits of every valid beam."""
+        self._seen = None
+        self.grid.insert(map_T_laser, transform_points(map_T_laser, scan.points()))
 
     def release_map(self) -> Grid:
         """Return the map."""

@@ -130,18 +130,6 @@ def test_each_refused_scan_names_its_rule() -> None:
     assert refused_by(steps).tolist() == ["", "cost", "share", "beams"]
 
 
-def test_mixed_pixels_may_be_left_out_of_the_map() -> None:
-    scan = scan_at(room(), Pose(2.2, 1.7, 0.4))
-    ranges = scan.ranges_m.copy()
-    ranges[[100, 300, 500]] -= 0.5
-    hits = {}
-    for mixed in ("inserted", "left_out"):
-        paper = Paper(reading(mixed_pixels=mixed))
-        paper.insert(Scan(0, ranges, scan.spec), Pose(), Motion(0.1))
-        hits[mixed] = int(paper.grid.hits.sum())
-    assert hits["inserted"] - hits["left_out"] == 3
-
-
 @pytest.mark.parametrize("pivot", ["laser", "centroid"])
 @pytest.mark.parametrize("converged", ["both", "either"])
 def test_the_search_ends_at_the_motion(pivot: str, converged: str) -> None:
