@@ -28,6 +28,7 @@ from mavnav.logs import open_log
 from mavnav.mapping.occupancy_grid import Grid, occupied_xy_m
 from mavnav.metrics.ghost_walls import GhostWall
 from mavnav.metrics.map_quality import measure_map
+from mavnav.metrics.reference import AlignedError, MapDistance, Reference
 from mavnav.metrics.wall_thickness import summary, wall_sections
 from mavnav.outputs.pictures.viewport import (
     DPI,
@@ -110,13 +111,13 @@ def finish(fig: Figure, name: str, window: Viewport) -> None:
 def report(name: str, outcome: SlamResult, truth: Trajectory | None = None, scenario: Scenario | None = None) -> None:
     """Print the metrics of a map; ``truth`` are the true poses in the map frame, ``scenario`` has the true walls."""
     true_map = of_scenario(scenario, scenario.world_T_base @ scenario.base_T_laser) if scenario else None
-    errors = compare_to(References(truth, true_map), outcome.trajectory, occupied_xy_m(outcome.grid)) or {}
+    errors = compare_to(References(truth, true_map), outcome.trajectory, occupied_xy_m(outcome.grid)) or Reference()
     walls = summary(wall_sections(outcome.grid.hits, outcome.grid.cell_m, 2), outcome.grid.cell_m)
     parts = [f"{name}: {outcome.tracked_share:.0%} of {len(outcome.steps)} scans accepted"]
-    if ate := errors.get("ate"):
-        parts.append(f"ATE {ate['rmse_m'] / MM:.1f} mm ({ate['unaligned_rmse_m'] / MM:.1f} mm unaligned)")
-    if distance := errors.get("map_distance"):
-        parts.append(f"map to true walls p95 {distance['p95_mm']:.0f} mm")
+    if isinstance(ate := errors.ate, AlignedError):
+        parts.append(f"ATE {ate.rmse_m / MM:.1f} mm ({ate.unaligned_rmse_m / MM:.1f} mm unaligned)")
+    if isinstance(distance := errors.map_distance, MapDistance):
+        parts.append(f"map to true walls p95 {distance.p95_mm:.0f} mm")
     parts.append(f"ghost walls {measure_map(outcome.grid).quality.ghost_walls.length_m:.1f} m")
     parts.append(f"walls at >= 2 hits max {walls.max_cells:.1f}, p95 {walls.p95_cells:.1f} cells")
     print(", ".join(parts), flush=True)

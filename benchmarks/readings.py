@@ -1,10 +1,11 @@
 """Evaluate readings (interpretations of the paper's text as parameter values) of the paper's method.
 
-    python benchmarks/readings.py [missions] [grids] [ablation] [search] [--logs FOLDER] [--designs N] [--jobs N]
+    python benchmarks/readings.py [missions] [gate] [grids] [ablation] [search] [--logs FOLDER] [--designs N] [--jobs N]
 
 ``search``: a random design over the parameters of ``PaperConfig`` and of the recovery, flown at the paper's full noise
 in three rounds: all readings on few training seeds, the better ones on more, and the best and the named ones on the
 test seeds, which decide. Readings are ranked by goals reached, then by accepted scans, then by trajectory error.
+``gate``: wrong matches that are accepted, of 240 scans taken at least 1 m from where a map was made, against the goals.
 ``ablation``: each value of `paper` is reset once. ``missions``: both methods, both noises, faster lasers. ``grids``:
 the search grids of the paper's figures 7 and 8. With ``--logs``, recordings are replayed too (FOLDER/NAME/NAME.mcap).
 The tables are written to docs/paper/, and docs/paper.md refers to them.
@@ -13,6 +14,8 @@ The tables are written to docs/paper/, and docs/paper.md refers to them.
 from __future__ import annotations
 
 import argparse
+import subprocess
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from functools import partial
@@ -25,21 +28,30 @@ from msgspec import Struct
 
 from mavnav.config.layers import by_dotted_key
 from mavnav.config.loading import load_config
+from mavnav.config.models import Config
 from mavnav.logs import open_log
 from mavnav.metrics.map_quality import measure_map
 from mavnav.metrics.wall_thickness import summary, wall_sections
 from mavnav.pipelines.maps import measured_map
 from mavnav.pipelines.simulate import truth_errors
+from mavnav.pose import Pose
 from mavnav.profiling import new_profile
+from mavnav.scan import Scan
 from mavnav.simulation.mission import End, fly
-from mavnav.simulation.world.scenario_file import load_scenario
+from mavnav.simulation.world import World, laser_model, load_scenario, take_scan
+from mavnav.slam.matching.motion_model import Motion
+from mavnav.slam.matching.scan_matching import MatchVerdict
+from mavnav.slam.matching.steps import Step, Steps, refused_by
+from mavnav.slam.methods.paper import Paper
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.result import SlamResult
 
 DOCS = Path(__file__).parent.parent / "docs" / "paper"
 TRAINING_SEEDS, TEST_SEEDS = range(1000, 1008), range(20)
 TRAINING = ("corner", "complex", "corridor")
-SCENARIOS = ("corner-paper", "corner", "complex-paper", "complex", "corridor", "curved", "u_trap")
+SCENARIOS = ("corner-paper", "corner", "complex-paper", "complex", "corridor", "curved", "u_trap", "loop", "hover")
+PLACES = SCENARIOS[:6]
+"""The worlds of the wrong pairs."""
 ABLATED = ("corner-paper", "complex", "corridor", "u_trap")
 LOGS = ("ccny_demo", "lego_robot4", "urg_exp1")
 KEPT = (20, 5)
@@ -96,11 +108,16 @@ class Reading(NamedTuple):
 
 
 class Flown(NamedTuple):
-    """Result of a mission: accepted share, ATE in mm, wall distance error in percent, thickness in cells and mm."""
+    """Result of a mission: accepted share, errors in mm, wall distance error in percent, thickness in cells.
+
+    ``ate_mm`` is aligned; ``unaligned_mm`` and ``final_mm``, of the last pose, are from the given start pose on.
+    """
 
     goal: bool
     accepted: float
     ate_mm: float
+    unaligned_mm: float
+    final_mm: float
     wall_percent: float
     evaluations: float
     cells: tuple[float, ...]
@@ -123,12 +140,17 @@ def mission(reading: Reading, scenario: str, seed: int, *, thickness: bool = Fal
     return Flown(
         flight.mission.end is End.GOAL,
         steps.share("tracked"),
-        1e3 * truth.get("ate_rmse_m", np.nan),
-        100.0 * truth.get("wall_distance_error_share", np.nan),
+        *(1e3 * known(value) for value in (truth.ate_rmse_m, truth.unaligned_rmse_m, truth.final_error_m)),
+        100.0 * known(truth.wall_distance_error_share),
         float(steps.column("evaluations").mean()),
         cells,
         flight.slam.lost_for_good,
     )
+
+
+def known(value: object) -> float:
+    """Return a number of run.json; NaN where it has none."""
+    return float(value) if isinstance(value, float) else np.nan
 
 
 def walls(outcome: SlamResult) -> tuple[float, ...]:
@@ -297,13 +319,100 @@ CASES = (
 
 def missions(ex: Executor) -> list[str]:
     """Fly both methods in all cases; return the lines of the page."""
-    head = ["case", "method", "scenario", "goals", "accepted %", "ATE mm (worst)", "wall distance %",
-            "max, p95 cells (>= 2 hits)", "max, p95 cells (>= 5)", "evaluations a match", "lost"]  # fmt: skip
+    head = ["case", "method", "scenario", "goals", "accepted %", "ATE mm (worst)", "unaligned mm", "final mm (worst)",
+            "wall distance %", "max, p95 cells (>= 2 hits)", "max, p95 cells (>= 5)", "evaluations a match",
+            "lost"]  # fmt: skip
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for case, method in product(CASES, ("paper", "robust")):
         reading = Reading(method, method, case.sets)
         found = fly_all(ex, [reading], case.scenarios, case.seeds, thickness=True)
         lines += [_row(case.name, method, s, found[method, s]) for s in case.scenarios]
+    return lines
+
+
+FAR_M, CLEAR_M, ALIKE, ALIKE_M = 1.0, 0.35, 0.85, 0.06
+"""Least distance of a wrong pair; least distance of a place from the walls; share of the beams, and distance, from
+which on two places look alike."""
+
+
+class Pair(NamedTuple):
+    """Scans of one place, of which a map is made, and a scan of another place in the same world."""
+
+    world: World
+    world_T_map: Pose
+    world_T_laser: Pose
+    mapped: list[Scan]
+    scan: Scan
+
+
+def wrong_pairs(scenario: str, seed: int, count: int) -> list[Pair]:
+    """Return pairs of places at least ``FAR_M`` apart, each at any heading, drawn from the free space of a scenario."""
+    given, rng = load_scenario(scenario, (), {"seed": seed}), np.random.default_rng([seed, PLACES.index(scenario)])
+    laser, pairs = laser_model(given), []
+    while len(pairs) < count:
+        here, there = _place(given.world, rng), _place(given.world, rng)
+        if here.between(there).distance_m >= FAR_M:
+            mapped = [take_scan(given.world, here, laser, rng, k * 10**8) for k in range(3)]
+            scan = take_scan(given.world, there, laser, rng, 3 * 10**8)
+            pairs.append(Pair(given.world, here, there, mapped, scan))
+    return pairs
+
+
+def _place(world: World, rng: np.random.Generator) -> Pose:
+    """Draw a pose from which walls are seen all round, and none is near."""
+    x0, y0, x1, y1 = world.bounds_m
+    around = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
+    while True:
+        x, y, yaw = float(rng.uniform(x0, x1)), float(rng.uniform(y0, y1)), float(rng.uniform(-np.pi, np.pi))
+        inside = np.isfinite(world.cast((x, y), around)[0]).all()
+        if inside and world.clearance_m(np.array([[x, y]]))[0] >= CLEAR_M:
+            return Pose(x, y, yaw)
+
+
+def judged(pair: Pair, config: Config) -> str:
+    """Return what becomes of the scan in the map of another place: alike, accepted, or the rule that refuses it."""
+    method, motion = Paper(config), Motion(pair.scan.spec.scan_time_s)
+    for scan in pair.mapped:
+        method.insert(scan, Pose(), motion)
+    match = method.match(pair.scan, Pose(), motion)
+    if method.gate(match, pair.scan, motion) is not MatchVerdict.SURE:
+        return str(refused_by(Steps([Step(0, 0, match, tracked=False)]))[0])
+    true_m, taken_m = (
+        pair.world.cast((at.x_m, at.y_m), pair.scan.spec.angles_rad + at.yaw_rad)[0]
+        for at in (pair.world_T_laser, pair.world_T_map @ match.map_T_laser)
+    )
+    seen = true_m < config.paper.far_m
+    return "alike" if np.mean(np.abs(taken_m - true_m)[seen] < ALIKE_M) >= ALIKE else "accepted"
+
+
+BEFORE = {"slam.paper.expert.gate_share": 0, "slam.paper.expert.gate_occlusion_mm": 60}
+CURVE = (
+    NAMED[0],
+    Reading.of("gate_share 0.5", "paper", {"slam.paper.expert.gate_share": 0.5}),
+    Reading.of("gate_share 0.6", "paper", {"slam.paper.expert.gate_share": 0.6}),
+    Reading.of("gate_share 0.65", "paper", {"slam.paper.expert.gate_share": 0.65}),
+    Reading.of("gate_share 0 (the cost alone)", "paper", {"slam.paper.expert.gate_share": 0}),
+    Reading.of("gate_mm2 1e9 (the share alone)", "paper", {"slam.paper.gate_mm2": 1e9}),
+    Reading.of("gate_occlusion_mm 100", "paper", {"slam.paper.expert.gate_occlusion_mm": 100}),
+    Reading.of("as the search ends (60 mm, any share)", "paper", BEFORE),
+)
+"""Readings from lenient to strict acceptance."""
+
+
+def gate(
+    ex: Executor, scenarios: Sequence[str] = PLACES[:5], seeds: Iterable[int] = TEST_SEEDS, pairs: int = 40
+) -> list[str]:
+    """Judge the wrong pairs by each reading of `CURVE` and fly it; return the lines of the page."""
+    head = ["reading", "wrong accepted", "look-alikes", "refused by share", "by cost", *scenarios]
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    apart = [pair for scenario in PLACES for pair in wrong_pairs(scenario, 2000, pairs)]
+    flown = fly_all(ex, CURVE, scenarios, seeds)
+    for reading in CURVE:
+        config = load_config(reading.preset, [text.removeprefix("slam.") for text in reading.sets])
+        became = Counter(judged(pair, config) for pair in apart)
+        counts = [became[name] for name in ("accepted", "alike", "share", "cost")]
+        goals = [cell(flown[reading.name, scenario]) for scenario in scenarios]
+        lines.append("| " + " | ".join([reading.name, *map(str, counts), *goals]) + " |")
     return lines
 
 
@@ -340,7 +449,7 @@ def _drawn(task: tuple[Reading, str, int]) -> dict[str, float]:
     return {
         "goal": flight.mission.end is End.GOAL,
         "accepted": steps.share("tracked"),
-        "ate_mm": 1e3 * truth_errors(flight).get("ate_rmse_m", np.nan),
+        "ate_mm": 1e3 * known(truth_errors(flight).ate_rmse_m),
         "ghosts_m": measure_map(flight.slam.grid).quality.ghost_walls.length_m,
         "evaluations": float(steps.column("evaluations").mean()),
         "ms": 1e3 * spent_s.get("search", 0.0) / len(steps),
@@ -355,6 +464,8 @@ def _row(case: str, method: str, scenario: str, flown: Sequence[Flown]) -> str:
         f"{sum(f.goal for f in flown)} of {len(flown)}",
         f"{100 * np.mean([f.accepted for f in flown]):.1f}",
         f"{ate_mm(flown):.1f} ({np.nanmax([f.ate_mm for f in flown]):.1f})",
+        f"{np.median([f.unaligned_mm for f in flown if f.goal]):.0f}",
+        f"{np.median([f.final_mm for f in flown if f.goal]):.0f} ({max(f.final_mm for f in flown if f.goal):.0f})",
         f"{wall:.2f}",
         f"{max2:.1f}, {p2:.1f}",
         f"{max5:.1f}, {p5:.1f}",
@@ -362,6 +473,13 @@ def _row(case: str, method: str, scenario: str, flown: Sequence[Flown]) -> str:
         f"{sum(f.tracked_away for f in flown)}",
     ]
     return "| " + " | ".join([case, method, scenario, *numbers]) + " |"
+
+
+def commit() -> str:
+    """Return the commit that is checked out."""
+    return subprocess.run(
+        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=True
+    ).stdout[:-1]
 
 
 def main() -> None:
@@ -375,6 +493,7 @@ def main() -> None:
     with ProcessPoolExecutor(args.jobs) as ex:
         pages = {
             "missions": partial(missions, ex),
+            "gate": partial(gate, ex),
             "grids": partial(grids, ex),
             "ablation": partial(ablation, ex, args.logs),
             "search": partial(search, ex, args.logs, args.designs),
@@ -383,10 +502,12 @@ def main() -> None:
         for name in args.pages or pages:
             lines = pages[name]()
             print("\n".join([f"## {name}", *lines]), flush=True)
-            (DOCS / f"{name}.md").write_text("\n".join([f"# {HEADS[name]}", "", *lines, ""]))
+            made = f"`python benchmarks/readings.py {name}`, commit {commit()}."
+            (DOCS / f"{name}.md").write_text("\n".join([f"# {HEADS[name]}", "", made, "", *lines, ""]))
 
 
 HEADS = {
+    "gate": "Wrong matches against goals, pairs of seed 2000, missions of seeds 0 to 19",
     "missions": "Missions, seeds 0 to 19",
     "grids": "Search grids in the corridor, seeds 0 to 9",
     "ablation": "Each value of the reading `paper` undone",

@@ -77,6 +77,24 @@ def log_rows(document: dict[str, Any]) -> Rows:
     share = f"{100 * scans['accepted'] / max(scans['processed'], 1):.1f} % of the scans have a pose"
     closed = f"{pluralize(loops, 'loop')} closed" if loops else "no loop closed"
     yield "used", "; ".join((share + _without_pose(tracking["intervals"]), _odometry_text(document), closed))
+    yield from refusal_rows(document)
+
+
+def refusal_rows(document: dict[str, Any]) -> Rows:
+    """Yield the row on the scans that the paper's method refused, by rule."""
+    if refused := document["scans"].get("refused"):
+        yield "refused", "; ".join(_refusal_text(each) for each in refused)
+
+
+def _refusal_text(refused: dict[str, Any]) -> str:
+    """Describe the scans that one rule refused: how many, and the median and the worst of what was refused."""
+    median, worst = refused["median"], refused["worst"]
+    why = {
+        "cost": f"{median:.1f} times the threshold, {worst:.1f}",
+        "share": f"{100 * median:.0f} % of the beams agree, {100 * worst:.0f} %",
+        "beams": f"{median:.0f} valid, {worst:.0f}",
+    }
+    return f"{pluralize(refused['scans'], 'scan')} by {refused['rule']} ({why[refused['rule']]} at worst)"
 
 
 def _without_pose(intervals: list[dict[str, Any]]) -> str:

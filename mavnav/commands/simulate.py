@@ -10,7 +10,7 @@ import typer
 
 from mavnav.commands import completion, shared
 from mavnav.commands.progress import MISSION, loading_modules, reporting
-from mavnav.commands.run_screen import map_rows, print_run
+from mavnav.commands.run_screen import map_rows, print_run, refusal_rows
 from mavnav.commands.terminal import Rows, emit_json, note, print_table
 from mavnav.config.options import SEARCHING, read_options, settings_of
 from mavnav.errors import ExitCode, UsageError
@@ -170,6 +170,7 @@ def _flight_rows(document: dict[str, Any]) -> Rows:
     clearance = "no wall at flight height" if least_m is None else f"clearance {least_m:.2f} m at least"
     yield "mission", f"{_outcome(document)}; {mission['path_length_m']:.2f} m flown, {clearance}"
     yield "used", f"{100 * document['scans']['accepted'] / steps:.0f} % of {steps} scans have a pose"
+    yield from refusal_rows(document)
 
 
 def _measures(document: dict[str, Any]) -> Rows:

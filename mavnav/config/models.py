@@ -110,6 +110,8 @@ class PaperExpert(Strict, frozen=True):
     occlusion_mm: Annotated[float, setting("cost step viii: larger jumps are occlusions", gt=0, le=100_000)] = 300.0
     occlusion_shrink: Annotated[float, setting("factor on occlusion_mm by iteration; 1: fixed", gt=0, le=1)] = 1.0
     occlusion_least_mm: Annotated[float, setting("occlusion_mm shrinks no further", gt=0, le=100_000)] = 100.0
+    gate_occlusion_mm: Annotated[float, setting("occlusion threshold of the acceptance", gt=0, le=100_000)] = 300.0
+    gate_share: Annotated[float, setting("fewer of the valid beams within it are refused", ge=0, le=1)] = 0.0
     occluded: Annotated[Literal["left_out", "counted"], setting("occluded points; counted: as threshold")] = "left_out"
     cluster_gap_cells: Annotated[int, setting("empty cells in a thick wall along a ray", ge=0, le=1000)] = 0
     equal_cells: Annotated[Literal["nearest", "middle"], setting("of equal cells, which is the wall")] = "nearest"
@@ -129,6 +131,7 @@ class PaperExpert(Strict, frozen=True):
     give_up: Annotated[bool, setting("end a search that can only end far above the acceptance threshold")] = True
 
     mixed_pixel_m, occlusion_m, occlusion_least_m = in_si(MM, "mixed_pixel_mm", "occlusion_mm", "occlusion_least_mm")
+    gate_occlusion_m = InSI("gate_occlusion_mm", MM)
     stop_m, stop_rad, refine_above_m2 = InSI("stop_mm", MM), InSI("stop_deg", DEG), InSI("refine_above_mm2", MM2)
 
 

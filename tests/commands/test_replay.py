@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 import re
@@ -10,6 +11,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,6 +21,7 @@ import pytest
 
 from mavnav.cli import run
 from mavnav.errors import ExitCode
+from mavnav.units import pluralize
 from support.error_lines import expect_error
 from support.log_files import laser, write_mcap
 
@@ -232,6 +235,21 @@ def test_summary_on_stdout(mavnav: Callable, sample: Path, tmp_path: Path) -> No
     assert "100.0 % of the scans have a pose; " in rows["used"]
     assert "no loop closed" in rows["used"]
     assert "map.png" in rows["open"]
+
+
+def test_the_paper_s_method_says_why_it_refused_scans(mavnav: Callable, sample: Path, tmp_path: Path) -> None:
+    made, strict = tmp_path / "r", ("--method", "paper", "--set", "paper.gate_mm2=1", "--outputs", "trajectory")
+    _, stdout, _ = mavnav("replay", sample, "-o", made, *FEW, *strict)
+    scans = json.loads((made / "run.json").read_text())["scans"]
+    with (made / "trajectory.csv").open(encoding="ascii", newline="") as file:
+        refused = [row for row in csv.DictReader(file) if row["refused_by"]]
+    by_rule = Counter(row["refused_by"] for row in refused)
+    assert len(refused) == scans["rejected"] > 0
+    assert by_rule == {each["rule"]: each["scans"] for each in scans["refused"]}
+    assert by_rule["cost"] > 0
+    assert all(float(row["cost_m2"]) > float(row["threshold_m2"]) for row in refused if row["refused_by"] == "cost")
+    assert all(row["tracked"] == "0" for row in refused)
+    assert f"{pluralize(by_rule['cost'], 'scan')} by cost" in stdout
 
 
 def test_only_the_named_groups_of_files_are_written(mavnav: Callable, sample: Path, tmp_path: Path) -> None:

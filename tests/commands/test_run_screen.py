@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from mavnav.commands import run_screen, terminal
-from mavnav.commands.run_screen import log_rows, map_rows, note_run, note_warnings
+from mavnav.commands.run_screen import log_rows, map_rows, note_run, note_warnings, refusal_rows
 from mavnav.commands.terminal import verdict_rows
 
 LOG = Path(__file__).parents[2] / "sample_logs" / "complex.bag"
@@ -199,3 +199,19 @@ def test_a_stream_without_the_signs_gets_others() -> None:
 
 def test_lines_of_the_map_leave_room_for_the_rest() -> None:
     assert run_screen.MAP_LINES + run_screen.MOST_WARNINGS + 2 * 10 <= 40
+
+
+def test_the_screen_says_which_rule_refused_how_many_scans() -> None:
+    refused = [
+        {"rule": "cost", "scans": 3, "median": 1.24, "worst": 2.5},
+        {"rule": "share", "scans": 12, "median": 0.5, "worst": 0.31},
+        {"rule": "beams", "scans": 1, "median": 20.0, "worst": 20.0},
+    ]
+    ((name, text),) = refusal_rows({"scans": {"refused": refused}})
+    assert name == "refused"
+    assert text == (
+        "3 scans by cost (1.2 times the threshold, 2.5 at worst); 12 scans by share (50 % of the beams agree, 31 % at "
+        "worst); 1 scan by beams (20 valid, 20 at worst)"
+    )
+    assert not list(refusal_rows({"scans": {"refused": []}}))
+    assert not list(refusal_rows({"scans": {}}))

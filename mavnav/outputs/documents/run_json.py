@@ -6,7 +6,7 @@ units follow from the fields (`mavnav.outputs.documents.schema`). A field of `ab
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, Literal, TypeAlias
 
 from msgspec import Struct
 
@@ -82,6 +82,22 @@ class LogInput(Struct, frozen=True):
     parts: Annotated[list[str], text("further files of a log that was named in parts")] = OPTIONAL
 
 
+Rule: TypeAlias = Literal["cost", "share", "beams"]
+
+
+class Refusals(Struct, frozen=True):
+    """The scans that one rule of the paper's method refused, and by how much; trajectory.csv has each of them.
+
+    ``median`` and ``worst`` are, of ``cost``, the cost as a multiple of its threshold; of ``share``, the share of the
+    valid beams that agree with the map; of ``beams``, the number of valid beams.
+    """
+
+    rule: Annotated[Rule, text("cost too high; too few beams agree; too few beams")]
+    scans: Annotated[int, number("scans that the rule refused")]
+    median: Annotated[Measured, number("median of the refused values", unit="1")]
+    worst: Annotated[Measured, number("refused value farthest from the bound", unit="1")]
+
+
 class Scans(Struct, frozen=True):
     """What became of the scans."""
 
@@ -93,6 +109,7 @@ class Scans(Struct, frozen=True):
     rejected: Annotated[int, number("processed scans without a pose")]
     skipped: Annotated[dict[str, int], number("scans that cannot be used, by reason")]
     suspect: Annotated[int, number("usable scans from where a checksum does not match, or could not be checked")]
+    refused: Annotated[list[Refusals], text("why the paper's method refused scans")] = OPTIONAL
 
 
 class ClosedLoop(Struct, frozen=True):

@@ -20,6 +20,7 @@ from mavnav.outputs.documents.addresses import public_address
 from mavnav.outputs.documents.verdict import verdict_of
 from mavnav.outputs.run import base_frame, half_sweep_s
 from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY
+from mavnav.slam.matching.steps import refused_by
 from mavnav.units import DEG, MM, NS
 from mavnav.version import __version__, installed_version
 
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from mavnav.outputs.run import RunResult
     from mavnav.slam.findings import Doubt, Reason
     from mavnav.slam.matching.odometry_fit import OdometryFit
-    from mavnav.slam.matching.steps import LostInterval
+    from mavnav.slam.matching.steps import LostInterval, Steps
     from mavnav.slam.recovery.parts import Part
     from mavnav.slam.result import SlamResult
 
@@ -65,7 +66,7 @@ def run_document(run: RunResult, outputs: dict[str, str]) -> model.RunDocument:
         grid=str(run.config.grid),
         azimuth=run.config.azimuth,
         scenario=mission.scenario if mission else ABSENT,
-        scans=_scans(run.slam, run.log),
+        scans=_scans(run.slam, run.log, run.config),
         cleaning=dict(run.log.cleaning),
         tracking=_tracking(run.slam, run.log, run.config),
         loop_closure=_loop_closure(run),
@@ -111,7 +112,7 @@ def track_verdict(slam: SlamResult, log: Log, config: Config, **more: object) ->
                 "method": config.method,
                 "config": config,
                 "input": {"duration_s": log.duration_s, "odometry": log.odometry is not None},
-                "scans": _scans(slam, log),
+                "scans": _scans(slam, log, config),
                 "tracking": _tracking(slam, log, config),
                 "search": _search(slam),
                 **more,
@@ -204,7 +205,7 @@ def _input(run: RunResult) -> model.LogInput:
     )
 
 
-def _scans(slam: SlamResult, log: Log) -> model.Scans:
+def _scans(slam: SlamResult, log: Log, config: Config) -> model.Scans:
     steps, counts, tracked = slam.steps, log.counts, len(slam.trajectory)
     return model.Scans(
         total=counts.total,
@@ -215,7 +216,24 @@ def _scans(slam: SlamResult, log: Log) -> model.Scans:
         rejected=len(steps) - tracked,
         skipped=dict(counts.skipped),
         suspect=counts.suspect,
+        refused=_refusals(steps) if config.method == "paper" else ABSENT,
     )
+
+
+def _refusals(steps: Steps) -> list[model.Refusals]:
+    """Sum up which rules of the paper's method refused scans."""
+    rules, cost = refused_by(steps), steps.column("cost_m2") / steps.column("threshold_m2")
+    values: dict[model.Rule, NDArray[Any]] = {
+        "cost": -cost,
+        "share": steps.column("inliers"),
+        "beams": steps.column("beams_used"),
+    }
+    of_rule = ((rule, value[rules == rule]) for rule, value in values.items())
+    return [
+        model.Refusals(rule, len(value), abs(float(np.median(value))), abs(float(value.min())))
+        for rule, value in of_rule
+        if len(value)
+    ]
 
 
 def _tracking(slam: SlamResult, log: Log, config: Config) -> sections.Tracking:

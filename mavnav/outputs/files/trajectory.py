@@ -12,6 +12,7 @@ import numpy as np
 from mavnav.logs.messages import cdr, definitions
 from mavnav.logs.writing.mcap_writer import OutputChannel, write_serialized
 from mavnav.pose import correct_path
+from mavnav.slam.matching.steps import refused_by
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
 COLUMNS = (
     "index", "stamp", "x_m", "y_m", "yaw_rad", "cost_m2", "beams_used", "inliers", "evaluations", "iterations",
-    "converged", "tracked", "accepted", "threshold_m2", "doubtful",
+    "converged", "tracked", "accepted", "threshold_m2", "refused_by", "doubtful",
     "cov_xx_m2", "cov_xy_m2", "cov_yy_m2", "cov_xyaw_m_rad", "cov_yyaw_m_rad", "cov_yawyaw_rad2",
     "position_error_m",
 )  # fmt: skip
@@ -97,7 +98,8 @@ def seconds(stamp_ns: int) -> str:
 def write_csv(run: RunResult, path: Path) -> None:
     """Write a row for every scan that was matched; one that was not tracked has no pose.
 
-    ``doubtful`` is 1 for scans of a reason to doubt the track, if the doubt is high. The covariance of the pose is in
+    ``refused_by`` is the rule of the paper's method that refused a scan, empty where none did. ``doubtful`` is 1 for
+    scans of a reason to doubt the track, if the doubt is high. The covariance of the pose is in
     the map frame; empty where it is not known. So is the position error without a truth. Logs with an attitude have
     that of every scan as well.
     """
@@ -111,6 +113,7 @@ def write_csv(run: RunResult, path: Path) -> None:
         tilts = np.column_stack(attitude.at((stamps_ns - attitude.stamps_ns[0]).astype(np.float64))).tolist()
     columns = [
         *(steps.column(name).tolist() for name in ("index", "stamp_ns", *COLUMNS[5:12], "tracked", COLUMNS[13])),
+        refused_by(steps).tolist() if run.config.method == "paper" else [""] * len(steps),
         run.slam.doubtful(stamps_ns).astype(int).tolist(),
         [UNKNOWN] * len(steps) if covariances is None else covariances.tolist(),
         tilts,
@@ -123,12 +126,14 @@ def write_csv(run: RunResult, path: Path) -> None:
 
 def _csv_row(pose_and_error: Sequence[float], index: int, stamp_ns: int, *values: Any) -> tuple[object, ...]:  # noqa: ANN401
     """Return a row of the table, of x, y, yaw and position error, and what is known of the scan."""
-    cost_m2, beams, inliers, evaluations, iterations, *flags, threshold_m2, doubtful, covariance, attitude = values
+    cost_m2, beams, inliers, evaluations, iterations, *flags, threshold_m2, rule, doubtful, covariance, attitude = (
+        values
+    )
     *pose, error_m = pose_and_error
     return (
         *(index, seconds(stamp_ns), *(_field(value, "z.9f") for value in pose)),
         *(_field(cost_m2, ".9g"), beams, f"{inliers:.6f}", evaluations, iterations),
-        *(*map(int, flags), _field(threshold_m2, ".9g"), doubtful),
+        *(*map(int, flags), _field(threshold_m2, ".9g"), rule, doubtful),
         *(_field(value, "z.4g") for value in covariance),
         *(_field(error_m, ".6f"), *(_field(value, "z.6f") for value in attitude)),
     )

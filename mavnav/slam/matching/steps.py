@@ -114,6 +114,15 @@ def _step(row: tuple[Any, ...]) -> Step:
     return Step(index, stamp_ns, Match(Pose(x_m, y_m, yaw_rad), *evidence), tracked)
 
 
+def refused_by(steps: Steps) -> NDArray[np.str_]:
+    """Return the rule of the paper's method that refused each scan, (n,); empty if it was accepted.
+
+    "beams": too few valid ones to match; "share": too few of these agree with the map; "cost": above its threshold.
+    """
+    unmatched = np.where(steps.column("evaluations") > 0, "share", "beams")
+    return np.where(steps.column("tracked"), "", np.where(np.isfinite(steps.column("cost_m2")), "cost", unmatched))
+
+
 class LostInterval(Struct, frozen=True):
     """An interval of scans without an accepted pose; ``recovered`` if a pose was accepted after it.
 

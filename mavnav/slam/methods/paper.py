@@ -109,11 +109,10 @@ def match_polar(virtual_m: Floats, points: Floats, spec: LaserSpec, predicted: P
     search = partial(_search_polar, virtual_m, points, spec, predicted, config, level)
     match = search(1)
     worth_it = paper.expert.refine_above_m2 < match.cost_m2 / level <= _give_up_m2(config)
-    if not worth_it or paper.expert.refine_factor == 1:
-        return match
-    fine = search(paper.expert.refine_factor)
-    best = fine if fine.cost_m2 < match.cost_m2 else match
-    return with_effort(best, match, fine)
+    if worth_it and paper.expert.refine_factor > 1:
+        fine = search(paper.expert.refine_factor)
+        match = with_effort(fine if fine.cost_m2 < match.cost_m2 else match, match, fine)
+    return _at_gate(match, virtual_m, points, spec, predicted, config)
 
 
 def acceptance_scale(ranges_m: Floats, config: Config) -> float:
@@ -138,7 +137,6 @@ def _search_polar(
     virtual_m: Floats, points: Floats, spec: LaserSpec, predicted: Pose, config: Config, level: float, factor: int
 ) -> Match:
     """Search the grid, refined by a factor; ``level`` is the factor on the acceptance threshold."""
-    from mavnav.kernels.polar_search import cost as polar_cost  # noqa: PLC0415
     from mavnav.kernels.polar_search import search as polar_search  # noqa: PLC0415  loads in 0.2 s, only for paper
 
     paper, grid, azimuth = config.paper, config.grid.refine(factor), config.azimuth * factor
@@ -158,23 +156,40 @@ def _search_polar(
         either=paper.expert.converged == "either",
     )
     all_beams = len(points) if paper.expert.min_beams_of == "valid" else spec.beams
-    limits = polar_cost.Limits(
-        first_rad=spec.angle_min_rad,
-        step_rad=spec.angle_step_rad,
-        near_m=paper.near_m,
-        far_m=paper.far_m,
-        occlusion_m=paper.expert.occlusion_m,
-        edge_m=paper.expert.mixed_pixel_m,
-        fewest_beams=max(3.0, paper.expert.min_beams_share * all_beams),
-        counted=paper.expert.occluded == "counted",
-    )
+    fewest = max(3.0, paper.expert.min_beams_share * all_beams)
+    limits = _limits(spec, config, paper.expert.occlusion_m, fewest)
     x, y, yaw, cost, used, evaluations, iterations, converged = polar_search.search(
-        virtual_m, points, np.array(samples, float), np.array(schedule, float), np.array(limits, float)
+        virtual_m, points, np.array(samples, float), np.array(schedule, float), limits
     )
     pose = predicted @ Pose(float(x), float(y), wrap_angle(float(yaw)))
-    beams = int(used) if cost < np.inf else len(points)
-    inliers = float(used) / max(len(points), 1)
-    return Match(pose, float(cost), beams, inliers, int(evaluations), int(iterations), bool(converged))
+    return Match(pose, float(cost), int(used), 0.0, int(evaluations), int(iterations), bool(converged))
+
+
+def _limits(spec: LaserSpec, config: Config, occlusion_m: float, fewest_beams: float) -> Floats:
+    """Return the limits of the beams in the cost, (8,)."""
+    from mavnav.kernels.polar_search.cost import Limits  # noqa: PLC0415  the paper's alone
+
+    paper, counted = config.paper, config.paper.expert.occluded == "counted"
+    edge_m, first_rad, step_rad = paper.expert.mixed_pixel_m, spec.angle_min_rad, spec.angle_step_rad
+    limits = Limits(first_rad, step_rad, paper.near_m, paper.far_m, occlusion_m, edge_m, fewest_beams, counted)
+    return np.array(limits, float)
+
+
+def _at_gate(
+    match: Match, virtual_m: Floats, points: Floats, spec: LaserSpec, predicted: Pose, config: Config
+) -> Match:
+    """Return a match with the cost and the share of the beams by which it is accepted, at one occlusion threshold.
+
+    The last threshold of the search leaves out whatever does not fit, so that a wrong pose costs as little as a right
+    one. A search that gave up keeps its higher cost.
+    """
+    from mavnav.kernels.polar_search.cost import polar_cost  # noqa: PLC0415  the paper's alone
+
+    expert, (x, y, yaw) = config.paper.expert, predicted.between(match.map_T_laser)
+    limits = _limits(spec, config, expert.gate_occlusion_m, expert.gate_share * len(points))
+    cost, used = polar_cost(virtual_m, points.T.copy(), x, y, yaw, limits)
+    cost, share = max(cost, match.cost_m2), used / max(len(points), 1)
+    return match._replace(cost_m2=cost, inliers=share, beams_used=int(used) if cost < np.inf else len(points))
 
 
 @timed("cleaning")

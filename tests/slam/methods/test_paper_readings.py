@@ -19,6 +19,7 @@ from mavnav.simulation.mission import fly
 from mavnav.simulation.world import load_scenario
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.scan_matching import MatchVerdict, no_match
+from mavnav.slam.matching.steps import Step, Steps, refused_by
 from mavnav.slam.methods.paper import Paper, acceptance_scale, match_polar, polar_points
 from mavnav.slam.pipeline import run_slam
 from support.synthetic import room, scan_at
@@ -92,6 +93,41 @@ def test_a_shrinking_occlusion_threshold_finds_from_afar_and_leaves_out_what_mov
         errors[shrink] = match.map_T_laser.distance_m
     assert errors[0.6] < 0.5e-3
     assert errors[1.0] > 4 * errors[0.6]
+
+
+def test_what_the_search_leaves_out_counts_for_the_acceptance() -> None:
+    """Nine of twenty beams end 0.3 m before the wall: what is left fits exactly, but it is not most of the scan."""
+    scan = scan_at(room(), Pose(2.2, 1.7, 0.4))
+    nearer = np.where(np.arange(scan.spec.beams) % 20 < 9, scan.ranges_m - 0.3, scan.ranges_m)
+    points = polar_points(nearer, scan.spec, 0.1)
+    narrow = {"occlusion_mm": 100.0, "gate_occlusion_mm": 80.0}
+    blind, sharp = (
+        match_polar(scan.ranges_m, points, scan.spec, Pose(), reading(gate_share=share, **narrow)) for share in (0, 0.6)
+    )
+    assert blind.cost_m2 < 1e-8
+    assert sharp.cost_m2 == np.inf
+    assert blind.inliers == sharp.inliers == pytest.approx(0.5, abs=0.05)
+
+
+def test_the_cost_of_the_acceptance_is_that_at_its_own_threshold() -> None:
+    """A fifth of the beams end 60 mm before the wall, beyond the last threshold of the search."""
+    scan = scan_at(room(), Pose(2.2, 1.7, 0.4))
+    moved = np.arange(scan.spec.beams) % 100 < 20
+    points = polar_points(np.where(moved, scan.ranges_m - 0.06, scan.ranges_m), scan.spec, 0.1)
+    costs = [
+        match_polar(scan.ranges_m, points, scan.spec, Pose(), reading(occlusion_mm=30.0, gate_occlusion_mm=mm)).cost_m2
+        for mm in (30.0, 80.0)
+    ]
+    assert costs[0] < 1e-6  # beams between two surfaces
+    assert costs[1] == pytest.approx(moved.mean() * 0.06**2, rel=0.1)
+
+
+def test_each_refused_scan_names_its_rule() -> None:
+    fits = no_match(Pose(), 500)._replace(cost_m2=1e-4, evaluations=1000)
+    costly, few, blind = fits._replace(cost_m2=0.1), fits._replace(cost_m2=np.inf), no_match(Pose(), 20)
+    matches = [(fits, True), (costly, False), (few, False), (blind, False)]
+    steps = Steps(Step(k, k, match, tracked) for k, (match, tracked) in enumerate(matches))
+    assert refused_by(steps).tolist() == ["", "cost", "share", "beams"]
 
 
 @pytest.mark.parametrize("pivot", ["laser", "centroid"])
