@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, cast
 import numpy as np
 
 from mavnav.kernels.machine.cache import read_code, source_stamp, write_code
-from mavnav.kernels.machine.loader import MachineCode, link
+from mavnav.kernels.machine.loader import MachineCode, check_executable, link
 from mavnav.kernels.machine.types import Signature, Type
 
 if TYPE_CHECKING:
@@ -104,6 +104,7 @@ class Kernel:
         """Load the machine code from the disk, or compile it and write it to the disk."""
         if self.loaded:
             return
+        check_executable()
         run = None if self.code is None else self._from_disk(self.code)
         if run is None:
             from mavnav.kernels.machine.compiler import compile_kernel  # noqa: PLC0415

@@ -21,6 +21,8 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import astuple
 
+from mavnav.errors import UsageError
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -69,6 +71,20 @@ def link(entry: MachineCode, module: str, name: str) -> Callable[..., Any]:
     kept = (engine, environment)
     made: Callable[..., Any] = dynamic.make_function(sys.modules[module], name, name, address, environment, kept)
     return made
+
+
+@cache
+def check_executable() -> None:
+    """Raise UsageError where memory cannot be made executable, as under systemd's MemoryDenyWriteExecute."""
+    from llvmlite import binding as llvm  # noqa: PLC0415
+
+    try:
+        llvm.check_jit_execution()
+    except OSError as error:
+        advice = "allow it (systemd: MemoryDenyWriteExecute=no, SELinux: execmem)"
+        raise UsageError(
+            f"compiled code needs executable memory, which this system denies to mavnav; {advice}"
+        ) from error
 
 
 @cache
