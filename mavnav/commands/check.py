@@ -115,7 +115,7 @@ def _run(directory: Path) -> _CheckedRun:
     file = directory / RUN_FILE
     with _reading(file):
         document: dict[str, Any] = read_json(file)
-        check_files(directory, document["outputs"])
+        check_files(directory, document.get("outputs", {}))
         return _CheckedRun(str(directory), ExitCode(document["exit_code"]), document)
 
 

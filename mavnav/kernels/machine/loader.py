@@ -10,6 +10,7 @@ import builtins
 import ctypes
 import pickle
 import sys
+from errno import EACCES
 from functools import cache
 from importlib.machinery import EXTENSION_SUFFIXES
 from importlib.util import find_spec, module_from_spec, spec_from_file_location
@@ -20,8 +21,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import astuple
-
-from mavnav.errors import UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -75,16 +74,15 @@ def link(entry: MachineCode, module: str, name: str) -> Callable[..., Any]:
 
 @cache
 def check_executable() -> None:
-    """Raise UsageError where memory cannot be made executable, as under systemd's MemoryDenyWriteExecute."""
+    """Raise PermissionError where memory cannot be made executable, as under systemd's MemoryDenyWriteExecute."""
     from llvmlite import binding as llvm  # noqa: PLC0415
 
     try:
         llvm.check_jit_execution()
     except OSError as error:
         advice = "allow it (systemd: MemoryDenyWriteExecute=no, SELinux: execmem)"
-        raise UsageError(
-            f"compiled code needs executable memory, which this system denies to mavnav; {advice}"
-        ) from error
+        text = f"compiled code needs executable memory, which this system denies to mavnav; {advice}"
+        raise PermissionError(EACCES, text) from error
 
 
 @cache
