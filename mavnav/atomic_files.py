@@ -13,13 +13,14 @@ import platform
 import shutil
 import stat
 import sys
+import threading
 from contextlib import contextmanager, suppress
 from errno import EDQUOT, EEXIST, ENOSPC, ENOTEMPTY
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from time import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from mavnav.errors import OutputError
 
@@ -31,6 +32,9 @@ _RENAME_EXCHANGE = 2
 
 LONGEST_NAME = 150
 """Longest name, in bytes, to which more is added: file systems allow 255."""
+
+_OPEN: Final[set[Path]] = set()
+"""The folders of unfinished files of this process, each of one thread."""
 
 FOREIGN_S = 7 * 86400.0
 """Age of the last change after which unfinished files of another machine are removed."""
@@ -54,7 +58,9 @@ def beside(target: Path, *, exclusive: bool = False) -> Iterator[Path]:
     final = target.resolve()
     final.parent.mkdir(parents=True, exist_ok=True)
     _clear_leftovers(final)
-    folder = _folder(final, os.getpid())
+    thread = threading.current_thread()
+    folder = _folder(final, os.getpid(), "" if thread is threading.main_thread() else f".{thread.ident}")
+    _OPEN.add(folder)
     try:
         folder.mkdir()
         partial = folder / final.name
@@ -73,6 +79,7 @@ def beside(target: Path, *, exclusive: bool = False) -> Iterator[Path]:
         raise
     finally:
         _remove(folder)
+        _OPEN.discard(folder)
 
 
 def is_stream(path: Path) -> bool:
@@ -187,8 +194,8 @@ def short_name(name: str) -> str:
     return name
 
 
-def _folder(final: Path, pid: int) -> Path:
-    return final.with_name(f".{_label(final)}.partial-{machine()}-{pid}")
+def _folder(final: Path, pid: int, thread: str = "") -> Path:
+    return final.with_name(f".{_label(final)}{thread}.partial-{machine()}-{pid}")
 
 
 def _label(final: Path) -> str:
@@ -222,9 +229,9 @@ def _clear_leftovers(final: Path) -> None:
 
 
 def _is_left(folder: Path, owner: str, process: int) -> bool:
-    """Return whether the process of a folder is dead; one with this process's number is left by a dead process."""
+    """Return whether the process of a folder is dead; one of this number that is not ours is left by a dead one."""
     if owner == machine():
-        return process == os.getpid() or not _is_alive(process)
+        return folder not in _OPEN if process == os.getpid() else not _is_alive(process)
     with suppress(OSError):
         return time() - max(path.lstat().st_mtime for path in (folder, *folder.rglob("*"))) > FOREIGN_S
     return False

@@ -127,7 +127,8 @@ def run(args: Sequence[str], *, debug: bool = False) -> int:
     except BaseException as error:
         if debug and isinstance(error, Exception):
             print_traceback(error)
-        return _explain(error)
+        reason = None if isinstance(error, MavnavError) else signals.arrived()
+        return _explain(reason() if reason else error)  # an import that is interrupted may raise something else
     return int(code or 0)
 
 
@@ -155,6 +156,9 @@ def _explain(error: BaseException) -> int:
             return int(error.code or 0)
         case OSError(errno=int() as number) if error.filename is not None and number in _PATH_ERRORS:
             note(f"mavnav: error: {error.filename} cannot be reached: {error.strerror}; {_PATH_ERRORS[number]}")
+            return ExitCode.USAGE
+        case PermissionError(filename=None):  # of memory
+            note(f"mavnav: error: {error.strerror}")
             return ExitCode.USAGE
         case _ if lacks_memory(error):
             note("mavnav: error: out of memory; try larger cells, narrower windows, or a part of the log with --end")

@@ -8,8 +8,10 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
+from threading import Barrier
 from typing import TYPE_CHECKING
 
 import pytest
@@ -236,3 +238,20 @@ def test_ctrl_c_during_the_tidying_leaves_nothing(tmp_path: Path, monkeypatch: p
         partial.mkdir()
         raise KeyboardInterrupt
     assert names(tmp_path) == set()
+
+
+def test_threads_that_write_one_folder_do_not_remove_each_others_files(tmp_path: Path) -> None:
+    """Each took the unfinished folder of the other for one of a dead process of its number."""
+    together = Barrier(3)
+
+    def write(number: int) -> None:
+        with beside(tmp_path / "run") as partial:
+            partial.mkdir()
+            (partial / "a").write_text(str(number))
+            together.wait(20)
+            (partial / "b").write_text(str(number))
+
+    with ThreadPoolExecutor(3) as threads:
+        list(threads.map(write, range(3)))
+    assert (tmp_path / "run" / "a").read_text() == (tmp_path / "run" / "b").read_text()
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]

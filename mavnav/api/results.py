@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import weakref
 from dataclasses import dataclass, field
@@ -13,10 +12,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from mavnav.api.arguments import path_of
 from mavnav.atomic_files import naming_full_disk
+from mavnav.config.named_files import read_json
 from mavnav.errors import UsageError
 from mavnav.ground_truth.tables import read_tum
-from mavnav.outputs.directory import RUN_FILE, atomic_directory
-from mavnav.outputs.files.gridmap import read_npz
+from mavnav.outputs.directory import RUN_FILE, atomic_directory, checked_file, digests_of
+from mavnav.outputs.files.gridmap import HITS_FILE, read_npz
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -43,13 +43,13 @@ class Run:
     @cached_property
     def metrics(self) -> dict[str, Any]:
         """run.json: ``wall_thickness``, ``map_quality``, ``tracking`` and more, as docs/metrics.md describes."""
-        document: dict[str, Any] = json.loads((self.directory / RUN_FILE).read_text(encoding="utf-8"))
+        document: dict[str, Any] = read_json(self.directory / RUN_FILE)
         return document
 
     @cached_property
     def trajectory(self) -> Trajectory:
         """The poses of the laser in the map frame: ``stamps_ns`` (n,) int64, ``xyyaw`` (n, 3) in m, m, rad."""
-        return read_tum(self.directory / "trajectory.tum")
+        return read_tum(self._file("trajectory.tum"))
 
     @cached_property
     def map(self) -> Grid:
@@ -57,7 +57,11 @@ class Run:
 
         The lower left corner of the cell ``hits[row, col]`` is ``origin_xy_m + cell_m * (col, row)``, map frame.
         """
-        return read_npz(self.directory / "hits.npz")
+        return read_npz(self._file(HITS_FILE))
+
+    def _file(self, name: str) -> Path:
+        """Return the path of a file; raises UsageError where it is not the one that was written."""
+        return checked_file(self.directory, name, digests_of(self.directory))
 
     @property
     def lost(self) -> bool:

@@ -208,9 +208,9 @@ _SHADES: Final = {"wall": 24, "unknown": 232, "free": 255}
 def thumbnail(directory: Path) -> str | None:
     """Return a small image of the map of a run as a data URI, cropped to the known cells; None without a map."""
     try:
-        with Image.open(directory / "map.pgm") as image:
+        with Image.open(directory / "map.pgm", formats=("PPM",)) as image:
             cells = np.asarray(image)
-    except (OSError, ValueError):  # the latter before pillow 13, for a file that is cut
+    except (OSError, ValueError, Image.DecompressionBombError):  # ValueError before pillow 13, for a file that is cut
         return None
     seen = _downsample(_crop(cells))
     shades = np.where(seen < _UNKNOWN, _SHADES["wall"], np.where(seen == _UNKNOWN, _SHADES["unknown"], _SHADES["free"]))

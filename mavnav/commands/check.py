@@ -110,11 +110,12 @@ def _accepted(cell: dict[str, Any]) -> frozenset[int | str]:
 
 
 def _run(directory: Path) -> _CheckedRun:
-    from mavnav.outputs.directory import RUN_FILE
+    from mavnav.outputs.directory import RUN_FILE, check_files
 
     file = directory / RUN_FILE
     with _reading(file):
         document: dict[str, Any] = read_json(file)
+        check_files(directory, document.get("outputs", {}))
         return _CheckedRun(str(directory), ExitCode(document["exit_code"]), document)
 
 

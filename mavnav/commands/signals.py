@@ -1,4 +1,4 @@
-"""Handling of Ctrl-C and SIGTERM: an exception unwinds the stack, so that unfinished files are removed.
+"""Handling of Ctrl-C, SIGTERM and SIGHUP: an exception unwinds the stack, so that unfinished files are removed.
 
 Python drops an exception that a signal handler raises inside a finalizer, as happens while kernels compile. The signal
 is therefore stored, and long tasks check for it. The exception is no KeyboardInterrupt: if that passes through an
@@ -36,20 +36,22 @@ class Interrupted(Stopped):
 
 
 class Terminated(Stopped):
-    """SIGTERM, as from a job scheduler."""
+    """SIGTERM, as from a job scheduler, or SIGHUP, as from a terminal that is closed."""
 
     word = "terminated"
     exit_code = ExitCode.TERMINATED
 
 
 _REASONS = {signal.SIGINT: Interrupted, signal.SIGTERM: Terminated}
+if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:  # nohup ignores it
+    _REASONS[signal.SIGHUP] = Terminated
 _ARRIVED: list[type[Stopped]] = []
 _DEFERRED = [0]
 """Number of signals that raise no exception: code within ``deferring`` checks for them."""
 
 
 def listen() -> None:
-    """Install the handlers of SIGINT and SIGTERM."""
+    """Install the handlers."""
     for number in _REASONS:
         signal.signal(number, _stop)
 
@@ -114,7 +116,12 @@ def _end(number: int, _frame: FrameType | None) -> NoReturn:
     os._exit(reason.exit_code)
 
 
+def arrived() -> type[Stopped] | None:
+    """Return the exception of a signal that arrived, None if there is none or it is deferred."""
+    return _ARRIVED[-1] if len(_ARRIVED) > _DEFERRED[0] else None
+
+
 def raise_pending() -> None:
     """Raise the exception of a signal that arrived, unless it is deferred."""
-    if len(_ARRIVED) > _DEFERRED[0]:
-        raise _ARRIVED[-1]
+    if reason := arrived():
+        raise reason

@@ -29,7 +29,8 @@ def warmup() -> None:
         import_module(f"mavnav.kernels.{name}")
     missing = len(not_on_disk())
     if missing and not is_kept():
-        raise OutputError(f"{user_directory()} cannot be written; set MAVNAV_CACHE_DIR to a directory that can")
+        where = user_directory() or "the cache directory, which is no absolute path,"
+        raise OutputError(f"{where} cannot be written; set MAVNAV_CACHE_DIR to a directory that can")
     with reporting(quiet=False) as report:
         prepare(report)
     left = len(not_on_disk())

@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _PROGRESS_STEPS = 200
+MOST_SCAN_TOPICS = 100
+"""Number of scan topics that are read unless one is named; no log has lasers of so many robots."""
 
 
 class Survey(Struct, frozen=True):
@@ -145,6 +147,11 @@ class _Pass(Struct):
         topic = scan_topic(channel, self.topic)
         kind = self.kinds[channel] = _MessageKind()
         if topic is None and is_laser(channel):
+            return kind
+        if topic is not None and topic not in self.scans and len(self.scans) >= MOST_SCAN_TOPICS:
+            self.report.warn(
+                f"more than {MOST_SCAN_TOPICS} topics have scans; others are left out, name one by --topic"
+            )
             return kind
         try:
             kind.decode = decoder(channel, poses=self.motion.takes(channel), topic=topic)

@@ -17,7 +17,7 @@ from mavnav.kernels.maps.layout import FAR, LEVELS, NEAR, REACH_CELLS
 from mavnav.kernels.maps.linemap import WINDOW_CELLS, Geometry, insert_points, rebuild
 from mavnav.kernels.scans.correlative_search import pose_costs
 from mavnav.kernels.scans.points import LONGEST_M, extent, place_points, points_between
-from mavnav.mapping.tiled_arrays import NO_EXTENT, covered_extent, covering, enlarge, within
+from mavnav.mapping.tiled_arrays import NO_EXTENT, check_size, covered_extent, covering, enlarge, within
 from mavnav.profiling import timed
 
 if TYPE_CHECKING:
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _BLOCK_CELLS = 256
+MAX_CELLS = 1 << 30
+"""Maximum number of cells of the lattice, most of which lie in memory that is never touched."""
 MARGIN_CELLS = REACH_CELLS + 2
 """Number of cells around a point that the lattice must include."""
 MOST_WAITING = 1 << 12
@@ -203,6 +205,7 @@ class LineMap(Struct):
         if grown is None:
             return
         new_origin, shape = grown
+        check_size(shape, self.cell_m, MAX_CELLS)
         dc, dr = origin[0] - new_origin[0], origin[1] - new_origin[1]
         self.nearest = enlarge(self.nearest, shape, dr, dc)
         self.cells[1 : self.count] += np.array([dr, dc], np.int32)

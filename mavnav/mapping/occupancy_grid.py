@@ -9,7 +9,6 @@ import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import force_setattr
 
-from mavnav.errors import MapTooLargeError
 from mavnav.kernels.maps import hits as hits_kernel
 from mavnav.kernels.maps.dynamic_cells import dynamic_cells
 from mavnav.kernels.maps.layout import MOST, MOST_SHIELDED, WIDE
@@ -18,6 +17,7 @@ from mavnav.mapping.tiled_arrays import (
     NO_EXTENT,
     bands,
     blank_strips,
+    check_size,
     covered_extent,
     covering,
     enlarge,
@@ -165,13 +165,7 @@ class GridBuilder(Struct):
         if grown is None:
             return
         new_origin, shape = grown
-        if shape[0] * shape[1] > MAX_CELLS:
-            height_m, width_m = (cells * self.cell_m for cells in shape)
-            raise MapTooLargeError(
-                f"the map would be {width_m:.0f} m x {height_m:.0f} m in cells of {self.cell_m * 1e3:g} mm, "
-                "too large for the memory: a pose or a range is far off, "
-                "or the cells are too small; see the ranges with 'mavnav info', or --set ...cell_mm"
-            )
+        check_size(shape, self.cell_m, MAX_CELLS)
         dc, dr = origin[0] - new_origin[0], origin[1] - new_origin[1]
         for name in ("hits", "passes", "shielded"):  # one by one: each old array is freed before the next is copied
             setattr(self, name, enlarge(getattr(self, name), shape, dr, dc))
@@ -180,7 +174,9 @@ class GridBuilder(Struct):
 
 def counts(values: NDArray[Any]) -> NDArray[np.uint16]:
     """Return non-negative integers as uint16, larger ones as the maximum; uint16 arrays are not copied."""
-    return values if values.dtype == np.uint16 else np.minimum(values, MOST).astype(np.uint16)
+    if values.dtype == np.uint16:
+        return values
+    return (values if values.dtype.itemsize < 2 else np.minimum(values, MOST)).astype(np.uint16)
 
 
 def show_ends(

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mavnav.errors import MapTooLargeError
 from mavnav.kernels.maps.layout import WIDE
 
 if TYPE_CHECKING:
@@ -116,6 +117,18 @@ def covering(low: Cell, high: Cell, shape: Cell, origin: Cell, block: int) -> tu
         return None
     (first_col, cols), (first_row, rows) = (_span(low[k], high[k], (origin[k], end[k]), block) for k in (0, 1))
     return (first_col, first_row), (rows, cols)
+
+
+def check_size(shape: Cell, cell_m: float, most: int) -> None:
+    """Raise MapTooLargeError for a lattice (rows, cols) of more than ``most`` cells."""
+    if shape[0] * shape[1] <= most:
+        return
+    height_m, width_m = (cells * cell_m for cells in shape)
+    raise MapTooLargeError(
+        f"the map would be {width_m:.0f} m x {height_m:.0f} m in cells of {cell_m * 1e3:g} mm, "
+        "too large for the memory: a pose or a range is far off, "
+        "or the cells are too small; see the ranges with 'mavnav info', or --set ...cell_mm"
+    )
 
 
 def covered_extent(origin_xy_m: tuple[float, float], shape: tuple[int, ...], cell_m: float, beyond: int) -> Extent:

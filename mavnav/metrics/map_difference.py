@@ -13,6 +13,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, cell_centres, known_area, occupancy
+from mavnav.mapping.tiled_arrays import bands
 from mavnav.pose import Pose, transform_points
 
 if TYPE_CHECKING:
@@ -81,16 +82,13 @@ class View:
 
     def __init__(self, grid: Grid) -> None:
         """Compute the masks from the counts of a grid."""
-        from scipy.ndimage import distance_transform_edt  # noqa: PLC0415  takes 0.1 s to load
-
         self.grid = known_area(grid)
         cells = occupancy(self.grid)
         self.walls = cells == OCCUPIED
         self.known = cells >= FREE
         free = (cells == FREE) & (self.grid.passes >= LEAST_PASSES)
-        far = np.full(cells.shape, np.inf) if not self.walls.any() else distance_transform_edt(~self.walls)
-        self.near = far * grid.cell_m <= TOLERANCE_M
-        self.clear = distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1] * grid.cell_m > CLEAR_M
+        self.near = ~farther(~self.walls, TOLERANCE_M, grid.cell_m, outside=True)
+        self.clear = farther(free, CLEAR_M, grid.cell_m, outside=False)
 
     def middles(self, cells: NDArray[np.bool_]) -> NDArray[np.float64]:
         """Return the centres of the cells of a mask (rows, cols), in row-major order, (n, 2) in m."""
@@ -103,6 +101,21 @@ class View:
         inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
         values: NDArray[np.bool_] = cells[np.where(inside, row, 0), np.where(inside, col, 0)] & inside
         return values
+
+
+def farther(cells: NDArray[np.bool_], beyond_m: float, cell_m: float, *, outside: bool) -> NDArray[np.bool_]:
+    """Return which cells of a mask (rows, cols) are farther than a distance, m, from every cell that is not in it.
+
+    What lies ``outside`` is in the mask or not. Memory for distances is needed for a band of rows at a time.
+    """
+    from scipy.ndimage import distance_transform_edt  # noqa: PLC0415  takes 0.1 s to load
+
+    margin, out = int(beyond_m / cell_m) + 2, np.empty(cells.shape, np.bool_)
+    for rows, inner, band in bands(cells.shape, margin):
+        around = np.pad(cells[rows], 1, constant_values=outside)
+        away = distance_transform_edt(around) if not around.all() else np.full(around.shape, np.inf)
+        out[band] = away[1:-1, 1:-1][inner] * cell_m > beyond_m
+    return out
 
 
 def difference(a: View, b: View, a_T_b: Pose) -> Difference:

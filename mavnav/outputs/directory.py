@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from mavnav.atomic_files import beside, is_stream
+from mavnav.config.named_files import read_json
 from mavnav.errors import OutputError, UsageError
 
 if TYPE_CHECKING:
@@ -24,10 +25,67 @@ MERGE_FILE: Final = "merge.json"
 """The file that makes a directory a merge of ours."""
 
 
+MOST_HOLES_BYTES: Final = 4 << 30
+"""Bytes of a file that the disk may not keep: they take no space, but would be hashed."""
+
+
 def file_sha256(path: Path) -> str:
     """Return the SHA-256 by which a run knows a file of its directory; raises OSError."""
     with path.open("rb") as file:
         return file_digest(file, sha256).hexdigest()
+
+
+def checked_file(directory: Path, name: str, digests: Mapping[str, str]) -> Path:
+    """Return the path of a file of a run, given the digests by which the run knows its files.
+
+    Raises UsageError where it is missing, or another one than was written. A file without a digest is taken as it is:
+    who edits one on purpose deletes its digest.
+    """
+    path = directory / name
+    if not path.is_file():
+        raise UsageError(f"{directory} is no whole run: it has no {name}; repeat its command with --force")
+    status = path.stat()
+    if status.st_size - 512 * getattr(status, "st_blocks", status.st_size) > MOST_HOLES_BYTES:
+        raise UsageError(f"{directory} is no whole run: {name} is mostly holes; get a whole copy")
+    if name in digests and file_sha256(path) != digests[name]:
+        advice = f"get it again, or, if that was on purpose, delete its line under 'outputs' of {RUN_FILE}"
+        raise UsageError(f"{directory} is no whole run: {name} has been altered since it was written; {advice}")
+    return path
+
+
+def digests_of(directory: Path) -> dict[str, str]:
+    """Return the digests of the files of a run or merge by their names; empty for a directory that is neither.
+
+    Raises UsageError where its document has none.
+    """
+    file = next((directory / name for name in (RUN_FILE, MERGE_FILE) if (directory / name).is_file()), None)
+    if file is None:
+        return {}
+    try:
+        return plain_digests(read_json(file)["outputs"])
+    except OSError as error:
+        raise UsageError(f"{file} cannot be read: {error.strerror}; name a run directory") from error
+    except (ValueError, LookupError, TypeError) as error:
+        raise UsageError(f"{file} is not one of mavnav's; name the directory of a finished run") from error
+
+
+def check_files(directory: Path, outputs: object) -> None:
+    """Raise UsageError for a file that is another one than was written; those that are not there are not missed.
+
+    ``outputs`` is that section of the document of the run; raises ValueError where it is none.
+    """
+    digests = plain_digests(outputs)
+    for name in digests:
+        if os.path.lexists(directory / name):
+            checked_file(directory, name, digests)
+
+
+def plain_digests(outputs: object) -> dict[str, str]:
+    """Return digests by names of files; raises ValueError for anything else, also a name outside of the folder."""
+    pairs = outputs.items() if isinstance(outputs, dict) else [("", None)]
+    if not all(isinstance(n, str) and isinstance(d, str) and Path(n).name == n for n, d in pairs):
+        raise ValueError
+    return dict(pairs)
 
 
 def check_directory(

@@ -17,8 +17,8 @@ from mavnav.kernels.maps import raycast  # noqa: F401  it is compiled with the o
 from mavnav.mapping.occupancy_grid import known_area, occupied_xy_m
 from mavnav.metrics.gates import stored_verdict
 from mavnav.metrics.map_difference import View, difference
-from mavnav.outputs.directory import MERGE_FILE, RUN_FILE, check_apart, check_file, write_file
-from mavnav.outputs.files.gridmap import read_npz
+from mavnav.outputs.directory import MERGE_FILE, RUN_FILE, check_apart, check_file, checked_file, digests_of, write_file
+from mavnav.outputs.files.gridmap import HITS_FILE, read_npz
 from mavnav.outputs.pictures import difference_picture
 from mavnav.outputs.report.summary_page import diff_summary, draw_png, write_summary
 from mavnav.pipelines.maps import rounded_pose
@@ -96,7 +96,8 @@ def read_walls(path: Path) -> PriorMap:
         raise UsageError(f"{path}: no such file; name a run directory, or the YAML file of a map")
     if path.is_dir():
         try:
-            grid = known_area(read_npz(path / "hits.npz"))
+            hits = path / HITS_FILE
+            grid = known_area(read_npz(checked_file(path, HITS_FILE, digests_of(path)) if hits.is_file() else hits))
         except (OSError, ValueError) as error:
             reason = f"hits.npz: {error.strerror}" if isinstance(error, OSError) else error
             raise UsageError(f"{path} holds no map of a run ({reason}); name a run directory, or a map.yaml") from error

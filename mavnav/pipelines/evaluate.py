@@ -7,11 +7,9 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 from msgspec import Struct
 from msgspec.structs import replace
 
-from mavnav.config.named_files import read_json
 from mavnav.errors import MavnavError, UsageError, reason_of
 from mavnav.ground_truth.map_file import read_map
 from mavnav.ground_truth.references import References, check_times, compare_to, in_time_of_truth
-from mavnav.ground_truth.tables import read_tum
 from mavnav.kernels.machine.building import prepare
 from mavnav.logs import open_log
 from mavnav.mapping.occupancy_grid import occupied_xy_m
@@ -24,9 +22,11 @@ from mavnav.metrics.wall_spread import wall_report
 from mavnav.metrics.walls import StraightWall, half_turn
 from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.files.document import plain
-from mavnav.outputs.files.gridmap import read_npz
+from mavnav.outputs.files.finished_run import RunRecord, finished_run
+from mavnav.outputs.files.gridmap import HITS_FILE, read_npz
+from mavnav.pipelines.sessions import poses_of
 from mavnav.pose import Pose, Trajectory, transform_points
-from mavnav.slam.findings import HIGH, NOT_PLANAR
+from mavnav.slam.findings import NOT_PLANAR
 from mavnav.units import DEG, MM, NS
 from mavnav.version import __version__
 
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from mavnav.profiling import Progress
 
 SCHEMA_VERSION: Final = 1
-NEEDED_FILES: Final = ("hits.npz", "trajectory.tum", "result.mcap")
+NEEDED_FILES: Final = (HITS_FILE, "trajectory.tum", "result.mcap")
 """Files of a run that are measured, besides its document."""
 LATE_S: Final = 1e-3
 """Times are written in s to about 1 us."""
@@ -108,52 +108,38 @@ def _run(directory: Path) -> Subject:
     if missing := [name for name in NEEDED_FILES if not (directory / name).exists()]:
         advice = "repeat its command with --force, without --outputs"
         raise UsageError(f"{directory} is no whole run: it has no {', '.join(missing)}; {advice}")
-    hits, poses, recording = (directory / name for name in NEEDED_FILES)
+    run = finished_run(directory)
+    if not isinstance(run.record, RunRecord):
+        raise UsageError(f"{directory} is a merge; measure its map.yaml")
+    record, tracking = run.record, run.record.tracking
+    hits, poses, recording = (run.file(name) for name in NEEDED_FILES)
+    map_T_laser = poses_of(run, poses.name)
+    if record.scans.accepted and not len(map_T_laser):
+        raise UsageError(
+            f"{directory} is no whole run: {poses.name} is empty; make it again with mavnav replay --force"
+        )
     try:
-        document = read_json(directory / RUN_FILE)
         grid = read_npz(hits)
-        map_T_laser = _poses(poses, document)
         journey = Journey(
             map_T_laser=map_T_laser,
             scans=open_log(recording, odom="off").scans if len(map_T_laser) else tuple,
-            mapped_share=document["scans"]["accepted"] / max(document["scans"]["processed"], 1),
-            lost_for_good=document["tracking"]["lost"],
-            planar=_planar(document["tracking"].get("doubt")),
+            mapped_share=record.scans.accepted / max(record.scans.processed, 1),
+            lost_for_good=tracking.lost,
+            planar=NOT_PLANAR not in (tracking.reasons or ()),
         )
-        late = _begins_late(document, journey.map_T_laser)
     except (OSError, ValueError, KeyError, TypeError, MavnavError) as error:
         reason = reason_of(error)
         raise UsageError(f"{directory} is no whole run: {reason}; make it again with mavnav replay --force") from error
-    holds_s, truth_at = _held(document)
-    return Subject("run", grid, Pose(), journey, late, stored_verdict(document), holds_s, truth_at)
+    late, verdict = _begins_late(record, map_T_laser), stored_verdict(run.document)
+    return Subject("run", grid, Pose(), journey, late, verdict, tracking.holds_s, record.config.truth_at)
 
 
-def _held(document: dict[str, Any]) -> tuple[float, str]:
-    """Return when the poses of a run hold after their stamps, s, and the beam of true poses; older runs say neither."""
-    holds_s = document["tracking"].get("holds_s", 0.0)
-    return float(holds_s), str((document.get("config") or {}).get("truth_at", "first"))
-
-
-def _begins_late(document: dict[str, Any], map_T_laser: Trajectory) -> bool:
+def _begins_late(record: RunRecord, map_T_laser: Trajectory) -> bool:
     """Return whether the map of a run begins with a later scan than the first one of its log."""
-    options = (document.get("provenance") or {}).get("options") or {}
-    first_s = (document.get("input") or {}).get("first_stamp_s")
-    if first_s is None or options.get("map") or options.get("continue_from") or not len(map_T_laser):
+    options, first_s = record.provenance and record.provenance.options, record.input.first_stamp_s
+    if first_s is None or (options and (options.map or options.continue_from)) or not len(map_T_laser):
         return False
-    return bool(options.get("start_s")) or map_T_laser.stamps_ns[0] * NS - first_s > LATE_S
-
-
-def _poses(path: Path, document: dict[str, Any]) -> Trajectory:
-    """Read the poses of a run; its file is empty if no scan was accepted."""
-    if path.stat().st_size == 0 and document["scans"]["accepted"] == 0:
-        return Trajectory.of([], [])
-    return read_tum(path)
-
-
-def _planar(doubt: dict[str, Any] | None) -> bool:
-    """Return whether the doubt of a run leaves its map a meaning, as `SlamResult` says; older runs have none."""
-    high = doubt is not None and (doubt["probability"] or 0.0) > HIGH
-    return not (doubt and high and NOT_PLANAR in {reason["reason"] for reason in doubt["reasons"]})
+    return bool(options and options.start_s) or map_T_laser.stamps_ns[0] * NS - first_s > LATE_S
 
 
 def _document(path: Path, what: Subject, references: References) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from mavnav.mapping.slices import scans_with_heights, slice_map
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import measure_map
 from mavnav.metrics.reference import MAX_GAP_NS
+from mavnav.outputs.directory import checked_file, digests_of
 from mavnav.outputs.documents.run_json import FoundPose, Localisation, StartPose
 from mavnav.profiling import Stage, timed
 from mavnav.slam.methods.registry import LOCALIZERS
@@ -45,7 +46,10 @@ def known_map(path: Path | None, start_pose: Pose | None, method: str) -> PriorM
     from mavnav.ground_truth.map_file import read_map  # noqa: PLC0415  few runs need them
     from mavnav.slam.matching.prior_map import prior_map_of  # noqa: PLC0415
 
-    file = read_map(path / "map.yaml" if path.is_dir() else path)
+    if path.is_dir():
+        digests = digests_of(path)
+        path, _ = (checked_file(path, name, digests) for name in ("map.yaml", "map.pgm"))
+    file = read_map(path)
     known = prior_map_of(file.grid, file.map_T_grid, start_pose)
     if not len(known.walls_xy_m):
         raise UsageError(f"{path}: the map has no occupied cell; name a map with walls")

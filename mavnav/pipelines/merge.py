@@ -18,6 +18,7 @@ from mavnav.outputs.directory import MERGE_FILE, RUN_FILE, atomic_directory, che
 from mavnav.outputs.documents.sections import evidence
 from mavnav.outputs.documents.verdict import Verdict, worst_verdict
 from mavnav.outputs.files.document import plain, to_json
+from mavnav.outputs.files.finished_run import MergeRecord, finished_run, of_document
 from mavnav.outputs.files.gridmap import GridMap, write_npz, write_pgm, write_yaml
 from mavnav.outputs.files.trajectory import recording_file, trajectory_file, write_poses, write_scans
 from mavnav.outputs.pictures.map_picture import write_merged
@@ -25,7 +26,7 @@ from mavnav.outputs.report.summary_page import merge_summary, write_summary
 from mavnav.outputs.writers import REPORT_FILE
 from mavnav.pipelines.maps import rounded_pose
 from mavnav.pipelines.replay import ReplayRequest, replay_log
-from mavnav.pipelines.sessions import UNREADABLE, FinishedRun, finished_run
+from mavnav.pipelines.sessions import UNREADABLE, read_session
 from mavnav.sessions.group import Join, frame_of, merged_map
 from mavnav.sessions.growth import join_sessions
 from mavnav.slam.methods.registry import load_kernels
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from mavnav.config.models import Config
+    from mavnav.outputs.files.finished_run import FinishedRun
     from mavnav.pose import Trajectory
     from mavnav.profiling import Progress
     from mavnav.sessions.group import Session, SessionGroup
@@ -144,13 +146,13 @@ def _replay(name: str, log: Path, request: MergeRequest, folder: Path, progress:
         _, document = replay_log(wanted, lambda phase, *done: progress(f"{name}: {phase}", *done), 0.0)
     except SeveralTopicsError as error:
         raise TopicError(f"{error.what}; write mavnav replay {log} --topic NAME, and merge that run") from error
-    return FinishedRun(folder / name, document)
+    return of_document(folder / name, document)
 
 
 def _run(path: Path) -> FinishedRun:
     """Return the run in a directory; raises UsageError where it is none of one session."""
     run = finished_run(path)
-    if len(run.stored_sessions) != 1 or "sessions" in run.document:
+    if len(run.record.stored_sessions) != 1 or isinstance(run.record, MergeRecord):
         raise UsageError(f"{path} has several sessions; add others to it with mavnav replay --continue {path} LOG")
     return run
 
@@ -158,7 +160,7 @@ def _run(path: Path) -> FinishedRun:
 def _read(name: str, run: FinishedRun, config: Config) -> Session:
     """Read the scans and poses of a run; raises UsageError where it is not whole."""
     try:
-        return run.session(run.stored_sessions[0], config, name)
+        return read_session(run, run.record.stored_sessions[0], config, name)
     except NoScansError:
         raise
     except UNREADABLE as error:

@@ -44,7 +44,8 @@ if TYPE_CHECKING:
     from mavnav.ground_truth.references import References
     from mavnav.logs import Log
     from mavnav.outputs.documents.run_json import Provenance
-    from mavnav.pipelines.sessions import Continuation, FinishedRun
+    from mavnav.outputs.files.finished_run import FinishedRun
+    from mavnav.pipelines.sessions import Continuation
     from mavnav.sessions.group import Session
     from mavnav.slam.matching.prior_map import PriorMap
     from mavnav.slam.result import SlamResult

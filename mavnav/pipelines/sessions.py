@@ -2,119 +2,73 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from mavnav.config.named_files import read_json
-from mavnav.errors import MavnavError, NoScansError, UsageError
+from mavnav.errors import NoScansError, UsageError
 from mavnav.ground_truth.tables import read_tum
 from mavnav.logs import open_log
 from mavnav.logs.formats.detect import log_name
-from mavnav.outputs.directory import MERGE_FILE, RUN_FILE, file_sha256
 from mavnav.outputs.documents.sections import Continued, EarlierSession, evidence
+from mavnav.outputs.files.finished_run import MergeRecord, finished_run
 from mavnav.outputs.files.trajectory import recording_file, trajectory_file
+from mavnav.pose import Trajectory
 from mavnav.sessions.group import Join, group_in_frame, make_session, merged_map
 from mavnav.sessions.growth import alike, extend_group
-from mavnav.slam.findings import HIGH
 from mavnav.slam.matching.observability import rotate_covariances
+from mavnav.units import NS
 from mavnav.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+    from pathlib import Path
 
     from mavnav.config.models import Config
     from mavnav.logs import Log
     from mavnav.mapping.occupancy_grid import Grid
+    from mavnav.outputs.files.finished_run import FinishedRun, Stored
     from mavnav.profiling import Progress
     from mavnav.scan import Scan
     from mavnav.sessions.group import Session, SessionGroup
     from mavnav.slam.result import SlamResult
 
 
-OWN_FILES: Final = ("trajectory.tum", "result.mcap")
+UNREADABLE: Final = (OSError, ValueError, LookupError, TypeError)
+"""What reading a session raises besides errors of ours where a file is cut or altered."""
 
-UNREADABLE: Final = (OSError, ValueError, LookupError, TypeError, MavnavError)
-"""What reading a session raises where a file is missing, cut or altered."""
-
-
-class Stored(Struct, frozen=True):
-    """A session in a directory: its name, the files of its poses and scans, and whether its track is doubtful."""
-
-    name: str
-    trajectory: str
-    recording: str
-    doubtful: bool
+FASTEST_M_S, JUMP_M = 100.0, 100.0
+"""Beyond this speed, and besides this distance, no laser moves from one scan of a run to the next."""
 
 
-class FinishedRun(Struct, frozen=True):
-    """The directory of a run, a merge or a continued run, with its document."""
+def poses_of(run: FinishedRun, name: str) -> Trajectory:
+    """Read the poses of a run; its file is empty if no scan was tracked.
 
-    directory: Path
-    document: dict[str, Any]
-
-    def check(self) -> None:
-        """Raise LookupError, TypeError, AttributeError or ValueError where the document lacks what is needed."""
-        continued = self.document.get("continued")
-        names = [name for each in self.stored_sessions for name in (each.name, each.trajectory, each.recording)]
-        plain = names and all(Path(name).name == name for name in names)
-        whole = continued is None or {"joined", "run"} <= continued.keys()
-        if not (plain and whole and all(isinstance(self.document[key], dict) for key in ("outputs", "config"))):
-            raise ValueError
-
-    @property
-    def stored_sessions(self) -> list[Stored]:
-        """The sessions in the map, in the order in which they were added."""
-        if "sessions" in self.document:
-            joined = [(s["name"], is_doubtful(s["tracking"])) for s in self.document["sessions"] if s["joined"]]
-            return [Stored(name, trajectory_file(name), recording_file(name), doubtful) for name, doubtful in joined]
-        if "continued" in self.document:
-            earlier, name = (self.document["continued"][key] for key in ("sessions", "name"))
-        else:
-            earlier, name = [], log_name(Path(self.document["input"]["path"]))
-        own = Stored(str(name), *OWN_FILES, is_doubtful(self.document["tracking"]))
-        return [*(Stored(s["name"], s["trajectory"], s["recording"], s["doubtful"]) for s in earlier), own]
-
-    def session(self, stored: Stored, config: Config, name: str = "") -> Session:
-        """Read a session.
-
-        Raises UsageError where a file is missing, or another one than was written, and NoScansError without any pose.
-        """
-        for file in (stored.trajectory, stored.recording):
-            digest, path = self.document["outputs"].get(file), self.directory / file
-            if digest is None or not path.is_file():
-                raise UsageError(f"it has no {file}")
-            if file_sha256(path) != digest:
-                raise UsageError(f"{file} has been altered since it was written")
-        if not (self.directory / stored.trajectory).stat().st_size:
-            raise NoScansError("no scan was tracked")
-        trajectory = read_tum(self.directory / stored.trajectory)
-        log = open_log(self.directory / stored.recording, odom="off")
-        return make_session(name or stored.name, log.scans, trajectory, config, doubtful=stored.doubtful)
+    Raises UsageError where they are not those that were written, or jump.
+    """
+    path = run.file(name)
+    if not path.stat().st_size:
+        return Trajectory.of([], [])
+    trajectory = read_tum(path)
+    steps_m = np.hypot(*np.diff(trajectory.xyyaw[:, :2], axis=0).T)
+    if (steps_m > JUMP_M + FASTEST_M_S * NS * np.diff(trajectory.stamps_ns)).any():
+        jump = f"the poses of {name} jump {steps_m.max():.0f} m"
+        raise UsageError(f"{run.directory} is no whole run: {jump}; make it again with mavnav replay --force")
+    return trajectory
 
 
-def is_doubtful(tracking: dict[str, Any]) -> bool:
-    """Return whether a track is not to be relied on: lost for good, or of high doubt."""
-    doubt = (tracking.get("doubt") or {"probability": None})["probability"]
-    return bool(tracking["lost"]) or (doubt or 0.0) > HIGH
+def read_session(run: FinishedRun, stored: Stored, config: Config, name: str = "") -> Session:
+    """Read a session of a run.
 
-
-def finished_run(directory: Path) -> FinishedRun:
-    """Read the document of a directory; raises UsageError for what is none of a run or merge."""
-    file = MERGE_FILE if (directory / MERGE_FILE).is_file() else RUN_FILE
-    try:
-        document = read_json(directory / file)
-        run = FinishedRun(directory, document)
-        run.check()
-    except OSError as error:
-        raise UsageError(f"{directory} holds no run ({file}: {error.strerror}); name a run directory") from error
-    except (ValueError, LookupError, TypeError, AttributeError) as error:
-        reason = f"{file} lacks what is needed, as of an earlier version or altered"
-        raise UsageError(f"{directory} is no whole run: {reason}; make it again with mavnav replay") from error
-    return run
+    Raises UsageError where a file is missing, or another one than was written, and NoScansError without any pose.
+    """
+    trajectory, recording = poses_of(run, stored.trajectory), run.file(stored.recording)
+    if not len(trajectory):
+        raise NoScansError("no scan was tracked")
+    log = open_log(recording, odom="off")
+    return make_session(name or stored.name, log.scans, trajectory, config, doubtful=stored.doubtful)
 
 
 ANY_PAUSE_S: Final = np.inf
@@ -132,23 +86,25 @@ class Continuation(Struct, frozen=True):
 def run_to_continue(directory: Path) -> FinishedRun:
     """Return a run that can be continued; raises UsageError for what is none."""
     run = finished_run(directory)
-    document = run.document
-    if document.get("input", {}).get("format") == "scenario":
+    record = run.record
+    if record.config.method != "robust":
+        raise UsageError(f"{directory} is of a method that cannot search whole maps; repeat it with --method robust")
+    if isinstance(record, MergeRecord):
+        return run
+    if record.input.format == "scenario":
         advice = "record it with mavnav simulate --record, and replay the recording"
         raise UsageError(f"{directory} is a mission of mavnav simulate; {advice}")
-    if "localisation" in document:
+    if record.localisation is not None:
         raise UsageError(f"{directory} has the map of another run (--map); continue that run")
-    if not document.get("continued", {"joined": True})["joined"]:
-        raise UsageError(f"{directory} did not join the run that it continued; continue {document['continued']['run']}")
-    if document["config"].get("method") != "robust":
-        raise UsageError(f"{directory} is of a method that cannot search whole maps; repeat it with --method robust")
+    if record.continued and not record.continued.joined:
+        raise UsageError(f"{directory} did not join the run that it continued; continue {record.continued.run}")
     return run
 
 
 def earlier_sessions(run: FinishedRun, config: Config) -> list[Session]:
     """Read the sessions of a run; raises UsageError where its files are not those that it wrote."""
     try:
-        return [run.session(stored, config) for stored in run.stored_sessions]
+        return [read_session(run, stored, config) for stored in run.record.stored_sessions]
     except NoScansError as error:
         raise UsageError(f"{run.directory} cannot be continued: {error}; replay the log alone") from error
     except UNREADABLE as error:
@@ -158,7 +114,7 @@ def earlier_sessions(run: FinishedRun, config: Config) -> list[Session]:
 
 def version_warning(run: FinishedRun) -> str:
     """Return a line where another version wrote the run; an empty one otherwise."""
-    version = run.document["mavnav_version"]
+    version = run.record.mavnav_version
     text = f"{run.directory} is of mavnav {version}, this is {__version__}; maps may differ"
     return "" if version == __version__ else text
 

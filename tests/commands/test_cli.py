@@ -412,3 +412,22 @@ def test_off_a_terminal_there_is_a_line_in_a_period(
             report(f"phase {k}", 0, None)
             sleep(0.05)
     assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_an_error_that_a_signal_caused_is_that_signal() -> None:
+    """As where an import that is interrupted raises ImportError; it was a bug, exit code 70."""
+    code = """
+import os, signal
+from mavnav import cli
+
+def interrupted(args):
+    try:
+        os.kill(os.getpid(), signal.SIGTERM)
+    except BaseException as error:
+        raise ImportError("numpy") from error
+
+cli.app_for = interrupted
+cli.main(["info", "x"])
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
+    assert (done.returncode, done.stderr) == (ExitCode.TERMINATED, "mavnav: terminated\n")

@@ -577,7 +577,11 @@ def tracking(sample: Path, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
 
 @pytest.mark.parametrize(
     ("number", "code", "word"),
-    [(signal.SIGINT, ExitCode.INTERRUPTED, "interrupted"), (signal.SIGTERM, ExitCode.TERMINATED, "terminated")],
+    [
+        (signal.SIGINT, ExitCode.INTERRUPTED, "interrupted"),
+        (signal.SIGTERM, ExitCode.TERMINATED, "terminated"),
+        (signal.SIGHUP, ExitCode.TERMINATED, "terminated"),
+    ],
 )
 def test_the_first_signal_keeps_what_is_done_and_marks_it(
     tracking: subprocess.Popen[str], tmp_path: Path, number: int, code: int, word: str

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 from mavnav.kernels.machine.cache import share_private_directory
 from mavnav.kernels.machine.jit import DISABLED, KERNELS, Kernel
+from mavnav.kernels.machine.loader import check_executable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence
@@ -48,6 +49,7 @@ def prepare(progress: Progress, unused: Collection[str] = ()) -> None:
     missing = [] if DISABLED else not_on_disk(unused)
     if not missing:
         return
+    check_executable()
     share_private_directory()
     for done, _ in enumerate(_compile(sorted(missing, key=_rank))):
         progress(f"compiling kernels (first run only): {done} of {len(missing)}", 0, None)

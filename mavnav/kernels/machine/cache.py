@@ -1,8 +1,9 @@
 """The disk cache of machine code: one file per kernel, named by the hash of its sources, with a checksum.
 
-It is in ``MAVNAV_CACHE_DIR``, else ``NUMBA_CACHE_DIR``, else the user's cache directory. If that cannot be written, new
-entries go to a private temporary directory, which child processes share and which is removed at the end; a cache that
-can only be read is still used.
+It is in ``MAVNAV_CACHE_DIR``, else the user's cache directory. If that cannot be written, new entries go to a private
+temporary directory, which child processes share and which is removed at the end; a cache that can only be read is still
+used. Its entries are run: only those count that nobody but this user and root could write. A relative path, as of
+``~`` without a home directory, names a folder of whoever made the working directory, and is never used.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import atexit
 import os
 import re
 import shutil
+import stat
 import sys
 from contextlib import suppress
 from functools import cache
@@ -29,6 +31,10 @@ VERSIONS_KEPT = 4
 """Number of versions of a kernel's code that stay on disk when its source changes."""
 
 _DIGEST_BYTES = 32
+_MOST_BYTES = 1 << 26
+_OF_OTHERS = stat.S_IWGRP | stat.S_IWOTH
+_ONLY_FILES = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+"""Opening a link fails, and opening a pipe does not wait."""
 
 
 @cache
@@ -43,16 +49,18 @@ def cache_key() -> str:
     return f"numba-{installed_version('numba')}-py{sys.version_info.major}{sys.version_info.minor}-{digest}"
 
 
-def user_directory() -> Path:
-    """Return the directory of the machine code, which may not exist; relative only without a home directory."""
-    for variable in ("MAVNAV_CACHE_DIR", "NUMBA_CACHE_DIR"):
-        if named := os.environ.get(variable):
-            return Path(named).absolute()
+def user_directory() -> Path | None:
+    """Return the directory of the machine code, which may not exist; None if none is named by an absolute path."""
+    named = Path(os.environ.get("MAVNAV_CACHE_DIR") or _default_directory())
+    return named if named.is_absolute() else None
+
+
+def _default_directory() -> str:
     if sys.platform == "win32":
         base = os.environ.get("LOCALAPPDATA") or "~/AppData/Local"
     else:
         base = "~/Library/Caches" if sys.platform == "darwin" else os.environ.get("XDG_CACHE_HOME") or "~/.cache"
-    return Path(os.path.expanduser(base)) / "mavnav"  # noqa: PTH111  Path's own raises where there is no home
+    return os.path.join(os.path.expanduser(base), "mavnav")  # noqa: PTH111, PTH118  Path's raises without a home
 
 
 def share_private_directory() -> None:
@@ -65,12 +73,33 @@ def is_kept() -> bool:
     """Return whether the user's directory can be written, so that new entries outlast the process."""
     from tempfile import TemporaryFile  # noqa: PLC0415  runs with all kernels on disk do without
 
-    folder = user_directory() / cache_key()
     with suppress(OSError):
-        folder.mkdir(parents=True, exist_ok=True)
-        TemporaryFile(dir=folder).close()
+        TemporaryFile(dir=_own_folder(user_directory())).close()
         return True
     return False
+
+
+def _own_folder(directory: Path | None) -> Path:
+    """Return the folder for entries in a directory, made if need be; raises OSError where others could write there."""
+    if directory is None:
+        raise NotADirectoryError("no absolute path is known")
+    folder = directory / cache_key()
+    folder.mkdir(parents=True, exist_ok=True)
+    status = folder.stat()
+    if _others_may_write(status):  # by the umask of now or of an earlier time
+        folder.chmod(stat.S_IMODE(status.st_mode) & ~_OF_OTHERS)
+    if not _is_trusted(folder.stat()):
+        raise PermissionError(f"{folder} is of another user")
+    return folder
+
+
+def _others_may_write(status: os.stat_result) -> bool:
+    return os.name == "posix" and bool(status.st_mode & _OF_OTHERS)
+
+
+def _is_trusted(status: os.stat_result) -> bool:
+    """Return whether only this user and root may write a file or folder."""
+    return not _others_may_write(status) and (os.name != "posix" or status.st_uid in {0, os.geteuid()})
 
 
 def _private_directory() -> Path:
@@ -91,35 +120,48 @@ def _remove(folder: str, owner: int) -> None:
 def read_code(name: str) -> memoryview | None:
     """Return the content of an entry; None if there is none with a valid checksum."""
     private = os.environ.get(PRIVATE)
-    for folder in (user_directory(), *([Path(private)] if private else [])):
+    for directory in (user_directory(), Path(private) if private else None):
         with suppress(OSError):
-            content = memoryview((folder / cache_key() / name).read_bytes())  # whose slices are not copied
+            content = memoryview(_read_trusted(directory, name))  # whose slices are not copied
             if sha256(content[_DIGEST_BYTES:]).digest() == content[:_DIGEST_BYTES]:
                 return content[_DIGEST_BYTES:]
     return None
 
 
+def _read_trusted(directory: Path | None, name: str) -> bytes:
+    """Return the bytes of an entry, none where others than this user and root could have written them.
+
+    Links, pipes and devices are no entries. Raises OSError.
+    """
+    if directory is None:
+        return b""
+    folder = directory / cache_key()
+    descriptor = os.open(folder / name, os.O_RDONLY | _ONLY_FILES)
+    with open(descriptor, "rb") as file:  # noqa: PTH123  Path cannot open a descriptor
+        status = os.fstat(descriptor)
+        regular = stat.S_ISREG(status.st_mode) and status.st_size <= _MOST_BYTES
+        return file.read() if regular and _is_trusted(status) and _is_trusted(folder.stat()) else b""
+
+
 def write_code(name: str, code: bytes) -> None:
     """Store an entry, if any disk allows it. Files appear complete, because two processes may write one."""
     content = sha256(code).digest() + code
-    with suppress(OSError):
-        _write(user_directory() / cache_key(), name, content)
-        return
-    with suppress(OSError):
-        _write(_private_directory() / cache_key(), name, content)
+    for directory in (user_directory, _private_directory):
+        with suppress(OSError):
+            _write(_own_folder(directory()), name, content)
+            return
 
 
 def _write(folder: Path, name: str, content: bytes) -> None:
     from tempfile import NamedTemporaryFile  # noqa: PLC0415
 
-    folder.mkdir(parents=True, exist_ok=True)
     file = NamedTemporaryFile(dir=folder, prefix=".", delete=False)  # noqa: SIM115  it is renamed below
     try:
         with file:
             file.write(content)
         mask = os.umask(0)
         os.umask(mask)
-        Path(file.name).chmod(0o666 & ~mask)
+        Path(file.name).chmod(0o644 & ~mask)
         Path(file.name).replace(folder / name)
     except OSError:
         Path(file.name).unlink(missing_ok=True)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 from contextlib import suppress
 from functools import cached_property
+from threading import RLock
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, cast
 
 import numpy as np
 
 from mavnav.kernels.machine.cache import read_code, source_stamp, write_code
-from mavnav.kernels.machine.loader import MachineCode, link
+from mavnav.kernels.machine.loader import MachineCode, check_executable, link
 from mavnav.kernels.machine.types import Signature, Type
 
 if TYPE_CHECKING:
@@ -24,6 +25,10 @@ DISABLED = os.environ.get("NUMBA_DISABLE_JIT", "") not in {"", "0"}
 
 _ALIGNED, _C_ORDERED, _WRITABLE = 0x100, 0x1, 0x400
 """Bits of ``ndarray.flags.num``."""
+
+
+_ONE_AT_A_TIME = RLock()
+"""Threads load and compile one after the other: the engine that takes machine code is not made for more."""
 
 
 class Helper:
@@ -102,8 +107,12 @@ class Kernel:
 
     def load(self) -> None:
         """Load the machine code from the disk, or compile it and write it to the disk."""
-        if self.loaded:
-            return
+        with _ONE_AT_A_TIME:
+            if not self.loaded:
+                self._load()
+
+    def _load(self) -> None:
+        check_executable()
         run = None if self.code is None else self._from_disk(self.code)
         if run is None:
             from mavnav.kernels.machine.compiler import compile_kernel  # noqa: PLC0415

@@ -10,6 +10,7 @@ import builtins
 import ctypes
 import pickle
 import sys
+from errno import EACCES
 from functools import cache
 from importlib.machinery import EXTENSION_SUFFIXES
 from importlib.util import find_spec, module_from_spec, spec_from_file_location
@@ -69,6 +70,19 @@ def link(entry: MachineCode, module: str, name: str) -> Callable[..., Any]:
     kept = (engine, environment)
     made: Callable[..., Any] = dynamic.make_function(sys.modules[module], name, name, address, environment, kept)
     return made
+
+
+@cache
+def check_executable() -> None:
+    """Raise PermissionError where memory cannot be made executable, as under systemd's MemoryDenyWriteExecute."""
+    from llvmlite import binding as llvm  # noqa: PLC0415
+
+    try:
+        llvm.check_jit_execution()
+    except OSError as error:
+        advice = "allow it (systemd: MemoryDenyWriteExecute=no, SELinux: execmem)"
+        text = f"compiled code needs executable memory, which this system denies to mavnav; {advice}"
+        raise PermissionError(EACCES, text) from error
 
 
 @cache

@@ -22,8 +22,12 @@ MAX_CHUNK_BYTES = 128 << 20
 """Maximum size of a chunk or message read into memory, in bytes; writers make chunks of 1 to 8 MiB."""
 
 _MAX_RATIO = 1000
-"""Maximum ratio of decompressed to compressed bytes of a log, besides the bytes that every log may have."""
-_FREE_LOG_BYTES = 2 << 30
+"""Maximum ratio of decompressed to compressed bytes of data outside of a log, besides the bytes that are free."""
+_MAX_FILE_RATIO = 200
+"""Maximum ratio of a whole log, or of a whole file, besides the bytes that every one may have."""
+_SCANS_RATIO = 50
+"""Maximum ratio of a chunk once these are used up; scans and poses compress by 2 to 20."""
+_FREE_LOG_BYTES = 1 << 29
 _FREE_RECORDS = 1_000_000
 """Decompressed bytes and records that every log may have, whatever its size."""
 _MIN_RECORD_BYTES = 2
@@ -31,8 +35,6 @@ _FREE_BYTES = 1 << 20
 _BLOCK_BYTES = 1 << 20
 _PIECE_BYTES = 1 << 8
 _MAX_WINDOW_BYTES = 1 << 27
-_MAX_FILE_RATIO = 200
-"""Maximum ratio of decompressed to compressed bytes of a whole file."""
 
 
 TOO_MANY = "the chunk has more records than a log of this size can hold; the rest is left out"
@@ -50,9 +52,13 @@ class Allowance:
     """
 
     def __init__(self, log_bytes: int = 0) -> None:
-        self.bytes_left = _FREE_LOG_BYTES + _MAX_RATIO * log_bytes
+        self.bytes_left = _FREE_LOG_BYTES + _MAX_FILE_RATIO * log_bytes
         self._records_left = _FREE_RECORDS + log_bytes // _MIN_RECORD_BYTES
         self._keep_records = 0
+
+    def chunk_bytes(self, packed_bytes: int) -> int:
+        """Return how many bytes a chunk may have: as many as are left, or what a chunk of scans has in any case."""
+        return max(self.bytes_left, _SCANS_RATIO * packed_bytes)
 
     def begin_chunk(self) -> None:
         """Start a new chunk, which may use half of the records that are left."""
@@ -93,14 +99,17 @@ def decompress(compression: str, data: bytes, allowance: Allowance | None = None
         raise DecompressError(f"unknown compression {compression!r}")
     if compression not in FRAMES:
         return data, None
-    most_bytes = allowance.bytes_left if allowance else _FREE_BYTES + _MAX_RATIO * len(data)
-    limit = min(MAX_CHUNK_BYTES, most_bytes)
+    most_bytes = allowance.chunk_bytes(len(data)) if allowance else _FREE_BYTES + _MAX_RATIO * len(data)
+    limit = spent = min(MAX_CHUNK_BYTES, most_bytes)
     try:
-        unpacked, problem = _decompress_sound(compression, data, limit), None
-    except _errors_of_damage():
-        unpacked, problem = _decompress_damaged(compression, data, limit)
-    if allowance:
-        allowance.bytes_left -= len(unpacked)
+        try:
+            unpacked, problem = _decompress_sound(compression, data, limit), None
+        except _errors_of_damage():
+            unpacked, problem = _decompress_damaged(compression, data, limit)
+        spent = len(unpacked)
+    finally:
+        if allowance:
+            allowance.bytes_left -= spent
     return unpacked, problem
 
 

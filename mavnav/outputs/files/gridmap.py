@@ -5,12 +5,13 @@ from __future__ import annotations
 import zipfile
 from errno import ENOENT
 from functools import cached_property
+from math import prod
 from typing import IO, TYPE_CHECKING, Any, Final
 
 import numpy as np
 from msgspec import Struct
 
-from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, Grid, occupancy
+from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, Grid, counts, occupancy
 from mavnav.mapping.slices import slice_name
 from mavnav.mapping.tiled_arrays import bands
 from mavnav.units import LARGEST_COORDINATE_M
@@ -26,7 +27,14 @@ if TYPE_CHECKING:
 
 _PIXELS: Final = {FREE: 254, OCCUPIED: 0, UNKNOWN: 205}
 
-MAX_NPZ_BYTES: Final = 1 << 32
+HITS_FILE: Final = "hits.npz"
+
+FREE_CELLS, CELLS_A_BYTE = 1 << 24, 8
+"""Cells that every map may have, and those that it may have besides for each byte of its file: real ones have 1 to 20
+in all, and more only if they are small."""
+
+FREE_HITS, BYTES_A_HIT = 100_000, 2
+"""Cells with hits that every map may have, and bytes of the file for each of the others: real ones have 5 or more."""
 
 CELLS_M: Final = (1e-4, 10.0)
 """Least and greatest size of a cell of a run's map, m: a tenth of the least setting, forty times the greatest."""
@@ -89,32 +97,48 @@ def read_npz(path: Path) -> Grid:
     """Read the counts that `write_npz` wrote; raises OSError, and ValueError for anything else than them."""
     if not path.is_file():
         raise FileNotFoundError(ENOENT, "no such file", str(path))
+    size = path.stat().st_size
     try:
-        _check_size(path)
-        with np.load(path) as counts:
-            (x_m, y_m), cell_m = counts["origin_xy_m"].tolist(), float(counts["cell_m"])
-            hits, passes = counts["counts"], counts["passes"]
+        with zipfile.ZipFile(path) as archive:
+            x_m, y_m = _read_array(archive, "origin_xy_m", 2).tolist()
+            cell_m = float(_read_array(archive, "cell_m", 1))
+            hits, passes = (_read_counts(archive, name, size) for name in ("counts", "passes"))
     except (OSError, ValueError, MemoryError):
         raise
     except Exception as error:  # numpy, zipfile and zlib have many
         raise ValueError(f"{path.name} is damaged ({type(error).__name__})") from error
-    sound = hits.shape == passes.shape and _are_counts(hits) and _are_counts(passes)
+    sound = hits.shape == passes.shape
     placed = CELLS_M[0] <= cell_m <= CELLS_M[1] and all(abs(v) <= LARGEST_COORDINATE_M for v in (x_m, y_m))
     if not (sound and placed):
         raise ValueError(f"{path.name} holds no counts of a map")
     return Grid(cell_m, (x_m, y_m), hits, passes)
 
 
-def _are_counts(cells: NDArray[Any]) -> bool:
-    """Return whether an array has the shape and the values that `write_npz` can write."""
+def _read_counts(archive: zipfile.ZipFile, name: str, size: int) -> NDArray[np.uint16]:
+    """Return counts (rows, cols) from an archive of so many bytes; raises ValueError where they can be none."""
+    cells = _read_array(archive, name, FREE_CELLS + CELLS_A_BYTE * size)
     whole = cells.ndim == 2 and cells.dtype.kind in {"i", "u"}
-    return bool(whole and cells.min(initial=0) >= 0 and cells.max(initial=0) <= np.iinfo(np.int32).max)
+    if not (whole and cells.min(initial=0) >= 0 and cells.max(initial=0) <= np.iinfo(np.int32).max):
+        raise ValueError(f"{name} of {HITS_FILE} are no counts of a map")
+    if name == "counts" and np.count_nonzero(cells) > FREE_HITS + size // BYTES_A_HIT:
+        raise ValueError(f"{HITS_FILE} has more cells with hits than a file of {size} bytes can hold of a real map")
+    return counts(cells)
 
 
-def _check_size(path: Path) -> None:
-    with zipfile.ZipFile(path) as archive:
-        if sum(inner.file_size for inner in archive.infolist()) > MAX_NPZ_BYTES:
-            raise ValueError(f"{path.name} is larger than {MAX_NPZ_BYTES} bytes")
+def _read_array(archive: zipfile.ZipFile, name: str, most: int) -> NDArray[Any]:
+    """Return an array of an archive; raises ValueError, before it is unpacked, for more than ``most`` elements."""
+    file = f"{name}.npy"
+    if archive.getinfo(file).compress_type not in {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}:
+        raise ValueError(f"{HITS_FILE} is packed as numpy packs none")
+    with archive.open(file) as packed:
+        version = np.lib.format.read_magic(packed)
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _, _ = read(packed)
+    if prod(shape) > most:
+        raise ValueError(f"{HITS_FILE} has {prod(shape)} cells, more than a file of its size can hold of a real map")
+    with archive.open(file) as packed:
+        array: NDArray[Any] = np.lib.format.read_array(packed, allow_pickle=False)
+    return array
 
 
 def write_npz(run: GridMap | RunResult, path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from csv import DictReader
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -120,7 +119,7 @@ def load(cell: dict[str, Any], base: Path) -> Entry | Failure:
             goal_xy_m=goal_xy_m,
             view_3d=_view_3d(folder / "map_3d.png"),
         )
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, Image.DecompressionBombError) as error:
         return Failure(log, name, f"its run directory {cell['directory']} cannot be read ({type(error).__name__})")
 
 
@@ -150,7 +149,7 @@ def _column(rows: list[dict[str, str]], name: str) -> NDArray[np.float64]:
 def _view_3d(path: Path) -> Image.Image | None:
     if not path.is_file():
         return None
-    with Image.open(path) as picture:
+    with Image.open(path, formats=("PNG",)) as picture:
         return picture.convert("RGB")
 
 

@@ -14,9 +14,13 @@ def table_row(texts: Iterable[str]) -> str:
 
 
 def escape(text: str) -> str:
-    """Keep Markdown from taking a log's name for its own marks, or a line's end in it for its own."""
+    """Keep Markdown from taking a log's name, or a line's end in it, for its own marks, or calling people by it.
+
+    GitHub calls ``@name`` and links addresses wherever they stand, also after a backslash: an empty comment parts them.
+    """
     plain = "".join(c if c.isprintable() else "?" for c in text)
-    return "".join(f"\\{c}" if c in r"\`*_{}[]<>|#" else c for c in plain)
+    marked = "".join(f"\\{c}" if c in r"\`*_{}[]<>|#" else c for c in plain)
+    return marked.replace("@", "@<!-- -->").replace("://", ":<!-- -->//")
 
 
 def inert(value: object) -> object:
