@@ -7,6 +7,7 @@ number. Only processes of the same machine decide by the number whether that pro
 from __future__ import annotations
 
 import ctypes
+import errno
 import glob
 import os
 import platform
@@ -68,10 +69,8 @@ def beside(target: Path, *, exclusive: bool = False) -> Iterator[Path]:
         sync_all(partial)
         if exclusive:
             _rename_unless_taken(partial, final)
-        elif final.is_dir() and partial.is_dir():
-            _exchange(partial, final)
         else:
-            partial.replace(final)
+            _put(partial, final)
         sync(final.parent)
     except OSError as error:
         if no_space(error) and error.filename is None:
@@ -80,6 +79,16 @@ def beside(target: Path, *, exclusive: bool = False) -> Iterator[Path]:
     finally:
         _remove(folder)
         _OPEN.discard(folder)
+
+
+def _put(partial: Path, final: Path) -> None:
+    """Move a file or folder to its place; a folder that is there already, or comes in the meantime, is exchanged."""
+    try:
+        partial.replace(final)
+    except OSError as error:
+        if error.errno not in (errno.ENOTEMPTY, errno.EEXIST) or not partial.is_dir():
+            raise
+        _exchange(partial, final)
 
 
 def is_stream(path: Path) -> bool:

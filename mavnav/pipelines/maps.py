@@ -48,7 +48,9 @@ def known_map(path: Path | None, start_pose: Pose | None, method: str) -> PriorM
 
     if path.is_dir():
         digests = digests_of(path)
-        path, _ = (checked_file(path, name, digests) for name in ("map.yaml", "map.pgm"))
+        for name in digests.keys() & {"map.yaml", "map.pgm"}:
+            checked_file(path, name, digests)
+        path /= "map.yaml"
     file = read_map(path)
     known = prior_map_of(file.grid, file.map_T_grid, start_pose)
     if not len(known.walls_xy_m):

@@ -79,7 +79,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, repo_root: Path) -> Path:
         "early": {"provenance": None, "outputs": None},
         "located": {"localisation": {"map": "map.yaml"}},
         "paper": {"config": document["config"] | {"method": "paper"}},
-        "broken": {},
+        "broken": {"outputs": {}},
         "spoilt": {},
         "small": {},
     }

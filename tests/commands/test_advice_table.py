@@ -41,6 +41,13 @@ TRIED = {
         "they are not used: record it for the whole log": "test_an_attitude_of_a_part_is_enough_for_that_part",
         "{}: {}, or write --attitude off": "test_an_attitude_that_cannot_be_used_is_left_out_by_off",
     },
+    "logs/test_bounds.py": {
+        "are left out, name one by --topic": "test_of_thousands_of_topics_the_first_hundred_are_read"
+    },
+    "commands/test_view.py": {"no browser could be started; open": "test_a_browser_that_does_not_start_is_named"},
+    "commands/test_strange_runs.py": {
+        "; repeat its command with --force": "test_a_file_that_is_a_pipe_or_mostly_holes_is_not_read"
+    },
     "logs/test_other_scans.py": {
         "choose the messages to take scans from with --topic": "test_two_such_topics_need_a_choice"
     },
@@ -56,8 +63,6 @@ TRIED = {
         "too large for the memory: a pose or a range is far off": "test_a_map_too_large_fits_in_larger_cells",
         "('mavnav calibrate' compares them)": "test_odometry_of_something_else_is_compared_by_calibrate",
         "the others are matched without it: record it": "test_the_stretch_that_odometry_covers_is_replayed_alone",
-        "replay it without --online": "test_a_path_that_is_not_checked_is_checked_as_advised",
-        "use --method robust; {}": "test_a_path_that_is_not_checked_is_checked_as_advised",
         "replay the parts that are left out alone": "test_parts_that_are_left_out_are_replayed_alone",
         "are left out; replay them alone with": "test_parts_that_are_left_out_are_replayed_alone",
         "replay {} alone with --start {} --end {}": "test_parts_that_are_left_out_are_replayed_alone",

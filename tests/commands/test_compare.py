@@ -38,8 +38,8 @@ def test_a_line_for_every_run(again: Callable, directory: Path) -> None:
     assert (code, err) == (0, "")
     assert lines[0].split()[:4] == ["method", "grid", "verdict", "accepted"]
     assert [line.split()[:4] for line in lines[1:3]] == [
-        ["robust", "6/5x5", "?", "suspect"],
-        ["robust", "6/12x12", "?", "suspect"],
+        ["robust", "6/5x5", "✓", "good"],
+        ["robust", "6/12x12", "✓", "good"],
     ]
     assert all(line.rstrip().endswith("reused") for line in lines[1:3])
     assert lines[-1] == f"report  {directory / 'report.html'}"

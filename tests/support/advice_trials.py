@@ -180,7 +180,7 @@ TRIALS = [
         "metrics broken",
     ),
     (
-        "make it again with mavnav replay --force",
+        "has been altered since it was written; get it again",
         "merge spoilt next.mcap",
         "replay log.mcap -o spoilt --force -q",
         "merge spoilt next.mcap -o new -q",

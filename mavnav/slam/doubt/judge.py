@@ -77,7 +77,7 @@ def _judge(track: Track, refiner: Refiner, worth_a_track: float) -> Track:
     return track.with_findings(doubt=doubt)
 
 
-LEAST, MOST_DOUBLINGS = 0.25, 5.0
+LEAST, MOST_DOUBLINGS = 0.25, 6.0
 """Value from which a feature counts, and maximum number of its doublings that count."""
 
 MUCH = 1.0

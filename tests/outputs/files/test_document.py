@@ -101,7 +101,7 @@ def test_doubt_is_reported_with_its_reasons(run):
 
 
 def test_the_verdict_follows_from_the_doubt_and_comes_first(run):
-    words = [plain(run_document(doubtful(run, p), {}))["verdict"]["word"] for p in (0.3, 0.5, 0.51, 0.9, 0.91)]
+    words = [plain(run_document(doubtful(run, p), {}))["verdict"]["word"] for p in (0.3, 0.5, 0.51, 0.75, 0.76)]
     assert words == ["good", "good", "suspect", "suspect", "wrong"]
     assert list(plain(run_document(run, {})))[:3] == ["schema_version", "mavnav_version", "verdict"]
 

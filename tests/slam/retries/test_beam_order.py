@@ -12,6 +12,7 @@ from msgspec.structs import replace
 from mavnav.config.models import Config, RobustConfig
 from mavnav.pose import Pose
 from mavnav.scan import Scan
+from mavnav.slam.doubt import judge
 from mavnav.slam.matching.scan_matching import Match, no_match
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.result import SlamResult
@@ -70,6 +71,7 @@ def run_of(scans: list[Scan]) -> tuple[SlamResult, int]:
     tracks: list[object] = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Track, "over", _counted(Track.over, tracks))
+        patch.setattr(judge, "WORTH_A_TRACK", 1.0)
         return run_slam(lambda: scans, Config(), 0.1), len(tracks)
 
 
