@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 from doubt import is_wrong
-from doubt_corpus import disturbed, largest_errors
+from doubt_corpus import LOGS, disturbed, largest_errors
 
 from mavnav.config.models import Config
 from mavnav.logs import open_log
@@ -41,22 +41,22 @@ from mavnav.slam.pipeline import run_slam
 
 Run = dict[str, Any]
 
-FIELD = {
-    "ccny_demo": ("ccny_demo/ccny_demo.mcap", 0.0, 25.0),
-    "lego_robot4": ("lego_robot4/lego_robot4.mcap", 0.0, 40.0),
-    "urg_exp1": ("urg_exp1/urg_exp1.mcap", 0.0, 25.0),
-    "turtlebot4_mac2": ("turtlebot4_mac2/turtlebot4_mac2_ros2", 0.0, 25.0),
-    "slambot_rplidar": ("slambot_rplidar/slambot_rplidar.mcap", 0.0, 35.0),
-    "fr079": ("fr079/fr079.mcap", 0.0, 45.0),
-    "fr079b": ("fr079/fr079.mcap", 300.0, 340.0),
-    "kidnap_expt09": ("field/kidnap_expt09/kidnap_expt09.bag", 0.0, 25.0),
-    "wean_1": ("field/wean_1/wean_1.log.gz", 0.0, 40.0),
-    "wean_1b": ("field/wean_1/wean_1.log.gz", 80.0, 120.0),
-    "wean_4": ("field/wean_4/wean_4.log.gz", 0.0, 40.0),
-    "rss26_t1r": ("field/rss26_t1r/rss26_t1r.db3", None, None),
-    "rss26_loopfast": ("field/rss26_loopfast/rss26_loopfast.db3", None, None),
+PARTS = {
+    "ccny_demo": (0.0, 25.0),
+    "lego_robot4": (0.0, 40.0),
+    "urg_exp1": (0.0, 25.0),
+    "turtlebot4_mac2": (0.0, 25.0),
+    "slambot_rplidar": (0.0, 35.0),
+    "fr079": (0.0, 45.0),
+    "fr079b": (300.0, 340.0),
+    "kidnap_expt09": (0.0, 25.0),
+    "wean_1": (0.0, 40.0),
+    "wean_1b": (80.0, 120.0),
+    "wean_4": (0.0, 40.0),
+    "rss26_t1r": (None, None),
+    "rss26_loopfast": (None, None),
 }
-"""Name of a log -> its file in the folder of logs, and start and end of the part that is used, s."""
+"""Name of a log in ``doubt_corpus.LOGS`` -> start and end of the part that is used here, s."""
 
 KINDS: dict[str, tuple[float, ...]] = {
     "cut": (1.0, 2.0, 3.0),
@@ -82,14 +82,14 @@ def names() -> list[str]:
         for seed in range(SEEDS)
         for kind, levels in KINDS.items()
         for level in levels
-        for log in FIELD
+        for log in PARTS
     ]
 
 
 def make(folder: Path, logs: Path) -> None:
     """Write the disturbed logs, and the tracks of the undisturbed ones."""
-    for log, (file, start_s, end_s) in FIELD.items():
-        opened = open_log(logs / file, start_s=start_s, end_s=end_s)
+    for log, (start_s, end_s) in PARTS.items():
+        opened = open_log(logs / LOGS[log][0], start_s=start_s, end_s=end_s)
         scans = list(opened.scans())
         odometry = opened.odometry.odom_T_laser if opened.odometry else None
         slam = run_slam(partial(iter, scans), Config(), opened.period_s, odometry)

@@ -137,8 +137,8 @@ def fitted(runs: list[Run], names: Iterable[str]) -> Weights:
 
     bounds = [(None, None), *[(LEAST_WEIGHT, None)] * x.shape[1]]
     start = np.array([-3.0, *[0.5] * x.shape[1]])
-    found = minimize(loss, start, jac=True, bounds=bounds, method="L-BFGS-B").x.tolist()
-    return Weights(round(found[0], 2), {n: round(w, 2) for n, w in zip(names, found[1:], strict=True)})
+    bias, *weights = minimize(loss, start, jac=True, bounds=bounds, method="L-BFGS-B").x.tolist()
+    return Weights(round(bias, 2), {n: round(w, 2) for n, w in zip(names, weights, strict=True)})
 
 
 def fit(runs: list[Run]) -> None:

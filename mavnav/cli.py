@@ -127,7 +127,7 @@ def run(args: Sequence[str], *, debug: bool = False) -> int:
     except BaseException as error:
         if debug and isinstance(error, Exception):
             print_traceback(error)
-        reason = None if isinstance(error, MavnavError) else signals.arrived()
+        reason = None if isinstance(error, MavnavError) else signals.pending_stop()
         return _explain(reason() if reason else error)  # an import that is interrupted may raise something else
     return int(code or 0)
 

@@ -116,12 +116,12 @@ def _end(number: int, _frame: FrameType | None) -> NoReturn:
     os._exit(reason.exit_code)
 
 
-def arrived() -> type[Stopped] | None:
+def pending_stop() -> type[Stopped] | None:
     """Return the exception of a signal that arrived, None if there is none or it is deferred."""
     return _ARRIVED[-1] if len(_ARRIVED) > _DEFERRED[0] else None
 
 
 def raise_pending() -> None:
     """Raise the exception of a signal that arrived, unless it is deferred."""
-    if reason := arrived():
+    if reason := pending_stop():
         raise reason

@@ -13,6 +13,7 @@ from msgspec.structs import replace
 from mavnav.pose import motions
 from mavnav.slam.doubt.second_motion import LEAST_AGREEING, second_motion
 from mavnav.slam.findings import NOT_PLANAR, SECOND_MOTION
+from mavnav.slam.matching.observability import LEAST_OBSERVABILITY
 from mavnav.slam.retries.attempt import COARSER
 from mavnav.units import DEG, NS
 
@@ -127,8 +128,8 @@ A spike is the sum times the factor.
 SPARSE_M, SPARSE_RAD = 0.3, 20 * DEG
 """Motion between two scans above which sampling is sparse."""
 
-WEAK, FEW_POINTS, CONFLICTS, LOST_SHARE = 0.01, 80, 0.05, 0.1
-"""Bounds: observability below it is weak, points fewer, conflicts more, lost scans of a second track raise doubt."""
+FEW_POINTS, CONFLICTS, LOST_SHARE = 80, 0.05, 0.1
+"""Bounds: fewer points, more conflicts and more scans lost by a second track raise doubt."""
 
 WEAK_S, WEAK_M_S, LONGEST_S = 10.0, 0.5, 1.0
 """Time over which the motion along walls that leave it open adds up, the least speed that is then possible, whatever
@@ -203,7 +204,7 @@ def weak(evidence: TrackEvidence) -> Floats:
     It is the motion in ``WEAK_S`` before or after, as a multiple of the bound for wrong. A track along bare walls may
     stand still while the laser moves.
     """
-    weak, stamps_s = (evidence.observed < WEAK) & ~evidence.odometry, evidence.stamps_ns * NS
+    weak, stamps_s = (evidence.observed < LEAST_OBSERVABILITY) & ~evidence.odometry, evidence.stamps_ns * NS
     elapsed_s = np.minimum(np.diff(stamps_s, prepend=stamps_s[:1]), LONGEST_S)
     driven_m = np.cumsum(weak * np.maximum(steps_m(evidence), WEAK_M_S * elapsed_s))
     first = np.searchsorted(stamps_s, stamps_s - WEAK_S)
