@@ -1,13 +1,16 @@
 """How a run proceeds: progress reports, and its profile, seconds by stage, each without the stages inside it.
 
 Times are wall-clock times: reading processor time takes 5 us, and a scan has twenty stages. There is one profile per
-process; ``new_profile`` starts a new one. Time outside of all stages is ``other``.
+process; ``new_profile`` starts a new one. Time outside of all stages is ``other``. `scans_s` is the time of each scan
+in the tracker.
 """
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from functools import wraps
+from math import nan
 from time import perf_counter
 from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
@@ -24,6 +27,7 @@ Progress = Callable[[str, int, int | None], None]
 OTHER = "other"
 
 _spent_s: dict[str, float] = {}
+_scans_s: list[float] = []
 _on = OTHER
 _since_s = 0.0
 
@@ -37,9 +41,28 @@ def new_profile(**before_s: float) -> dict[str, float]:
 
     ``before_s`` are the seconds of stages that are over.
     """
-    global _spent_s, _since_s
-    _spent_s, _since_s = before_s, perf_counter()
+    global _spent_s, _scans_s, _since_s
+    _spent_s, _scans_s, _since_s = before_s, [], perf_counter()
     return _spent_s
+
+
+def scans_s() -> list[float]:
+    """Return the seconds of every scan since the profile began, from the scan at hand to its pose and the map."""
+    return _scans_s
+
+
+def add_scan(began_s: float) -> None:
+    """Add the time of a scan on which the tracker began at ``began_s`` by the clock."""
+    _scans_s.append(perf_counter() - began_s)
+
+
+def peak_memory_mb() -> float:
+    """Return the largest memory that this process has had, in MB of 1e6 bytes; NaN where the system does not tell."""
+    try:
+        from resource import RUSAGE_SELF, getrusage  # noqa: PLC0415  not on all systems
+    except ImportError:
+        return nan
+    return getrusage(RUSAGE_SELF).ru_maxrss * (1e-6 if sys.platform == "darwin" else 1.024e-3)
 
 
 def _switch(name: str) -> str:

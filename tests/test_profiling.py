@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import time
 
+import numpy as np
 import pytest
 
 from mavnav import profiling
-from mavnav.profiling import OTHER, Stage, each, new_profile, timed
+from mavnav.profiling import OTHER, Stage, add_scan, each, new_profile, peak_memory_mb, scans_s, timed
 
 
 @pytest.fixture
@@ -71,3 +72,22 @@ def test_a_new_account_begins_empty_and_the_real_clock_runs() -> None:
         while time.perf_counter() < end:
             pass
     assert 0.01 <= spent["busy"] < 0.5
+
+
+def test_the_time_of_every_scan_is_kept_until_the_next_profile(clock: list[float]) -> None:
+    new_profile()
+    for seconds in (0.25, 0.5):
+        began_s = clock[0]
+        clock[0] += seconds
+        add_scan(began_s)
+    assert scans_s() == [0.25, 0.5]
+    new_profile()
+    assert not scans_s()
+
+
+def test_the_peak_memory_counts_what_was_given_back() -> None:
+    before_mb = peak_memory_mb()
+    if np.isnan(before_mb):
+        pytest.skip("this system does not tell what a process takes")
+    np.ones(int(1e6 * before_mb) // 8)
+    assert peak_memory_mb() > before_mb

@@ -12,7 +12,7 @@ import typer
 from mavnav.commands import shared, signals
 from mavnav.commands.progress import REPLAY, loading_modules, reporting
 from mavnav.commands.quality_rows import reference_rows
-from mavnav.commands.run_screen import log_rows, map_rows, print_run
+from mavnav.commands.run_screen import log_rows, map_rows, print_run, scan_time_text
 from mavnav.commands.sources import local_log
 from mavnav.commands.terminal import Rows, emit, note
 from mavnav.config.options import OPTIONS, REFERENCES, read_options, settings_of
@@ -90,7 +90,7 @@ def replay(
         if again:
             shared.note_repetition(again, document)
         if profile:
-            print_stages(document["timing"]["stages"], stderr=json)
+            print_profile(document["timing"], stderr=json)
         raise typer.Exit(shared.gated_code(document, bounds))
 
 
@@ -162,8 +162,10 @@ def _pose_text(localisation: dict[str, Any]) -> str:
     return f"x {pose['x_m']:z.2f} m, y {pose['y_m']:z.2f} m, yaw {pose['yaw_deg']:z.1f} deg, scan {pose['scan']}"
 
 
-def print_stages(stages: dict[str, float], *, stderr: bool) -> None:
-    """Print the seconds by stage, the longest first, and each one's share."""
+def print_profile(timing: dict[str, Any], *, stderr: bool) -> None:
+    """Print the seconds by stage, the longest first, and each one's share; then what a scan takes."""
+    stages, put = timing["stages"], note if stderr else emit
     total_s = max(sum(stages.values()), 1e-9)
     for name, spent_s in sorted(stages.items(), key=lambda stage: -stage[1]):
-        (note if stderr else emit)(f"{name:<14}{spent_s:>9.3f} s {100 * spent_s / total_s:>5.1f} %")
+        put(f"{name:<14}{spent_s:>9.3f} s {100 * spent_s / total_s:>5.1f} %")
+    put(f"a scan takes {scan_time_text(timing)}")

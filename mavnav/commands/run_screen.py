@@ -142,6 +142,17 @@ def _more(document: dict[str, Any]) -> Rows:
     timing = document["timing"]
     yield from chain(wall_rows(document), quality_rows(document["map_quality"]), more_rows(document["map_quality"]))
     yield "speed", f"{timing['scans_per_s']:.0f} scans/s, {timing['realtime_factor']:.1f} times real time"
+    if "scan" in timing:
+        yield "a scan takes", scan_time_text(timing)
+
+
+def scan_time_text(timing: dict[str, Any]) -> str:
+    """Say what a scan takes in the tracker, beside the time until the next one, and what memory the process took."""
+    scan, memory_mb = timing["scan"], timing["peak_memory_mb"]
+    times = f"{scan['median_ms']:.1f} ms, 95 % within {scan['p95_ms']:.1f}, at most {scan['max_ms']:.1f}"
+    memory = "" if memory_mb is None else f"; {memory_mb:.0f} MB of memory in all"
+    period = "" if scan["period_ms"] is None else f", of the {scan['period_ms']:.0f} ms until the next"
+    return f"{times}{period}{memory}"
 
 
 def _closing_rows(directory: Path, document: dict[str, Any]) -> Rows:

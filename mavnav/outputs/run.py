@@ -12,7 +12,7 @@ from mavnav.mapping.occupancy_grid import known_area, occupancy
 from mavnav.metrics.wall_spread import wall_report
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     import numpy as np
@@ -40,13 +40,15 @@ KEPT_CELLS: Final = 1 << 24
 class Timing(Struct, frozen=True):
     """What the run took, in seconds: by the clock, of the processor, and of it to load or compile the kernels.
 
-    ``stages`` are the clock's seconds by stage, an account that goes on while the outputs are written.
+    ``stages`` are the clock's seconds by stage, an account that goes on while the outputs are written; ``scans_s``
+    those of every scan in the tracker.
     """
 
     wall_s: float
     cpu_s: float
     compile_s: float
     stages: Mapping[str, float] = field(default_factory=dict)
+    scans_s: Sequence[float] = ()
 
 
 class WallShapes(Struct, frozen=True):

@@ -30,7 +30,7 @@ from mavnav.pipelines.again import replay_words
 from mavnav.pipelines.maps import check_references, known_map, localisation, measured_map, references_in_map, slices_of
 from mavnav.pipelines.reach import with_reach
 from mavnav.pose import Pose, correct_path
-from mavnav.profiling import Progress, Stage, new_profile, timed
+from mavnav.profiling import Progress, Stage, new_profile, scans_s, timed
 from mavnav.slam.findings import TrackedAgain
 from mavnav.slam.methods.registry import load_kernels, uses_odometry
 from mavnav.slam.pipeline import run_slam
@@ -159,7 +159,7 @@ def replay_log(
         raise UsageError(f"{request.log}: changed since it was first read; run again once it is complete")
     check_references(given.references, log, options.get("truth_map"), options.get("start_s"), own_frame=given.own_frame)
     compiled_s, compiled_cpu_s = _compile(request.config, progress, rare=not given.own_frame)
-    began = Timing(wall_s + compiled_s, cpu_s + compiled_cpu_s, compile_s + compiled_s, stages)
+    began = Timing(wall_s + compiled_s, cpu_s + compiled_cpu_s, compile_s + compiled_s, stages, scans_s())
     with stoppable() as stop:
         return _track_and_write(request, log, given, progress, stop, began)
 

@@ -28,7 +28,7 @@ from mavnav.outputs.run import MissionRecord, RunResult, Timing, Truth, WallShap
 from mavnav.outputs.writers import WRITERS, check_groups, write_run
 from mavnav.pipelines.maps import measured_map, slices_of
 from mavnav.pose import Pose, correct_path, rigid_fit
-from mavnav.profiling import Progress, new_profile
+from mavnav.profiling import Progress, new_profile, scans_s
 from mavnav.simulation.mission import Flight, fly
 from mavnav.simulation.vehicle import mid_sweep_s
 from mavnav.simulation.world.laser import EDGE_M
@@ -87,7 +87,7 @@ def simulate_mission(
     compile_s += perf_counter() - started_s
     wall_s, cpu_s, stages = perf_counter(), process_time(), new_profile()
     flight = fly(request.scenario, lambda phase, done: progress(phase, done, None))
-    timing = Timing(perf_counter() - wall_s, process_time() - cpu_s, compile_s, stages)
+    timing = Timing(perf_counter() - wall_s, process_time() - cpu_s, compile_s, stages, scans_s())
     if not len(flight.slam.trajectory):
         raise NoScansError(
             f"{request.path}: in {flight.mission.steps} scans the laser saw too little to begin a map; "

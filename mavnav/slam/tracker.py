@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from time import perf_counter
 from typing import TYPE_CHECKING, NamedTuple
 
+from mavnav.profiling import add_scan
 from mavnav.slam.matching.relocalization import apart
 from mavnav.slam.matching.scan_matching import MatchVerdict
 from mavnav.slam.matching.steps import Step
@@ -71,6 +73,7 @@ def track(scans: Iterable[Scan], method: Method, motion: Motion, first: int = 0)
     """
     state = None
     for index, scan in enumerate(scans, first):
+        began_s = perf_counter()
         if state is None:
             match = method.first(scan)
             here, tracked = motion, match.converged
@@ -85,6 +88,7 @@ def track(scans: Iterable[Scan], method: Method, motion: Motion, first: int = 0)
             tracked = state.missed == 0
         if tracked:
             method.insert(scan, match.map_T_laser, here)
+        add_scan(began_s)
         yield Step(index, scan.stamp_ns, match, tracked)
 
 

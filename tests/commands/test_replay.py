@@ -52,6 +52,7 @@ def test_the_profile_is_a_line_a_stage(mavnav: Callable, sample: Path, tmp_path:
     seconds = [float(spent_s) for _, spent_s, _ in rows]
     assert (seconds, err) == (sorted(seconds, reverse=True), "")
     assert {"reading", "search", "gate", "insert", "measuring"} <= {name for name, _, _ in rows}
+    assert re.search(r"^a scan takes [\d.]+ ms, 95 % .* of the 100 ms until the next; \d+ MB", out, re.MULTILINE)
     assert sum(float(share) for _, _, share in rows) == pytest.approx(100.0, abs=0.05 * len(rows))
     _, out, err = mavnav("replay", sample, "-o", tmp_path / "j", *FEW, "--profile", "--json")
     assert json.loads(out)["exit_code"] == 0

@@ -235,6 +235,19 @@ class TruthErrors(Struct, frozen=True):
     wall_distance_error_share: Annotated[Measured, number("relative error of the distance along that beam")] = OPTIONAL
 
 
+class ScanTime(Struct, frozen=True):
+    """The time that the tracker takes for a scan on one core, by the clock, beside the time until the next scan.
+
+    It is that from the scan at hand to its pose and the map that has it; all attempts to track the log count. The
+    passes over the whole log, which an on-board computer does not run, are not in it.
+    """
+
+    median_ms: Annotated[float, number("median time of a scan", title="time a scan", better="lower")]
+    p95_ms: Annotated[float, number("95 % quantile of the time of a scan", better="lower")]
+    max_ms: Annotated[float, number("longest time of a scan", better="lower")]
+    period_ms: Annotated[Measured, number("median time between two scans of the log")]
+
+
 class TimingReport(Struct, frozen=True):
     """The time that the run took until the outputs; rates are without compilation, which a second run does not need."""
 
@@ -244,6 +257,8 @@ class TimingReport(Struct, frozen=True):
     stages: Annotated[dict[str, float], number("time by stage, outputs included", unit="s")]
     scans_per_s: Annotated[float, number("processed scans per second")]
     realtime_factor: Annotated[float, number("duration of the log as a multiple of the time that the run took")]
+    scan: Annotated[ScanTime, text("time of a scan in the tracker")] = OPTIONAL
+    peak_memory_mb: Annotated[Measured, number("largest memory of the process until the outputs")] = OPTIONAL
 
 
 class Host(Struct, frozen=True):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from msgspec import Struct
-from msgspec.structs import asdict, astuple, replace
+from msgspec.structs import astuple, replace
 
 from mavnav.config.models import Config
 from mavnav.metrics.fields import ABSENT
@@ -19,13 +19,14 @@ from mavnav.outputs.documents import sections
 from mavnav.outputs.documents.addresses import public_address
 from mavnav.outputs.documents.verdict import verdict_of
 from mavnav.outputs.run import base_frame, half_sweep_s
+from mavnav.profiling import peak_memory_mb
 from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY
 from mavnav.slam.matching.steps import refused_by
 from mavnav.units import DEG, MM, NS
 from mavnav.version import __version__, installed_version
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -340,4 +341,18 @@ def _timing(run: RunResult) -> model.TimingReport:
     t, scans = run.timing, len(run.slam.steps)
     duration_s = (run.log.last_ns - run.log.first_ns) * NS
     work_s = max(t.wall_s, 1e-9)
-    return model.TimingReport(**asdict(t), scans_per_s=scans / work_s, realtime_factor=duration_s / work_s)
+    return model.TimingReport(
+        wall_s=t.wall_s,
+        cpu_s=t.cpu_s,
+        compile_s=t.compile_s,
+        stages=dict(t.stages),
+        scans_per_s=scans / work_s,
+        realtime_factor=duration_s / work_s,
+        scan=_scan_time(t.scans_s, run.log.period_s) if t.scans_s else ABSENT,
+        peak_memory_mb=peak_memory_mb(),
+    )
+
+
+def _scan_time(scans_s: Sequence[float], period_s: float) -> model.ScanTime:
+    median, p95, most = (1e3 * np.quantile(scans_s, (0.5, 0.95, 1.0))).tolist()
+    return model.ScanTime(median, p95, most, 1e3 * period_s or np.nan)
