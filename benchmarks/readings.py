@@ -1,13 +1,15 @@
 """Evaluate readings (interpretations of the paper's text as parameter values) of the paper's method.
 
-    python benchmarks/readings.py [missions] [gate] [grids] [ablation] [search] [--logs FOLDER] [--designs N] [--jobs N]
+    python benchmarks/readings.py [missions] [gate] [grids] [fine] [ablation] [search]
+        [--logs FOLDER] [--designs N] [--jobs N]
 
 ``search``: a random design over the parameters of ``PaperConfig`` and of the recovery, flown at the paper's full noise
 in three rounds: all readings on few training seeds, the better ones on more, and the best and the named ones on the
 test seeds, which decide. Readings are ranked by goals reached, then by accepted scans, then by trajectory error.
 ``gate``: wrong matches that are accepted, of 240 scans taken at least 1 m from where a map was made, against the goals.
 ``ablation``: each value of `paper` is reset once. ``missions``: both methods, both noises, faster lasers. ``grids``:
-the search grids of the paper's figures 7 and 8. With ``--logs``, recordings are replayed too (FOLDER/NAME/NAME.mcap).
+the search grids of the paper's figures 7 and 8, in flight; ``fine``: those of figure 7 on the same recordings. With
+``--logs``, recordings are replayed too (FOLDER/NAME/NAME.mcap).
 The tables are written to docs/paper/, and docs/paper.md refers to them.
 """
 
@@ -29,8 +31,11 @@ from msgspec import Struct
 from mavnav.config.layers import by_dotted_key
 from mavnav.config.loading import load_config
 from mavnav.config.models import Config
+from mavnav.ground_truth.references import of_scenario
 from mavnav.logs import open_log
+from mavnav.mapping.occupancy_grid import occupied_xy_m
 from mavnav.metrics.map_quality import measure_map
+from mavnav.metrics.reference import map_distance, position_errors
 from mavnav.metrics.wall_thickness import summary, wall_sections
 from mavnav.pipelines.maps import measured_map
 from mavnav.pipelines.simulate import truth_errors
@@ -423,22 +428,70 @@ NARROW = tuple(f"slam.paper.expert.{each}" for each in ("shrink=0.1", "leave_no_
 """Settings of a search whose window shrinks faster than its grid resolves, so that gaps remain between samples."""
 
 
-def grids(ex: Executor) -> list[str]:
+FIGURE_8 = Reading.of(
+    "literal, loose gate",
+    "paper-literal",
+    {
+        "slam.paper.gate_mm2": 1500,
+        "slam.paper.cell_mm": 20,
+        "slam.paper.expert.cluster_gap_cells": 8,
+        "slam.paper.expert.occlusion_mm": 200,
+        "slam.paper.expert.refine_factor": 1,
+        "slam.paper.expert.give_up": "false",
+        "recovery.hover_noise": "true",
+        "vehicle.noise_xy_mm": 10,
+        "vehicle.noise_yaw_deg": 2.5,
+    },
+)
+"""A reading near the letter in which the search grid decides over the flight, with half the noise of the commands."""
+
+COMPARED = (NAMED[0], Reading("paper, leaving gaps", "paper", NARROW), FIGURE_8)
+
+
+def grids(ex: Executor, readings: Sequence[Reading] = COMPARED, seeds: Sequence[int] = range(10)) -> list[str]:
     """Fly the corridor with each search grid (figures 7 and 8); return the lines of the page."""
     head = ["reading", "yaw samples / grid", "goals", "accepted %", "ATE mm (worst)", "ghost walls, maps", "m",
             "evaluations a match", "ms a match"]  # fmt: skip
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    for (name, sets), (yaw, n) in product((("paper", ()), ("paper, leaving gaps", NARROW)), GRIDS):
-        reading = Reading(name, "paper", (*sets, f"slam.grid={n}x{n}", f"slam.azimuth={yaw}"))
-        flown = list(ex.map(_drawn, [(reading, "corridor", seed) for seed in range(10)]))
+    for given, (yaw, n) in product(readings, GRIDS):
+        reading = given._replace(sets=(*given.sets, f"slam.grid={n}x{n}", f"slam.azimuth={yaw}"))
+        flown = list(ex.map(_drawn, [(reading, "corridor", seed) for seed in seeds]))
         goals = sum(f["goal"] for f in flown)
         mean = {key: np.mean([f[key] for f in flown]) for key in flown[0]}
         worst = max(f["ate_mm"] for f in flown)
-        numbers = [f"{goals} of 10", f"{100 * mean['accepted']:.0f}", f"{mean['ate_mm']:.0f} ({worst:.0f})",
-                   f"{sum(f['ghosts_m'] > 0 for f in flown)} of 10", f"{mean['ghosts_m']:.1f}",
+        numbers = [f"{goals} of {len(seeds)}", f"{100 * mean['accepted']:.0f}", f"{mean['ate_mm']:.0f} ({worst:.0f})",
+                   f"{sum(f['ghosts_m'] > 0 for f in flown)} of {len(seeds)}", f"{mean['ghosts_m']:.1f}",
                    f"{mean['evaluations']:.0f}", f"{mean['ms']:.2f}"]  # fmt: skip
-        lines.append("| " + " | ".join([name, f"{yaw} / {n}x{n}", *numbers]) + " |")
+        lines.append("| " + " | ".join([given.name, f"{yaw} / {n}x{n}", *numbers]) + " |")
     return lines
+
+
+FIGURE_7 = ((20, 10), (40, 40))
+"""Yaw samples, and points per side of the position grid, of the paper's figure 7."""
+
+
+def fine(ex: Executor, seeds: Sequence[int] = TEST_SEEDS) -> list[str]:
+    """Replay recordings of the corridor with both grids of figure 7, nothing aligned; return the lines of the page."""
+    found = np.array(list(ex.map(_both_grids, seeds)))
+    lines = ["| | 20 / 10x10 | 40 / 40x40 | finer is better in |", "|---|---|---|---|"]
+    for name, of_measure in zip(("last pose, mm", "p95 of wall cells, mm"), found.transpose(2, 1, 0), strict=True):
+        medians = [f"{np.median(some):.0f} ({some.max():.0f})" for some in of_measure]
+        better = int((of_measure[1] < of_measure[0]).sum())
+        share = f"{better} of {len(found)}: {interval(better, len(found))} %"
+        lines.append("| " + " | ".join([f"{name} (worst)", *medians, share]) + " |")
+    return lines
+
+
+def _both_grids(seed: int) -> list[list[float]]:
+    """Return, for both grids, the error of the last pose and p95 of the distance of wall cells to the walls, mm."""
+    flight = fly(load_scenario("corridor", (), {"seed": seed}, "paper"))
+    walls, errors = of_scenario(flight.scenario, flight.world_T_map), []
+    for yaw, n in FIGURE_7:
+        config = load_config("paper", [f"grid={n}x{n}", f"azimuth={yaw}"])
+        outcome = run_slam(lambda: iter(flight.scans), config, 0.1, flight.odom_T_base)
+        last = position_errors(outcome.trajectory, flight.map_T_laser, aligned=False)[-1]
+        errors.append([1e3 * last, map_distance(occupied_xy_m(outcome.grid), walls).p95_mm])
+    return errors
 
 
 def _drawn(task: tuple[Reading, str, int]) -> dict[str, float]:
@@ -495,6 +548,7 @@ def main() -> None:
             "missions": partial(missions, ex),
             "gate": partial(gate, ex),
             "grids": partial(grids, ex),
+            "fine": partial(fine, ex),
             "ablation": partial(ablation, ex, args.logs),
             "search": partial(search, ex, args.logs, args.designs),
         }
@@ -510,6 +564,7 @@ HEADS = {
     "gate": "Wrong matches against goals, pairs of seed 2000, missions of seeds 0 to 19",
     "missions": "Missions, seeds 0 to 19",
     "grids": "Search grids in the corridor, seeds 0 to 9",
+    "fine": "Recordings of the corridor replayed with the two grids of figure 7, seeds 0 to 19",
     "ablation": "Each value of the reading `paper` undone",
     "search": "The best of the readings, on test seeds",
 }

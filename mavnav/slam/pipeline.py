@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from mavnav.pose import Pose
-from mavnav.slam.doubt.judge import judge_redrawn, judge_track
+from mavnav.slam.doubt.judge import judge_flown, judge_redrawn, judge_track
 from mavnav.slam.loop_closure.detection import close_loops
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, LogOdometry, in_meters
@@ -116,8 +116,8 @@ def run_slam(
 
 
 def finish(track: Track) -> SlamResult:
-    """Run the last passes over a track and summarize it."""
-    return summarize(after(track, (*CHECKING, *DRAWING)))
+    """Run the last passes over the track of a mission and summarize it."""
+    return summarize(after(track, (*CHECKING[:-1], judge_flown, *DRAWING)))
 
 
 def after(track: Track, passes: tuple[Pass, ...]) -> Track:

@@ -18,6 +18,7 @@ from mavnav.simulation.mission import End, Flight, fly
 from mavnav.simulation.planner.potential_field import MotionCommand, Planner
 from mavnav.simulation.vehicle import START_NS, Vehicle, disturbance, sweeping
 from mavnav.simulation.world import Scenario, load_scenario
+from mavnav.slam.doubt.judge import RESAMPLED
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
@@ -239,6 +240,20 @@ def test_one_seed_one_flight() -> None:
         assert a.xyyaw.tobytes() == b.xyyaw.tobytes()
     assert again.slam.grid.hits.tobytes() == flight.slam.grid.hits.tobytes()
     assert again.odom_T_base.xyyaw.tobytes() == flight.odom_T_base.xyyaw.tobytes()
+
+
+def test_a_mission_is_always_compared_with_another_track() -> None:
+    doubt = flown("corner").slam.doubt
+    assert doubt is not None
+    assert doubt.tried == (RESAMPLED,)
+    assert doubt.probability < 0.5
+
+
+def test_a_mission_that_slides_along_a_hallway_is_doubted() -> None:
+    flight = flown("hallway")
+    assert truth_errors(flight).final_error_m > 0.2
+    assert flight.slam.doubt is not None
+    assert flight.slam.doubt.probability > 0.5
 
 
 def test_another_seed_is_another_flight() -> None:

@@ -45,6 +45,14 @@ def judge_track(track: Track, refiner: Refiner) -> Track:
     return _judge(track, refiner, WORTH_A_TRACK) if refiner.builds_map else track
 
 
+def judge_flown(track: Track, refiner: Refiner) -> Track:
+    """Add that probability to the track of a mission, which is always compared with another one.
+
+    Its commands, which the prediction follows, tell nothing of where the vehicle is; so nothing else contradicts it.
+    """
+    return _judge(track, refiner, 0.0)
+
+
 def judge_redrawn(track: Track) -> Track:
     """Judge a track that no pass may change by a map of its scans at their poses.
 
