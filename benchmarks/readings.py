@@ -436,6 +436,7 @@ FIGURE_8 = Reading.of(
         "slam.paper.cell_mm": 20,
         "slam.paper.expert.cluster_gap_cells": 8,
         "slam.paper.expert.occlusion_mm": 200,
+        "slam.paper.expert.gate_occlusion_mm": 200,
         "slam.paper.expert.refine_factor": 1,
         "slam.paper.expert.give_up": "false",
         "recovery.hover_noise": "true",

@@ -28,7 +28,8 @@ class Quantity(Struct, frozen=True):
 
     It is written times ``factor`` with so many ``digits``, in ``shown_unit`` if that is another; what reads the same
     counts as the same. ``per_cell`` marks what depends on the cell size of the map, and cannot be compared between
-    maps of different cells. Differences up to the share ``noise`` are none. A ``cost`` is no virtue of the map; what
+    maps of different cells. Differences up to the share ``noise`` are none: so much another
+    sample of the readings changes them (benchmarks/metric_noise.py). A ``cost`` is no virtue of the map; what
     is not ``ranked`` differs from one run to the next, and no run is the best by it. ``otherwise`` is a second name,
     of runs that do not have the first.
     """
@@ -88,14 +89,14 @@ class Quantity(Struct, frozen=True):
 
 
 QUANTITIES: Final = (
-    Quantity("map.accepted_share", 1, 100.0, "%"),
-    Quantity("wall_thickness.spread.median_mm", 0, per_cell=True, noise=0.05),
-    Quantity("wall_thickness.spread.p95_mm", 0, per_cell=True, noise=0.05),
-    Quantity("wall_thickness.paper_cells.max", 1, per_cell=True, noise=0.05),
+    Quantity("map.accepted_share", 1, 100.0, "%", noise=0.03),
+    Quantity("wall_thickness.spread.median_mm", 0, per_cell=True, noise=0.03),
+    Quantity("wall_thickness.spread.p95_mm", 0, per_cell=True, noise=0.08),
+    Quantity("wall_thickness.paper_cells.max", 1, per_cell=True, noise=0.4),
     Quantity("map_quality.ghost_walls.length_m", 1),
-    Quantity("map_quality.crispness.occupied_cells_per_m", 1, shown_unit="", per_cell=True, noise=0.02),
-    Quantity("map_quality.crispness.entropy_bits", 3, per_cell=True, noise=0.02),
-    Quantity("map_quality.revisits.nn_l_mm", 1, noise=0.02),
+    Quantity("map_quality.crispness.occupied_cells_per_m", 1, shown_unit="", per_cell=True, noise=0.06),
+    Quantity("map_quality.crispness.entropy_bits", 3, per_cell=True, noise=0.03),
+    Quantity("map_quality.revisits.nn_l_mm", 1, noise=0.07),
     Quantity("reference.ate.rmse_m", 0, 1e3, "mm", noise=0.05, otherwise="truth.ate_rmse_m"),
     Quantity("reference.map_distance.mean_mm", 0, noise=0.05),
     Quantity("search.evaluations_per_scan.mean", 0, cost=True),

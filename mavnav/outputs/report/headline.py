@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from mavnav.outputs.documents import quantities
-from mavnav.outputs.documents.quantities import comparable, number
+from mavnav.outputs.documents.quantities import number
 from mavnav.outputs.report import tables
 from mavnav.units import pluralize
 
@@ -18,9 +18,7 @@ if TYPE_CHECKING:
 QUALITY: Final = tuple(q for q in quantities.QUANTITIES if not q.cost)
 P95: Final = quantities.NAMED["wall_thickness.spread.p95_mm"]
 TIME: Final = quantities.NAMED["timing.cpu_s"]
-
-SMALL_SHARE: Final = 0.03
-"""Maps are called as good as equal if no metric differs by this share, apart from those that differ within noise."""
+REVISITS: Final = quantities.NAMED["map_quality.revisits.nn_l_mm"]
 
 
 def headline(entries: Sequence[NamedRun]) -> str:
@@ -102,25 +100,48 @@ def _of_many(sound: Sequence[NamedRun]) -> str:
 
 def _ranking(sound: Sequence[NamedRun], quality: Sequence[Quantity], measure: str) -> str:
     """Return the sentence for several maps: the run that is best by most metrics, if there is one."""
-    won = {q.title: quantities.winners(q, [e.document for e in sound]) for q in quality}
-    contested = [title for title, best in won.items() if best]
-    names = _list([e.name for e in sound])
-    if not contested:
-        return f"{_finer(sound)}the maps of {names} are equally good by every {measure}{_fewest_evaluations(sound)}."
-    if max(_spread(sound, q) for q in quality if won[q.title]) < SMALL_SHARE:
-        most = max(_spread(sound, q) for q in quality)
-        differ = f"no measure differs by more than {100 * most:.1f} %"
-        return f"{_finer(sound)}the maps of {names} are as good as equal, {differ}{_fewest_evaluations(sound)}."
-    score = [sum(k in won[title] for title in contested) for k in range(len(sound))]
+    winners = {q: quantities.winners(q, [e.document for e in sound]) for q in quality}
+    won = {q: best for q, best in winners.items() if best}
+    if not won:
+        names = _list([e.name for e in sound])
+        alike = f"the maps of {names} are equally good by every {measure}{_within_noise(sound, quality)}"
+        return f"{_finer(sound)}{alike}{_fewest_evaluations(sound)}."
+    score = [sum(k in best for best in won.values()) for k in range(len(sound))]
     leaders = [k for k, wins in enumerate(score) if wins == max(score)]
-    best, of = sound[leaders[0]], f"of the {len(contested)} measures that differ"
+    all_ = "the one measure that differs" if len(won) == 1 else f"all {len(won)} measures that differ"
+    of = all_ if max(score) == len(won) else f"{max(score)} of the {len(won)} measures that differ"
+    best = min((sound[k] for k in leaders), key=tables.fineness)
+    measures = "; ".join(_differs(q, sound, best) for q in won if leaders[0] in won[q])
     if len(leaders) > 1:
-        equal = _list([sound[k].name for k in leaders])
-        return f"No run stands out: {equal} are each best at {max(score)} {of}{_fewest_evaluations(sound)}."
-    measures = _list([title for title in contested if leaders[0] in won[title]])
-    lead = "by the one measure that differs" if len(contested) == 1 else f"best at {max(score)} {of}"
-    winner = f"{best.name} gives the best map, {lead} ({measures}){_walls(sound, best)}."
-    return f"{_finer(sound, best)}{winner} {_cost(sound, best)}".rstrip()
+        equal = f"{_list([sound[k].name for k in leaders])} are each best by {of} ({measures})"
+        prefix = _finer(sound, best) or "No run stands out: "
+        return f"{prefix}{equal}{_fewest_evaluations(sound)}."
+    return (
+        f"{_finer(sound, best)}{best.name} gives the best map, best by {of} ({measures}). {_cost(sound, best)}".rstrip()
+    )
+
+
+def _differs(quantity: Quantity, sound: Sequence[NamedRun], best: NamedRun) -> str:
+    """Return the best value of a measure and the worst, and by how much such values are uncertain."""
+    values = [v for e in sound if (v := quantity.of(e.document)) is not None]
+    worst = (max if quantity.better < 0 else min)(values)
+    text = f"{quantity.title} {quantity.text_of(best.document)} against {worst:.{quantity.digits}f} {quantity.unit}"
+    return f"{text.rstrip()}{_uncertain(quantity)}"
+
+
+def _within_noise(sound: Sequence[NamedRun], quality: Sequence[Quantity]) -> str:
+    """Return the range of the first measure that all maps have, and by how much it is uncertain; may be empty."""
+    for quantity in (P95, REVISITS):
+        values = [v for e in sound if (v := quantity.of(e.document)) is not None]
+        if quantity in quality and len(values) == len(sound):
+            low, high = (f"{value:.{quantity.digits}f}" for value in (min(values), max(values)))
+            spread = low if low == high else f"{low} to {high}"
+            return f" ({quantity.title} {spread} {quantity.unit}{_uncertain(quantity)})"
+    return ""
+
+
+def _uncertain(quantity: Quantity) -> str:
+    return f", uncertain by {100 * quantity.noise:.0f} %" if quantity.noise else ""
 
 
 def _finer(sound: Sequence[NamedRun], best: NamedRun | None = None) -> str:
@@ -131,29 +152,8 @@ def _finer(sound: Sequence[NamedRun], best: NamedRun | None = None) -> str:
     return f"A finer grid {'pays' if pays else 'does not pay'} on this log: "
 
 
-def _spread(sound: Sequence[NamedRun], quantity: Quantity) -> float:
-    """Return the range of a metric over the runs, relative to its largest absolute value; 0 if it reads the same."""
-    values = [v for e in sound if (v := quantity.of(e.document)) is not None]
-    same = len({round(v, quantity.digits) for v in values}) < 2
-    if same or not comparable(quantity, [e.document for e in sound]):
-        return 0.0
-    return (max(values) - min(values)) / max(*map(abs, values), 1e-12)
-
-
 def _list(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
-
-
-def _walls(sound: Sequence[NamedRun], best: NamedRun) -> str:
-    """Return the comparison of a run's wall thickness with that of the coarsest grid of its method; may be empty."""
-    coarse = tables.coarsest(sound, best)
-    ours, theirs = P95.of(best.document), P95.of(coarse.document)
-    if coarse is best or ours is None or theirs is None or not comparable(P95, [best.document, coarse.document]):
-        return ""
-    if P95.same(ours, theirs):
-        return f"; its walls are as thick as those of {coarse.name} ({_mm(ours)} against {_mm(theirs)} at p95)"
-    than = "thinner" if ours < theirs else "thicker"
-    return f"; its walls are {than} than those of {coarse.name}, {_mm(ours)} against {_mm(theirs)} at p95"
 
 
 def _cost(sound: Sequence[NamedRun], best: NamedRun) -> str:
