@@ -91,7 +91,7 @@ class Quantity(Struct, frozen=True):
 QUANTITIES: Final = (
     Quantity("map.accepted_share", 1, 100.0, "%", noise=0.03),
     Quantity("wall_thickness.spread.median_mm", 0, per_cell=True, noise=0.03),
-    Quantity("wall_thickness.spread.p95_mm", 0, per_cell=True, noise=0.08),
+    Quantity("wall_thickness.spread.p95_mm", 0, per_cell=True, noise=0.09),
     Quantity("wall_thickness.paper_cells.max", 1, per_cell=True, noise=0.4),
     Quantity("map_quality.ghost_walls.length_m", 1),
     Quantity("map_quality.crispness.occupied_cells_per_m", 1, shown_unit="", per_cell=True, noise=0.06),

@@ -80,7 +80,7 @@ def test_the_headline_says_first_whether_a_finer_grid_pays():
 
 def test_maps_that_differ_within_the_noise_are_equally_good_and_the_noise_is_told():
     pair = [entry("robust 10/5x5", p95_mm=131.2, cells_per_m=200.0), entry(p95_mm=135.4, cells_per_m=205.0)]
-    assert "equally good by every measure here (wall p95 131 to 135 mm, uncertain by 8 %); robust" in headline(pair)
+    assert "equally good by every measure here (wall p95 131 to 135 mm, uncertain by 9 %); robust" in headline(pair)
 
 
 def test_the_measures_that_decide_are_told_with_their_uncertainty():
@@ -91,7 +91,7 @@ def test_the_measures_that_decide_are_told_with_their_uncertainty():
     )
     assert headline([pair[0], entry(p95_mm=40.0)]).startswith("A finer grid does not pay on this log: robust 10/5x5")
     pair[0].document["wall_thickness"]["spread"]["p95_mm"] = 30.0
-    assert "best by all 2 measures that differ (wall p95 30 against 40 mm, uncertain by 8 %; cells" in headline(pair)
+    assert "best by all 2 measures that differ (wall p95 30 against 40 mm, uncertain by 9 %; cells" in headline(pair)
 
 
 def test_counts_of_cells_of_two_sizes_are_not_among_the_measures_that_hardly_differ():
