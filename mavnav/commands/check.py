@@ -42,7 +42,7 @@ def check(
     from mavnav.metrics.gates import check_known, read_accept
 
     bounds, accepted = shared.gates_of(gates), frozenset(map(read_accept, accept or ()))
-    finished = [run for path in runs for run in _runs_at(path)]
+    finished = [run for path in shared.without_latest(runs) for run in _runs_at(path)]
     check_known(bounds, [run.document for run in finished if run.document is not None])
     rows = [_judge(run, bounds, accepted) for run in finished]
     code = worst(row["exit_code"] for row in rows)

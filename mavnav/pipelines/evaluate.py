@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 from msgspec import Struct
 from msgspec.structs import replace
 
-from mavnav.errors import MavnavError, UsageError, reason_of
+from mavnav.errors import MavnavError, UsageError, missing, reason_of
 from mavnav.ground_truth.map_file import read_map
 from mavnav.ground_truth.references import References, check_times, compare_to, in_time_of_truth
 from mavnav.kernels.machine.building import prepare
 from mavnav.logs import open_log
+from mavnav.logs.formats.detect import is_named_like_a_log
 from mavnav.mapping.occupancy_grid import occupied_xy_m
 from mavnav.metrics.fields import ABSENT
 from mavnav.metrics.gates import stored_verdict
@@ -97,7 +98,9 @@ def subject(path: Path) -> Subject:
     if path.is_dir():
         return _run(path)
     if not path.exists():
-        raise UsageError(f"{path}: no such file; name a run directory, or the YAML file of a map")
+        raise UsageError(missing(path, "name a run directory, or the YAML file of a map"))
+    if is_named_like_a_log(path):
+        raise UsageError(f"{path} is a log; map it with 'mavnav replay {path}', and name that run")
     file = read_map(path)
     return Subject("map", file.grid, file.map_T_grid)
 
