@@ -10,7 +10,9 @@ import typer
 
 from mavnav.commands import shared
 from mavnav.commands.progress import loading_modules, reporting
-from mavnav.commands.terminal import emit_json, note, print_verdict
+from mavnav.commands.quality_rows import spread_text
+from mavnav.commands.terminal import Rows, emit_json, note, print_verdict
+from mavnav.config.named_files import read_json
 from mavnav.units import pluralize
 
 EPILOG = """
@@ -57,8 +59,15 @@ def merge(
     if json:
         emit_json(document)
     else:
-        print_verdict(document, [*map(_row, document["sessions"]), ("written", str(target))])
+        print_verdict(document, [*map(_row, document["sessions"]), *_wall_rows(target), ("written", str(target))])
     raise typer.Exit(document["exit_code"])
+
+
+def _wall_rows(directory: Path) -> Rows:
+    """Yield the row on the thickness of the walls."""
+    from mavnav.outputs.directory import RUN_FILE
+
+    yield "walls", spread_text(read_json(directory / RUN_FILE)["wall_thickness"]["spread"])
 
 
 def _label(session: dict[str, Any]) -> str:
