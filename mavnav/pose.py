@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from msgspec import Struct
 
+from mavnav.units import one_line
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -118,6 +120,8 @@ class Trajectory(Struct, frozen=True):
 
     stamps_ns: NDArray[np.int64]
     xyyaw: NDArray[np.float64]
+
+    __repr__ = one_line
 
     def __post_init__(self) -> None:
         """Check the shapes and freeze the arrays."""

@@ -10,6 +10,8 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
+from mavnav.units import one_line
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -146,6 +148,8 @@ class Scan(Struct, frozen=True):
     spec: LaserSpec
     times_s: NDArray[np.float64] | None = None
     heights_m: NDArray[np.float64] | None = None
+
+    __repr__ = one_line
 
     def __post_init__(self) -> None:
         """Freeze ranges and heights; raises TypeError for ranges that are no array."""

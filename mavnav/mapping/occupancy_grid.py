@@ -26,6 +26,7 @@ from mavnav.mapping.tiled_arrays import (
     within,
 )
 from mavnav.profiling import timed
+from mavnav.units import one_line
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -61,6 +62,8 @@ class Grid(Struct, frozen=True):
     origin_xy_m: tuple[float, float] = (0.0, 0.0)
     hits: NDArray[np.uint16] = field(default_factory=lambda: np.zeros((0, 0), np.uint16))
     passes: NDArray[np.uint16] = field(default_factory=lambda: np.zeros((0, 0), np.uint16))
+
+    __repr__ = one_line
 
     def __post_init__(self) -> None:
         """Convert the counts as `counts` does."""
