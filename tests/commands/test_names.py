@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from mavnav.batch.request import swept
+from mavnav.batch.request import listed_settings, swept
 from mavnav.comparison.pipeline import comparison_settings
+from mavnav.config.layers import Layer
 from mavnav.config.loading import load_config
 from mavnav.errors import ConfigError, ExitCode
 from mavnav.simulation.world import load_scenario
@@ -79,6 +80,8 @@ def test_the_resolution_is_the_cell_of_the_method_in_use(method: str) -> None:
         name: getattr(load_config(None, sets, {"resolution_m": 0.07}), name).cell_mm for name in ("robust", "paper")
     }
     assert cells == {"robust": 11, "paper": 11} | {method: 70.0}
+    (listed,) = listed_settings([{"method": method, "resolution_m": 0.07}], Layer(), Path(), [], {})
+    assert getattr(listed.config, method).cell_mm == 70.0
     mission = load_scenario("corner", [], {"slam.method": method, "slam.resolution_m": 0.07}).slam
     assert getattr(mission, method).cell_m == pytest.approx(0.07)
 
