@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from msgspec import Struct
 
-from mavnav.units import one_line
-
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -121,7 +119,9 @@ class Trajectory(Struct, frozen=True):
     stamps_ns: NDArray[np.int64]
     xyyaw: NDArray[np.float64]
 
-    __repr__ = one_line
+    def __repr__(self) -> str:
+        """Return the shapes of the arrays, in a line."""
+        return f"Trajectory(stamps_ns=int64[{len(self)}], xyyaw=float64[{len(self)}, 3])"
 
     def __post_init__(self) -> None:
         """Check the shapes and freeze the arrays."""

@@ -10,8 +10,6 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from mavnav.units import one_line
-
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -149,7 +147,9 @@ class Scan(Struct, frozen=True):
     times_s: NDArray[np.float64] | None = None
     heights_m: NDArray[np.float64] | None = None
 
-    __repr__ = one_line
+    def __repr__(self) -> str:
+        """Return stamp and sensor, in a line."""
+        return f"Scan(stamp_ns={self.stamp_ns}, ranges_m=float64[{len(self.ranges_m)}], spec={self.spec})"
 
     def __post_init__(self) -> None:
         """Freeze ranges and heights; raises TypeError for ranges that are no array."""

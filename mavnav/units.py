@@ -1,10 +1,10 @@
-"""Factors to SI, the largest coordinate, and counts and records in texts.
+"""Factors to SI, the largest coordinate, and counts in texts.
 
 ``250 * MM`` is 0.25 m; only configuration and reports are in mm and deg.
 """
 
 from math import pi
-from typing import Any, Final
+from typing import Final
 
 MM: Final = 1e-3
 MM2: Final = 1e-6
@@ -20,13 +20,3 @@ def pluralize(count: int, noun: str) -> str:
     """Return a count with its noun, which takes an s or es unless there is one."""
     ending = "" if count == 1 else "es" if noun.endswith("ch") else "s"
     return f"{count} {noun}{ending}"
-
-
-def one_line(record: Any) -> str:  # noqa: ANN401  any msgspec.Struct
-    """Return what a record prints: its fields, of arrays the type and shape in place of the numbers."""
-    values = ((name, getattr(record, name)) for name in record.__struct_fields__ if not name.startswith("_"))
-    return f"{type(record).__name__}({', '.join(f'{name}={_brief(value)}' for name, value in values)})"
-
-
-def _brief(value: Any) -> str:  # noqa: ANN401
-    return f"{value.dtype}{list(value.shape)}" if hasattr(value, "shape") else repr(value)

@@ -11,6 +11,9 @@ from pathlib import Path
 from tempfile import mkdtemp
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
+import numpy as np
+from PIL import Image
+
 from mavnav.api.arguments import path_of
 from mavnav.atomic_files import naming_full_disk
 from mavnav.config.named_files import read_json
@@ -123,13 +126,21 @@ class Run:
         """
         from mavnav.api.pictures import plot  # noqa: PLC0415  heavy
 
-        return plot(self, axes)
+        columns, verdict = self.columns(), self.verdict
+        xy_m = np.array([columns["x_m"], columns["y_m"]], np.float64).T
+        path = xy_m, np.array(columns["doubtful"], np.float64) > 0
+        drawn = plot(self.map, path, f"{verdict['word']}: {verdict['reason']}", axes)
+        if drawn is not None:
+            return drawn
+        with Image.open(self.file("map.png"), formats=("PNG",)) as picture:
+            return picture.convert("RGB")
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows: the verdict and the map."""
         from mavnav.api.pictures import html  # noqa: PLC0415  heavy
 
-        return html(self)
+        drawn = "map.png" in self.metrics["outputs"]
+        return html(self.verdict, self.file("map.png").read_bytes() if drawn else None)
 
     def save(self, directory: File, *, force: bool = False) -> Run:
         """Copy the run to a directory, and return the run there.

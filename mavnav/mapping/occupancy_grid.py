@@ -26,7 +26,6 @@ from mavnav.mapping.tiled_arrays import (
     within,
 )
 from mavnav.profiling import timed
-from mavnav.units import one_line
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -63,7 +62,10 @@ class Grid(Struct, frozen=True):
     hits: NDArray[np.uint16] = field(default_factory=lambda: np.zeros((0, 0), np.uint16))
     passes: NDArray[np.uint16] = field(default_factory=lambda: np.zeros((0, 0), np.uint16))
 
-    __repr__ = one_line
+    def __repr__(self) -> str:
+        """Return cell size, place and shape, in a line."""
+        rows, cols = self.hits.shape
+        return f"Grid(cell_m={self.cell_m:g}, origin_xy_m={self.origin_xy_m}, hits=uint16[{rows}, {cols}])"
 
     def __post_init__(self) -> None:
         """Convert the counts as `counts` does."""
