@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import sys
 from contextlib import suppress
 from importlib import import_module
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Final, NoReturn, get_type_hints
 import typer
 
 from mavnav.commands import signals
+from mavnav.commands.hints import hint
 from mavnav.commands.terminal import emit, note, print_traceback
 from mavnav.commands.values import CommandGroup, PlainCommand
 from mavnav.errors import ExitCode, MavnavError, lacks_memory
@@ -139,7 +141,9 @@ def _explain(error: BaseException) -> int:
             context = getattr(error, "ctx", None)
             command = context.command_path if context else "mavnav"
             text = error.format_message().replace("Value error, ", "").rstrip(".")
-            note(f"mavnav: error: {text}; see '{command} --help'")
+            advice = hint(error)
+            text = f"{re.split(r' [(]|[.] Did', text)[0]}; {advice}" if advice else f"{text}; see '{command} --help'"
+            note(f"mavnav: error: {text}")
             return ExitCode.USAGE
         case MavnavError():
             note(f"mavnav: error: {error}")

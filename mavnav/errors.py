@@ -17,12 +17,14 @@ Each message is one line: what is wrong, where, and what to do next. Only ``cli.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from enum import IntEnum
 from errno import ENOMEM
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+    from pathlib import Path
 
 
 class ExitCode(IntEnum):
@@ -61,6 +63,16 @@ def lacks_memory(error: BaseException) -> bool:
     if isinstance(error, OSError):
         return error.errno == ENOMEM
     return isinstance(error, MemoryError) or (isinstance(error, ImportError) and "failed to map segment" in str(error))
+
+
+def missing(path: Path, advice: str) -> str:
+    """Say that there is no such file, and which one beside it has nearly its name, else what to do."""
+    from difflib import get_close_matches  # noqa: PLC0415  only where a name is wrong
+
+    with suppress(OSError):
+        if near := get_close_matches(path.name, sorted(each.name for each in path.parent.iterdir()), n=1, cutoff=0.75):
+            return f"{path}: no such file; did you mean {path.parent / near[0]}?"
+    return f"{path}: no such file; {advice}"
 
 
 class MavnavError(Exception):

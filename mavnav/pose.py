@@ -119,6 +119,10 @@ class Trajectory(Struct, frozen=True):
     stamps_ns: NDArray[np.int64]
     xyyaw: NDArray[np.float64]
 
+    def __repr__(self) -> str:
+        """Return the shapes of the arrays, in a line."""
+        return f"Trajectory(stamps_ns=int64[{len(self)}], xyyaw=float64[{len(self)}, 3])"
+
     def __post_init__(self) -> None:
         """Check the shapes and freeze the arrays."""
         if self.stamps_ns.ndim != 1 or self.xyyaw.shape != (len(self.stamps_ns), 3):

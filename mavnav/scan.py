@@ -147,6 +147,10 @@ class Scan(Struct, frozen=True):
     times_s: NDArray[np.float64] | None = None
     heights_m: NDArray[np.float64] | None = None
 
+    def __repr__(self) -> str:
+        """Return stamp and sensor, in a line."""
+        return f"Scan(stamp_ns={self.stamp_ns}, ranges_m=float64[{len(self.ranges_m)}], spec={self.spec})"
+
     def __post_init__(self) -> None:
         """Freeze ranges and heights; raises TypeError for ranges that are no array."""
         if not isinstance(self.ranges_m, np.ndarray):

@@ -8,11 +8,13 @@ import re
 import shutil
 import subprocess
 import sys
+from base64 import b64decode
 from pathlib import Path
 
 import numpy as np
 import pytest
 from msgspec.structs import replace
+from PIL import Image
 
 import mavnav
 from support.sessions import cut, tour, written
@@ -21,9 +23,12 @@ ROOT = Path(__file__).parent.parent
 EXAMPLES = re.findall(r"^```python\n(.*?)^```", (ROOT / "docs/python.md").read_text(), re.MULTILINE | re.DOTALL)
 
 
+LOG = ROOT / "sample_logs" / "complex.bag"
+
+
 @pytest.fixture(scope="module")
 def log() -> Path:
-    return ROOT / "sample_logs" / "complex.bag"
+    return LOG
 
 
 @pytest.fixture(scope="module")
@@ -47,17 +52,23 @@ def test_the_examples_run(number: int, folder: Path, capsys: pytest.CaptureFixtu
     assert (folder / "runs/first/run.json").is_file() == (number == 0)
 
 
-def test_the_notebook_runs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_notebook_prints_what_is_in_it(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     pyplot = pytest.importorskip("matplotlib.pyplot")
     pyplot.switch_backend("agg")
     shown = []
     monkeypatch.setattr(pyplot, "show", lambda: (shown.append(pyplot.gcf()), pyplot.close()))
+    pytest.importorskip("pandas")
     cells = json.loads((ROOT / "docs/first_map.ipynb").read_text())["cells"]
     names: dict[str, object] = {}
     for cell in cells:
         if cell["cell_type"] == "code":
             exec(compile("".join(cell["source"]), cell["id"], "exec"), names)
-    assert len(shown) == 2
+            stored = ["".join(each["text"]) for each in cell["outputs"] if each["output_type"] == "stream"]
+            assert capsys.readouterr().out == "".join(stored)
+            assert sum("data" in each for each in cell["outputs"]) == len(shown)
+            shown.clear()
 
 
 def test_a_run_has_what_its_files_say(run: mavnav.Run, tmp_path: Path) -> None:
@@ -72,6 +83,79 @@ def test_a_run_has_what_its_files_say(run: mavnav.Run, tmp_path: Path) -> None:
     with pytest.raises(mavnav.MavnavError, match="exists"):
         run.save(kept.directory)
     assert run.save(kept.directory, force=True).metrics == run.metrics
+
+
+def test_a_frame_has_the_columns_of_the_table(run: mavnav.Run) -> None:
+    pytest.importorskip("pandas")
+    frame = run.frame()
+    header = (run.directory / "trajectory.csv").read_text().partition("\n")[0].split(",")
+    assert list(frame.columns) == [name for name in header if name != "stamp"]
+    assert len(frame) == run.metrics["scans"]["processed"]
+    tracked = frame[frame["tracked"]]
+    np.testing.assert_array_equal(tracked.index.asi8, run.trajectory.stamps_ns)
+    np.testing.assert_allclose(tracked[["x_m", "y_m", "yaw_rad"]], run.trajectory.xyyaw, atol=1e-6)
+    assert (frame["beams_used"].dtype, frame["doubtful"].dtype) == (np.int64, np.bool_)
+
+
+def test_a_run_shows_itself(run: mavnav.Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = run._repr_html_()
+    assert run.verdict["reason"] in text
+    picture = b64decode(re.search(r'src="data:image/png;base64,([^"]+)"', text)[1])
+    assert picture == (run.directory / "map.png").read_bytes()
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with Image.open(run.directory / "map.png") as stored:
+        assert run.plot().size == stored.size
+
+
+def test_a_plot_has_map_and_path(run: mavnav.Run) -> None:
+    pyplot = pytest.importorskip("matplotlib.pyplot")
+    pyplot.switch_backend("agg")
+    axes = pyplot.subplots()[1]
+    assert run.plot(axes) is axes
+    left, right, low, high = axes.images[0].get_extent()
+    xy_m = np.array(axes.lines[0].get_xydata(), float)
+    assert np.isfinite(xy_m).all(axis=1).sum() == len(run.trajectory)
+    assert ((xy_m > (left, low)) & (xy_m < (right, high)))[np.isfinite(xy_m).all(axis=1)].all()
+    pyplot.close()
+
+
+def test_records_print_in_one_line(run: mavnav.Run, log: Path) -> None:
+    opened = mavnav.open_log(log)
+    scan = next(iter(opened))
+    for record in (run, run.trajectory, run.map, opened, scan, scan.spec):
+        assert "\n" not in repr(record)
+        assert len(repr(record)) < 400
+    assert (
+        repr(run.trajectory)
+        == f"Trajectory(stamps_ns=int64[{len(run.trajectory)}], xyyaw=float64[{len(run.trajectory)}, 3])"
+    )
+
+
+def test_logs_and_runs_are_examined_as_by_the_commands(
+    log: Path, run: mavnav.Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from mavnav.cli import run as command
+
+    def printed(*words: object) -> dict[str, object]:
+        command([*map(str, words), "--json"])
+        return json.loads(capsys.readouterr().out)
+
+    assert mavnav.info(log) == printed("info", log, "-q")
+    assert mavnav.metrics(run) == printed("metrics", run.directory, "-q")["maps"]
+    gate = "wall_thickness.p95_mm<=1"
+    assert mavnav.check(run, gates=gate) == printed("check", run.directory, "--gate", gate)["runs"]
+    done = mavnav.convert(log, tmp_path / "a.mcap")
+    assert done["messages"] == printed("convert", log, tmp_path / "b.mcap", "-q")["messages"]
+
+
+def test_a_batch_and_a_sweep_have_their_runs(log: Path, tmp_path: Path) -> None:
+    log = written(cut(tour("hall"), 6)[0], tmp_path / "drive.mcap")
+    sweep = {"robust.cell_mm": [20, 40]}
+    done = mavnav.batch(log, grids=[(5, 5)], settings=sweep, online=True, workers=1, gates="tracking.lost==true")
+    assert [run.metrics["map"]["cell_mm"] for run in done.runs.values()] == [20, 40]
+    assert done.document["exit_code"] == 1
+    compared = mavnav.compare(log, grids=[(5, 5)], settings=sweep, online=True, workers=1)
+    assert list(compared.runs) == [f"drive.mcap robust 10/5x5 robust.cell_mm={cell}" for cell in (20, 40)]
 
 
 def test_a_run_without_a_directory_goes_with_its_object(log: Path) -> None:
@@ -113,7 +197,18 @@ def test_a_mission(tmp_path: Path) -> None:
         (lambda: mavnav.simulate("nowhere"), "nowhere"),
         (lambda: mavnav.open_log("nothing.mcap"), "no such file"),
         (lambda: mavnav.open_log(3), "path is 3; give a path"),
-        (lambda: mavnav.open_log("a", topic=["/scan"]), "topic is"),
+        (lambda: mavnav.open_log("a", topic=[3]), r"topic is \[3\]; give the name of a topic, or a list"),
+        (lambda: mavnav.replay("a", grid=(5,)), r"grid is \(5,\); give the points in x and y"),
+        (lambda: mavnav.replay("a", grid="5"), "^grid: grid is '5', it should be NxM"),
+        (lambda: mavnav.replay("a", resolution_m=5), "^resolution_m: robust.cell_mm is 5000"),
+        (lambda: mavnav.replay("a", settings={"robust.cell_mm": 0}), "^settings {'robust.cell_mm': 0}: robust.cell_mm"),
+        (lambda: mavnav.replay(LOG, start_s=5, end_s=1), "end_s must be later than start_s"),
+        (lambda: mavnav.replay(LOG, directory=ROOT), "choose another directory with directory"),
+        (lambda: mavnav.metrics("nothing"), "no such file"),
+        (lambda: mavnav.check("nothing"), "name the directory of a finished run"),
+        (lambda: mavnav.check(LOG, gates="walls"), "walls"),
+        (lambda: mavnav.info("nothing.mcap"), "no such file"),
+        (lambda: mavnav.batch(LOG, grids=[5]), "grids? is 5; give the points"),
         (lambda: mavnav.open_log("a", extrinsic=(0, 0)), "x, y and yaw"),
         (lambda: mavnav.open_log("a", extrinsic=(0, 0, 90)), "in rad"),
         (lambda: mavnav.open_log("a", extrinsic=(0, 0, float("nan"))), "finite"),

@@ -20,6 +20,7 @@ import yaml
 from typer.main import get_command
 
 from mavnav.batch.manifest import read_manifest
+from mavnav.batch.request import swept
 from mavnav.cli import app_for, run
 from mavnav.comparison.document import RELATIVE_COSTS
 from mavnav.config.loading import fields, load_config
@@ -106,7 +107,9 @@ def check_values(given: dict[str, Any]) -> None:
     if given["command"] == "simulate":
         load_scenario("corner", given["sets"] or (), {"planner.technique": given["planner"], "seed": given["seed"]})
     else:
-        load_config(None, given.get("sets") or (), {name: given.get(name) for name in SEARCH})
+        sets = given.get("sets") or ()
+        for chosen in swept(sets) if given["command"] in ("compare", "batch") else [sets]:
+            load_config(None, chosen, {name: given.get(name) for name in SEARCH})
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
@@ -171,7 +174,7 @@ def test_manifest_and_configuration_of_their_pages_are_read(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "nightly.yaml").write_text(blocks("ci.md", "yaml")[0])
     manifest, _ = read_manifest(tmp_path / "nightly.yaml")
-    assert (len(manifest.logs), len(manifest.runs)) == (4, 3)
+    assert (len(manifest.logs), len(manifest.runs)) == (4, 4)
     (settings,) = blocks("settings.md", "yaml")
     (tmp_path / "my.yaml").write_text(settings)
     assert run(["config", "show", "my.yaml"]) == 0

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from mavnav.config.option_kinds import FILE, POSE, SWITCH, TOPICS, TRUTH, ValueKind, pose_problem, recorded_topic
 from mavnav.config.options import OPTIONS, TYPES, File, given_options
-from mavnav.errors import UsageError
+from mavnav.errors import MavnavError, UsageError
 from mavnav.pose import Pose
 
 if TYPE_CHECKING:
@@ -72,7 +72,26 @@ def text_of(text: str | None, name: str) -> str | None:
     """Return a text, if one is given."""
     if text is None or isinstance(text, str):
         return text
-    raise UsageError(f"{name} is {text!r}; give a text, for several topics with commas between them")
+    raise UsageError(f"{name} is {text!r}; give a text")
+
+
+def topics_of(topics: str | Sequence[str] | None, name: str) -> str | None:
+    """Return topics as one name, with commas between them as a merged log has it; None if none is given."""
+    if topics is None or isinstance(topics, str):
+        return topics
+    several = _as_list(topics, name)
+    if several and all(isinstance(each, str) for each in several):
+        return ",".join(several)
+    raise UsageError(f"{name} is {topics!r}; give the name of a topic, or a list of them")
+
+
+def grid_of(grid: str | Sequence[int], name: str = "grid") -> str:
+    """Return a search grid as text: ``(10, 10)`` is ``10x10``."""
+    if isinstance(grid, str):
+        return grid
+    if isinstance(grid, Sequence) and len(grid) == 2 and all(isinstance(each, Integral) for each in grid):
+        return "x".join(map(str, grid))
+    raise UsageError(f"{name} is {grid!r}; give the points in x and y, such as (10, 10) or '10x10'")
 
 
 def topic_of(truth: str | None) -> str | None:
@@ -118,6 +137,8 @@ def sets_of(settings: Mapping[str, object] | None) -> list[str]:
 def options_of(options: Mapping[str, Any]) -> ReplayOptions[Path]:
     """Return the options of a replay that are given, checked."""
     given = {name: value for name, value in options.items() if value is not None}
+    if "grid" in given:
+        given["grid"] = grid_of(given["grid"])
     return given_options(
         {n: _CHECKS[OPTIONS[n].kind](value, n) if OPTIONS[n].kind in _CHECKS else value for n, value in given.items()}
     )
@@ -127,8 +148,45 @@ def _truth_of(truth: File, name: str) -> str | Path:
     return truth if isinstance(truth, str) and recorded_topic(truth) is not None else path_of(truth, name)
 
 
-_CHECKS: dict[ValueKind, Callable[[Any, str], Any]] = {FILE: path_of, POSE: pose_of, TOPICS: text_of, TRUTH: _truth_of}
+_CHECKS: dict[ValueKind, Callable[[Any, str], Any]] = {
+    FILE: path_of,
+    POSE: pose_of,
+    TOPICS: topics_of,
+    TRUTH: _truth_of,
+}
 """Kind of an option -> what checks its values; the configuration checks those of the others."""
+
+
+_NAMES: dict[str, str] = {option.flag: name for name, option in OPTIONS.items()} | {
+    "-o": "directory", "--output": "directory", "--set": "settings", "--force": "force=True", "--jobs": "workers",
+    "--gate": "gates", "--outputs": "outputs",
+}  # fmt: skip
+"""Option of the command line -> what it is called in Python, where that is another name."""
+
+_FLAGS = re.compile(
+    r"(?P<command>mavnav [^;')]*)|--set (?P<key>[\w.]+)=(?P<value>[^\s:;]+)|(?<![\w-])(?P<flag>--?[a-z][a-z-]*)"
+)
+
+
+def with_python_names(function: Function) -> Function:
+    """Let the errors of a function name its arguments, not the options of the command line."""
+
+    @wraps(function)
+    def call(*args: Any, **values: Any) -> Any:  # noqa: ANN401  those of the function
+        try:
+            return function(*args, **values)
+        except MavnavError as error:
+            error.args = (_FLAGS.sub(_in_python, str(error)),)
+            raise
+
+    return cast("Function", call)
+
+
+def _in_python(words: re.Match[str]) -> str:
+    """Return the words of Python for an option in a message; command lines stay as they are."""
+    if words["key"]:
+        return f"settings {{'{words['key']}': {words['value']}}}"
+    return _NAMES.get(words["flag"], words["flag"].lstrip("-").replace("-", "_")) if words["flag"] else words[0]
 
 
 def with_options(*names: str) -> Callable[[Function], Function]:

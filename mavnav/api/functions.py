@@ -16,6 +16,7 @@ from mavnav import logs
 from mavnav.api.arguments import (
     config_of,
     count_of,
+    grid_of,
     name_or_path,
     optional_path,
     options_of,
@@ -23,10 +24,11 @@ from mavnav.api.arguments import (
     paths_of,
     pose_of,
     sets_of,
-    text_of,
     topic_of,
+    topics_of,
     values_of,
     with_options,
+    with_python_names,
 )
 from mavnav.api.results import Comparison, Run, in_directory
 from mavnav.config.loading import load_config
@@ -42,10 +44,11 @@ if TYPE_CHECKING:
     from mavnav.profiling import Progress
 
 
+@with_python_names
 def open_log(
     path: File,
     *,
-    topic: str | None = None,
+    topic: str | Sequence[str] | None = None,
     odom: str = "auto",
     start_s: float | None = None,
     end_s: float | None = None,
@@ -61,7 +64,7 @@ def open_log(
     path
         A file, or the folder of a ROS 2 bag.
     topic
-        The scan topic, if there are several; several, joined by commas, are merged by their mountings.
+        The scan topic, if there are several; a list of topics is merged by their mountings.
     odom
         ``auto``, ``off`` or a topic.
     start_s
@@ -84,7 +87,7 @@ def open_log(
     """
     return logs.open_log(
         path_of(path, "path"),
-        topic=text_of(topic, "topic"),
+        topic=topics_of(topic, "topic"),
         odom=odom,
         start_s=start_s,
         end_s=end_s,
@@ -96,6 +99,7 @@ def open_log(
 
 
 @with_options(*OPTIONS)
+@with_python_names
 def replay(
     log: File,
     *,
@@ -153,6 +157,7 @@ def replay(
 
 
 @with_options(*SEARCHING)
+@with_python_names
 def simulate(
     scenario: File,
     *,
@@ -219,10 +224,11 @@ def simulate(
     return in_directory(work, directory)
 
 
+@with_python_names
 def compare(
     log: File | Sequence[File],
     *,
-    grids: Sequence[str] = (),
+    grids: Sequence[str | tuple[int, int]] = (),
     methods: Sequence[str] = (),
     azimuths: Sequence[int] = (),
     config: File | None = None,
@@ -240,7 +246,7 @@ def compare(
     log
         A log, or several.
     grids
-        Search grids; 5x5, 10x10 and 20x20 if none is given.
+        Search grids, ``"10x10"`` or ``(10, 10)``; 5x5, 10x10 and 20x20 if none is given.
     methods
         SLAM methods.
     azimuths
@@ -248,7 +254,7 @@ def compare(
     config
         Configuration file or preset of all runs.
     settings
-        Values over the configuration by dotted key, as for `replay`.
+        Values over the configuration by dotted key, as for `replay`; a list of values is compared.
     online
         Causal mode: no loop closure, no final pass.
     directory
@@ -274,7 +280,11 @@ def compare(
     if not names:
         raise UsageError("no log to compare; name one")
     shared = settings_of(options_of({"online": online}))
-    options = values_of(methods, "methods"), values_of(grids, "grids"), values_of(azimuths, "azimuths")
+    options = (
+        values_of(methods, "methods"),
+        [grid_of(grid, "grids") for grid in values_of(grids, "grids")],
+        values_of(azimuths, "azimuths"),
+    )
     chosen = pipeline.comparison_settings(config_of(config), sets_of(settings), *options, shared)
     cores = count_of(workers, "workers") or usable_cores()
 

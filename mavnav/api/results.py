@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import csv
 import shutil
 import weakref
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from tempfile import mkdtemp
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
+
+import numpy as np
+from PIL import Image
 
 from mavnav.api.arguments import path_of
 from mavnav.atomic_files import naming_full_disk
@@ -17,6 +21,14 @@ from mavnav.errors import UsageError
 from mavnav.ground_truth.tables import read_tum
 from mavnav.outputs.directory import RUN_FILE, atomic_directory, checked_file, digests_of
 from mavnav.outputs.files.gridmap import HITS_FILE, read_npz
+
+TEXTS: Final = ("refused_by",)
+"""Columns of trajectory.csv that are no numbers."""
+
+KINDS: Final = dict.fromkeys(("index", "beams_used", "evaluations", "iterations"), int) | dict.fromkeys(
+    ("converged", "tracked", "accepted", "doubtful"), bool
+)
+"""Columns of trajectory.csv that are whole numbers, or true or false."""
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -49,7 +61,7 @@ class Run:
     @cached_property
     def trajectory(self) -> Trajectory:
         """The poses of the laser in the map frame: ``stamps_ns`` (n,) int64, ``xyyaw`` (n, 3) in m, m, rad."""
-        return read_tum(self._file("trajectory.tum"))
+        return read_tum(self.file("trajectory.tum"))
 
     @cached_property
     def map(self) -> Grid:
@@ -57,16 +69,16 @@ class Run:
 
         The lower left corner of the cell ``hits[row, col]`` is ``origin_xy_m + cell_m * (col, row)``, map frame.
         """
-        return read_npz(self._file(HITS_FILE))
+        return read_npz(self.file(HITS_FILE))
 
-    def _file(self, name: str) -> Path:
-        """Return the path of a file; raises UsageError where it is not the one that was written."""
+    def file(self, name: str) -> Path:
+        """Return the path of a file of the run; raises UsageError where it is not the one that was written."""
         return checked_file(self.directory, name, digests_of(self.directory))
 
     @property
     def lost(self) -> bool:
         """Whether tracking was lost for good."""
-        return bool(self.metrics["tracking"]["lost"])
+        return bool(self.metrics.get("tracking", {}).get("lost"))
 
     @property
     def verdict(self) -> dict[str, str]:
@@ -76,7 +88,7 @@ class Run:
     @property
     def doubt(self) -> float | None:
         """The probability, 0 to 1, that the trajectory is wrong although it was tracked; None if it was not judged."""
-        doubt = self.metrics["tracking"].get("doubt")
+        doubt = self.metrics.get("tracking", {}).get("doubt")
         probability: float | None = doubt and doubt["probability"]
         return probability
 
@@ -85,15 +97,50 @@ class Run:
         """What was odd about the log or the run, a line each."""
         return tuple(self.metrics["warnings"])
 
-    def frame(self) -> Any:  # noqa: ANN401  pandas is no dependency
-        """Return the trajectory as a pandas.DataFrame with columns x_m, y_m and yaw_rad, indexed by time (UTC).
+    def columns(self) -> dict[str, list[str]]:
+        """Return trajectory.csv: for each column the values of all scans as text, of numbers that are not known nan."""
+        with self.file("trajectory.csv").open(encoding="ascii", newline="") as file:
+            names, *rows = list(csv.reader(file))
+        return {name: [row[k] or ("" if name in TEXTS else "nan") for row in rows] for k, name in enumerate(names)}
 
-        Raises ImportError without pandas.
+    def frame(self) -> Any:  # noqa: ANN401  pandas is no dependency
+        """Return trajectory.csv as a pandas.DataFrame: a row for every scan, tracked or not, indexed by time (UTC).
+
+        Units are in the names of the columns, which docs/cli.md describes. Raises ImportError without pandas.
         """
         import pandas as pd  # noqa: PLC0415  optional
 
-        index = pd.to_datetime(self.trajectory.stamps_ns, unit="ns", utc=True)
-        return pd.DataFrame(self.trajectory.xyyaw, index=index, columns=["x_m", "y_m", "yaw_rad"])
+        columns = self.columns()
+        stamps_ns = [int(text.replace(".", "")) for text in columns.pop("stamp")]  # nine decimals
+        numbers = {
+            name: values if name in TEXTS else [float(text) for text in values] for name, values in columns.items()
+        }
+        return pd.DataFrame(numbers, index=pd.to_datetime(stamps_ns, unit="ns", utc=True)).astype(
+            {name: kind for name, kind in KINDS.items() if name in numbers}
+        )
+
+    def plot(self, axes: Any = None) -> Any:  # noqa: ANN401  matplotlib is no dependency
+        """Draw the map and the path, doubtful stretches in red, into axes of matplotlib, and return these.
+
+        Without matplotlib (the extra ``plot``), map.png is returned as an image of Pillow.
+        """
+        from mavnav.api.pictures import plot  # noqa: PLC0415  heavy
+
+        columns, verdict = self.columns(), self.verdict
+        xy_m = np.array([columns["x_m"], columns["y_m"]], np.float64).T
+        path = xy_m, np.array(columns["doubtful"], np.float64) > 0
+        drawn = plot(self.map, path, f"{verdict['word']}: {verdict['reason']}", axes)
+        if drawn is not None:
+            return drawn
+        with Image.open(self.file("map.png"), formats=("PNG",)) as picture:
+            return picture.convert("RGB")
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: the verdict and the map."""
+        from mavnav.api.pictures import html  # noqa: PLC0415  heavy
+
+        drawn = "map.png" in self.metrics["outputs"]
+        return html(self.verdict, self.file("map.png").read_bytes() if drawn else None)
 
     def save(self, directory: File, *, force: bool = False) -> Run:
         """Copy the run to a directory, and return the run there.
@@ -108,10 +155,10 @@ class Run:
 
 @dataclass(frozen=True)
 class Comparison:
-    """A finished comparison: its directory, comparison.json, and the runs that did not fail."""
+    """A finished comparison or batch: its directory, its document, and the runs that did not fail."""
 
     directory: Path
-    document: dict[str, Any]
+    document: dict[str, Any] = field(repr=False)
 
     @cached_property
     def runs(self) -> dict[str, Run]:

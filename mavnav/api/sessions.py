@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from mavnav.api.arguments import config_of, optional_path, options_of, path_of, paths_of, sets_of
+from mavnav.api.arguments import config_of, optional_path, options_of, path_of, paths_of, sets_of, with_python_names
 from mavnav.config.loading import load_config
 from mavnav.config.options import settings_of
 from mavnav.profiling import silent
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from mavnav.profiling import Progress
 
 
+@with_python_names
 def merge(
     inputs: Sequence[File],
     directory: File,
@@ -64,6 +65,7 @@ def merge(
     return merged(request, progress or silent)
 
 
+@with_python_names
 def diff(
     a: File,
     b: File,
@@ -107,6 +109,7 @@ def diff(
     return diff_maps(request, progress or silent)
 
 
+@with_python_names
 def calibrate(
     log: File,
     *,

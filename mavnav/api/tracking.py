@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, SupportsFloat, Unpack
 import numpy as np
 from msgspec.structs import replace
 
-from mavnav.api.arguments import config_of, options_of, sets_of, with_options
+from mavnav.api.arguments import config_of, options_of, sets_of, with_options, with_python_names
 from mavnav.config.loading import load_config
 from mavnav.config.options import SEARCHING, settings_of
 from mavnav.errors import UsageError
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 
 @with_options(*SEARCHING)
+@with_python_names
 def track(
     scans: Iterable[Scan],
     *,

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
+from os.path import relpath
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.batch.baseline import ChangeKind, changes, lacking, lacking_text
@@ -13,7 +15,6 @@ from mavnav.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-    from pathlib import Path
 
     from mavnav.batch.baseline import Baseline
     from mavnav.batch.cases import CaseResult
@@ -66,11 +67,12 @@ def run_row(result: CaseResult, directory: Path) -> dict[str, Any]:
         "method": config.method,
         "grid": str(config.grid),
         "azimuth": config.azimuth,
+        "differs": case.setting.differs,
         "key": planned.key if planned else None,
         "status": "failed" if run is None else "done" if outcome else "cached",
         "exit_code": int(run["exit_code"] if run else outcome.exit_code if outcome else case.exit_code),
         "error": (outcome.error if outcome else case.error) or None,
-        "directory": planned.directory.relative_to(directory).as_posix() if planned and run else None,
+        "directory": Path(relpath(planned.directory, directory)).as_posix() if planned and run else None,
         "run": {name: run[name] for name in SECTIONS if name in run} if run else None,
     }
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from itertools import product, zip_longest
+from itertools import combinations, product, zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct, field
 
@@ -19,15 +19,21 @@ if TYPE_CHECKING:
 
     from mavnav.batch.baseline import Baseline, Tolerance
     from mavnav.batch.manifest import Origins
+    from mavnav.config.layers import Key
     from mavnav.config.models import Config
     from mavnav.metrics.gates import Gate
 
 
+SEARCH: Final = {("grid",), ("azimuth",)}
+"""Keys by which the runs of a comparison are named anyhow, besides the method."""
+
+
 class Setting(Struct, frozen=True):
-    """A configuration and its name."""
+    """A configuration and its name; ``differs`` is in what it differs from others, besides method and search grid."""
 
     name: str
     config: Config
+    differs: str = ""
 
 
 def crossed_settings(
@@ -38,7 +44,7 @@ def crossed_settings(
     azimuths: Sequence[int],
     options: Mapping[str, object],
 ) -> list[Setting]:
-    """Return a setting for every method and grid; without methods or grids, those of the configuration.
+    """Return a setting for every method, grid, and value of ``sets``; without methods or grids, those configured.
 
     ``azimuths`` (yaw samples) are none, one for all grids, or one per grid; raises UsageError for another number, and
     ConfigError for invalid values.
@@ -46,7 +52,18 @@ def crossed_settings(
     searches = zip_longest(grids, yaw_samples(grids, azimuths))
     named = ({"method": m, "grid": g, "azimuth": a} for m, (g, a) in product(methods or (None,), searches))
     given = ({name: value for name, value in search.items() if value is not None} for search in named)
-    return named_settings(load_config(file, sets, {**options, **search}) for search in given)
+    each = swept(sets)
+    return named_settings(load_config(file, chosen, {**options, **search}) for search in given for chosen in each)
+
+
+def swept(sets: Sequence[str]) -> list[list[str]]:
+    """Return all combinations of settings, of which any may have several values: ``KEY=A,B``, or a text for each."""
+    values: dict[str, list[str]] = {}
+    for text in sets:
+        key, equals, value = text.partition("=")
+        several = value.strip().removeprefix("[").removesuffix("]").split(",") if equals and "{" not in value else []
+        values.setdefault(key.strip(), []).extend([f"{key}={each.strip()}" for each in several] or [text])
+    return [list(chosen) for chosen in product(*(dict.fromkeys(each) for each in values.values()))]
 
 
 def yaw_samples(grids: Sequence[object], azimuths: Sequence[int]) -> list[int | None]:
@@ -61,8 +78,23 @@ def yaw_samples(grids: Sequence[object], azimuths: Sequence[int]) -> list[int | 
 
 
 def named_settings(configs: Iterable[Config]) -> list[Setting]:
-    """Return configurations with their names, without duplicates."""
-    return _unique(Setting(setting_name(config), config) for config in configs)
+    """Return configurations with their names and what differs, without duplicates."""
+    several = list(configs)
+    pairs = zip(several, differences(several), strict=True)
+    return _unique(Setting(setting_name(config), config, differs) for config, differs in pairs)
+
+
+def differences(configs: Sequence[Config]) -> list[str]:
+    """Return for each configuration its values that differ between those of its method, besides the search grid."""
+    values = [leaves(config.document()) for config in configs]
+    changed: dict[str, set[Key]] = {}
+    for one, other in combinations(values, 2):
+        if one["method",] == other["method",]:
+            changed.setdefault(str(one["method",]), set()).update(k for k in one.keys() - SEARCH if one[k] != other[k])
+    return [
+        " ".join(f"{'.'.join(key)}={format_value(each[key])}" for key in sorted(changed.get(str(each["method",]), ())))
+        for each in values
+    ]
 
 
 def listed_settings(

@@ -34,7 +34,7 @@ mavnav batch nightly.yaml --scheduler tcp://10.0.0.1:8786
 """
 
 
-@shared.with_options(*READING, "strict", "online")
+@shared.with_options(*READING, "strict", "resolution_m", "online")
 def batch(
     context: typer.Context,
     sources: Annotated[

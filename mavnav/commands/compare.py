@@ -16,23 +16,28 @@ from mavnav.errors import UsageError
 
 if TYPE_CHECKING:
     from mavnav.batch.runner import BatchPlan
+    from mavnav.metrics.gates import Gate
     from mavnav.profiling import Progress
 
 EPILOG = """
 [bold]Examples[/bold]
 mavnav compare drive.mcap --grid 5x5 --grid 10x10 --grid 20x20
 mavnav compare --grid 20x20
+mavnav compare drive.mcap --set robust.cell_mm=10,20,50
+mavnav compare runs/before runs/after
 mavnav compare a.bag b.mcap --method robust --method paper -j 4 -o grids
 mavnav compare drive.mcap --grid 40x40 --azimuth 40 --gate 'wall_thickness.p95_mm<=150'
 """
 
 
-@shared.with_options(*READING, "online", *REFERENCES)
+@shared.with_options(*READING, "resolution_m", "online", *REFERENCES)
 def compare(
     context: typer.Context,
     logs: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="LOG", help="Logs (default: the sample corridor).", show_default=False),
+        typer.Argument(
+            metavar="LOG|RUN", help="Logs (default: the sample corridor), or finished runs.", show_default=False
+        ),
     ] = None,
     *,
     methods: shared.Methods = None,
@@ -63,10 +68,12 @@ def compare(
     Finished replays are reused; a replay that fails does not stop the others.
     """
     options = read_options(given)
-    for log in logs or []:
-        if not log.exists():
-            raise UsageError(f"{log}: no such file; name a log")
+    shared.check_logs(logs or [])
     bounds = shared.gates_of(gates)
+    if any((path / "run.json").is_file() for path in logs or []):
+        _check_alone(context)
+        document = _compare_finished(shared.without_latest(logs or []), directory, bounds, json=json, quiet=quiet)
+        raise typer.Exit(document["exit_code"])
     with reporting(quiet=quiet) as report:
         with loading_modules():
             from mavnav.batch.runner import load_kernels
@@ -98,6 +105,34 @@ def compare(
         if cell["directory"]:
             shared.show_preview(target / cell["directory"], cell["name"], stderr=json)
     raise typer.Exit(document["exit_code"])
+
+
+def _check_alone(context: typer.Context) -> None:
+    """Raise UsageError for an option of a replay, which finished runs have had."""
+    for parameter in context.command.params:
+        source = context.get_parameter_source(parameter.name or "")
+        if (
+            parameter.name not in {"logs", "directory", "json", "quiet", "gates"}
+            and source
+            and source.name == "COMMANDLINE"
+        ):
+            raise UsageError(f"{max(parameter.opts, key=len)} is for logs; finished runs are compared as they are")
+
+
+def _compare_finished(
+    runs: list[Path], directory: Path | None, gates: list[Gate], *, json: bool, quiet: bool
+) -> dict[str, Any]:
+    """Compare finished runs; return comparison.json."""
+    with reporting(quiet=quiet) as report:
+        with loading_modules():
+            from mavnav.comparison.finished import compare_finished
+            from mavnav.outputs.writers import REPORT_FILE, write_page
+        target = directory or shared.free_directory(Path("runs/compare"), force=False)
+        document = compare_finished(runs, target, gates)
+        report("drawing the report", 0, None)
+        write_page(document, target)
+    _print_result(document, target / REPORT_FILE, json=json)
+    return document
 
 
 def _sample(directory: Path, report: Progress) -> tuple[list[Path], Path]:

@@ -4,19 +4,13 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from mavnav.commands import shared
 from mavnav.commands.progress import reporting
 from mavnav.commands.terminal import Rows, note_problems, print_result
-from mavnav.errors import ExitCode
-
-if TYPE_CHECKING:
-    from mavnav.logs.writing.convert import Conversion
-
-SCHEMA_VERSION = 1
 
 EPILOG = """
 [bold]Examples[/bold]
@@ -36,34 +30,15 @@ def convert(
     **given: object,
 ) -> None:
     """Convert a log, as far as it can be read, to an indexed MCAP with ROS 2 messages."""
-    from mavnav.logs.writing.convert import convert_log
+    from mavnav.pipelines.log_documents import convert_to
 
     with reporting(quiet=quiet) as report:
         strict, progress = bool(given["strict"]), partial(report, "converting")
-        done = convert_log(log, target, strict=strict, force=force, progress=progress)
-    code = ExitCode.DAMAGED_INPUT if done.damage else ExitCode.DONE
-    result = document(log, target, done, code)
+        result = convert_to(log, target, strict=strict, force=force, progress=progress)
     print_result(result, _rows(result), json=json)
     if not json:
         note_problems(result)
-    raise typer.Exit(code)
-
-
-def document(log: Path, target: Path, done: Conversion, code: ExitCode) -> dict[str, Any]:
-    """Return what ``--json`` prints."""
-    from msgspec.structs import asdict
-
-    return {
-        "schema_version": SCHEMA_VERSION,
-        "input": {"path": str(log)},
-        "output": {"path": str(target), "size_bytes": target.stat().st_size},
-        "topics": [asdict(topic) for topic in done.topics],
-        "messages": done.messages,
-        "left_out": done.left_out,
-        "damage": [asdict(damage) for damage in done.damage],
-        "warnings": list(done.warnings),
-        "exit_code": int(code),
-    }
+    raise typer.Exit(result["exit_code"])
 
 
 def _rows(result: dict[str, Any]) -> Rows:

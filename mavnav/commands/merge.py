@@ -10,7 +10,9 @@ import typer
 
 from mavnav.commands import shared
 from mavnav.commands.progress import loading_modules, reporting
-from mavnav.commands.terminal import emit_json, note, print_verdict
+from mavnav.commands.quality_rows import spread_text
+from mavnav.commands.terminal import Rows, emit_json, note, print_verdict
+from mavnav.config.named_files import read_json
 from mavnav.units import pluralize
 
 EPILOG = """
@@ -26,9 +28,10 @@ def merge(
         typer.Argument(metavar="RUN|LOG", help="Run directories and logs, in any order.", show_default=False),
     ],
     *,
-    directory: Annotated[Path, shared.directory_option(help="Directory of the result (default runs/merged).")] = Path(
-        "runs/merged"
-    ),
+    directory: Annotated[
+        Path | None,
+        shared.directory_option(help="Directory of the result (default runs/merged, with a number where that exists)."),
+    ] = None,
     config: shared.ConfigFile = None,
     sets: shared.Sets = None,
     report_page: shared.WriteReport = False,
@@ -44,8 +47,11 @@ def merge(
             from mavnav.pipelines.merge import merge as merged
         chosen = load_config(config, sets or [], {})
         file = Path(config) if config else None
-        request = MergeRequest(tuple(inputs), directory, chosen, force, report_page, file)
-        document = merged(request, report)
+        target = directory or shared.free_directory(Path("runs/merged"), force=force)
+        paths = tuple(shared.without_latest(inputs))
+        document = merged(MergeRequest(paths, target, chosen, force, report_page, file), report)
+    if directory is None:
+        shared.link_latest(target)
     for session in document["sessions"]:
         if not session["joined"] and (json or not sys.stdout.isatty()):
             note(f"mavnav: error: {_label(session)} did not join: {session['why']}")
@@ -53,8 +59,15 @@ def merge(
     if json:
         emit_json(document)
     else:
-        print_verdict(document, [*map(_row, document["sessions"]), ("written", str(directory))])
+        print_verdict(document, [*map(_row, document["sessions"]), *_wall_rows(target), ("written", str(target))])
     raise typer.Exit(document["exit_code"])
+
+
+def _wall_rows(directory: Path) -> Rows:
+    """Yield the row on the thickness of the walls."""
+    from mavnav.outputs.directory import RUN_FILE
+
+    yield "walls", spread_text(read_json(directory / RUN_FILE)["wall_thickness"]["spread"])
 
 
 def _label(session: dict[str, Any]) -> str:

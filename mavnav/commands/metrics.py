@@ -46,7 +46,7 @@ def metrics(
         if isinstance(truth := options.get("truth"), str):
             raise UsageError(f"--truth {truth}: the ground truth of a log is for replay and compare; name a TUM file")
         references = load_references(**reference_files(options))
-        document = evaluate(paths, references, report)
+        document = evaluate(shared.without_latest(paths), references, report)
     for entry in document["maps"]:
         if references.of_poses and entry["kind"] == "map":
             note(f"mavnav: warning: {entry['path']}: a map has no poses; --truth and --relations are not used for it")

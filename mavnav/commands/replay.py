@@ -16,7 +16,7 @@ from mavnav.commands.run_screen import log_rows, map_rows, print_run, scan_time_
 from mavnav.commands.sources import local_log
 from mavnav.commands.terminal import Rows, emit, note
 from mavnav.config.options import OPTIONS, REFERENCES, read_options, settings_of
-from mavnav.errors import UsageError
+from mavnav.errors import UsageError, missing
 from mavnav.units import pluralize
 
 if TYPE_CHECKING:
@@ -46,7 +46,10 @@ def replay(
     config: shared.ConfigFile = None,
     sets: shared.Sets = None,
     directory: Annotated[
-        Path | None, shared.directory_option(help="Run directory (default runs/LOG-METHOD-YAW-GRID).")
+        Path | None,
+        shared.directory_option(
+            help="Run directory (default runs/LOG-METHOD-YAW-GRID, with a number where that exists)."
+        ),
     ] = None,
     force: shared.Force = False,
     report: shared.WriteReport = False,
@@ -78,11 +81,14 @@ def replay(
                 from mavnav.outputs.documents.provenance import Typed
                 from mavnav.pipelines.replay import ReplayRequest, replay_directory, replay_log
             compile_s = perf_counter() - started_s
-            target = directory or (shared.again_directory(again) if again else replay_directory(path, chosen))
+            usual = shared.again_directory(again) if again else replay_directory(path, chosen)
+            target = directory or shared.free_directory(usual, force=force)
             fields = {"typed": Typed(context.obj, config, tuple(sets or ())), **written, **fields}
             fields |= {"address": source.address} if source else {}
             request = ReplayRequest(path, target, chosen, options, force, **fields)
             _, document = replay_log(request, progress, compile_s, signals.deferring, startup_s)
+        if directory is None:
+            shared.link_latest(target)
         about, measures = log_rows(document), _measures(document)
         print_run(document, target, about, measures, json=json, preview=preview, verbose=verbose)
         if "continued" in document:
@@ -125,9 +131,8 @@ def _check_files(logs: list[Path], options: ReplayOptions[Path]) -> None:
     if "start_pose" in options and known is None:
         raise UsageError("--start-pose is a pose in a known map; name the map with --map")
     if known is not None and not known.exists():
-        raise UsageError(f"{known}: no such file; name the YAML file of a map, or a run directory")
-    if missing := next((log for log in logs if not log.exists()), None):
-        raise UsageError(f"{missing}: no such file; name a log")
+        raise UsageError(missing(known, "name the YAML file of a map, or a run directory"))
+    shared.check_logs(logs)
 
 
 def _note_continued(continued: dict[str, Any]) -> None:

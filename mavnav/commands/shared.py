@@ -6,8 +6,10 @@ import inspect
 import json
 import os
 import sys
+from contextlib import suppress
 from functools import partial
 from inspect import Parameter
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args
 
@@ -17,10 +19,10 @@ from mavnav.commands import completion
 from mavnav.commands.terminal import can_print, note, printable
 from mavnav.config.option_kinds import CHECKS, INPUT, OUTPUT, RESOURCES, SEARCH, SWITCH
 from mavnav.config.options import OPTIONS
-from mavnav.errors import ExitCode, UsageError, worst
+from mavnav.errors import ExitCode, UsageError, missing, worst
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Sequence
 
     from mavnav.config.models import Config
     from mavnav.metrics.gates import Gate
@@ -33,6 +35,9 @@ input_option, search_option, output_option, check_option, resource_option = (
     for panel in (INPUT, SEARCH, OUTPUT, CHECKS, RESOURCES)
 )
 """An option of a panel without a default of its own."""
+
+LATEST = "latest"
+"""The link to the last result that the user gave no name, beside that."""
 
 _LAST = ("config", "sets", "list_", "schema")
 
@@ -197,9 +202,39 @@ def output_values(outputs: str | None, *, report: bool, preview: bool | None) ->
     return {"report": bool({"report", "all"} & {*names}), "outputs": names}
 
 
+def check_logs(logs: Sequence[Path]) -> None:
+    """Raise UsageError for a log that is not there; what is named like a folder beside a log is where to write."""
+    present, gone = [log for log in logs if log.exists()], [log for log in logs if not log.exists()]
+    if gone:
+        raise UsageError(
+            missing(gone[0], f"to write there, use -o {gone[0]}" if present and not gone[0].suffix else "name a log")
+        )
+
+
 def again_directory(again: Path) -> Path:
     """Return the default directory of a run that repeats another."""
     return Path("runs") / f"{again.resolve().name}-again"
+
+
+def free_directory(usual: Path, *, force: bool) -> Path:
+    """Return the first directory that is free, of ``usual``, ``usual-2`` and so on; with ``force`` the first of all."""
+    numbered = (usual.with_name(f"{usual.name}-{number}") for number in count(2))
+    return next(path for path in chain([usual], numbered) if force or not os.path.lexists(path))
+
+
+def link_latest(directory: Path) -> None:
+    """Make ``latest`` beside a result that the user gave no name a link to it, unless something else has that name."""
+    link, fresh = directory.with_name(LATEST), directory.with_name(f".{LATEST}-{os.getpid()}")
+    if link.is_symlink() or not os.path.lexists(link):
+        with suppress(OSError):
+            fresh.symlink_to(directory.name)
+            fresh.replace(link)
+
+
+def without_latest(paths: Sequence[Path]) -> list[Path]:
+    """Return paths, as of ``runs/*``, without the link ``latest`` to another of them."""
+    others = {path.resolve() for path in paths if path.name != LATEST}
+    return [path for path in paths if path.name != LATEST or path.resolve() not in others]
 
 
 def run_to_repeat(

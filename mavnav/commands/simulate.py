@@ -72,7 +72,10 @@ def simulate(
     config: shared.ConfigFile = None,
     sets: shared.ScenarioSets = None,
     directory: Annotated[
-        Path | None, shared.directory_option(help="Run directory (default runs/SCENARIO-METHOD-YAW-GRID).")
+        Path | None,
+        shared.directory_option(
+            help="Run directory (default runs/SCENARIO-METHOD-YAW-GRID, with a number where that exists)."
+        ),
     ] = None,
     record: Annotated[
         Path | None, shared.output_option(metavar="FILE", help="Record the mission: .mcap, .bag, or a ROS 2 folder.")
@@ -115,11 +118,14 @@ def simulate(
             from mavnav.pipelines.simulate import SimulationRequest, simulate_mission, simulation_directory
             from mavnav.simulation.world.scenario_file import scenario_path
         compile_s = perf_counter() - started_s
-        target = directory or (shared.again_directory(again) if again else simulation_directory(chosen))
+        usual = shared.again_directory(again) if again else simulation_directory(chosen)
+        target = directory or shared.free_directory(usual, force=force)
         path = fields.pop("path", None) or scenario_path(str(scenario))
         fields = {"typed": Typed(context.obj, config, tuple(sets or ())), **written, **fields}
         request = SimulationRequest(chosen, path, target, record, animate, force, **fields)
         _, document = simulate_mission(request, progress, compile_s)
+    if directory is None:
+        shared.link_latest(target)
     about, measures = _flight_rows(document), _measures(document)
     print_run(document, target, about, measures, json=json, preview=preview, verbose=verbose)
     _note_failure(document, target)

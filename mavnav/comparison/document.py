@@ -25,6 +25,7 @@ from mavnav.outputs.documents.quantities import (
 )
 from mavnav.outputs.documents.verdict import Verdict, worst_verdict
 from mavnav.outputs.files.document import plain, to_json
+from mavnav.outputs.report.entry import name_of, setting_of
 from mavnav.outputs.report.headline import headline
 from mavnav.outputs.report.markdown import escape, inert, table_row
 from mavnav.version import __version__
@@ -61,7 +62,7 @@ def comparison_document(results: Sequence[CaseResult], directory: Path, gates: S
     costs = relative_costs(groups, runs)
     verdicts = [verdict for k, run in enumerate(runs) if run for verdict in _judge(gates, run, costs, k)]
     rows = [run_row(result, directory) for result in results]
-    logs = _logs(planned, runs)
+    logs = _logs(planned, [name_of(row) for row in rows], runs)
     codes = [*(row["exit_code"] for row in rows), *(ExitCode.GATE_FAILED for v in verdicts if not v["passed"])]
     return {
         "schema_version": SCHEMA_VERSION,
@@ -83,20 +84,17 @@ class _NamedRun(NamedTuple):
     document: dict[str, Any]
 
 
-def _name(run: Run) -> str:
-    """Return the name of a run within its log: method, yaw samples and search grid."""
-    return f"{run['method']} {run['azimuth']}/{run['grid']}"
-
-
-def _logs(planned: Sequence[PlannedRun], runs: Sequence[dict[str, Any] | None]) -> list[dict[str, Any]]:
+def _logs(
+    planned: Sequence[PlannedRun], names: Sequence[str], runs: Sequence[dict[str, Any] | None]
+) -> list[dict[str, Any]]:
     """Return what was found out about every log, its runs, and the best of them by each metric."""
     groups: dict[Path, list[int]] = {}
-    for k, run in enumerate(planned):
-        groups.setdefault(run.request.log, []).append(k)
+    for place, each in enumerate(planned):
+        groups.setdefault(each.request.log, []).append(place)
     return [
         {
             "log": str(log),
-            "headline": headline([_NamedRun(_name(run), run) for run in (runs[k] for k in group) if run]),
+            "headline": headline([_NamedRun(names[k], run) for k in group if (run := runs[k])]),
             "cells": group,
             "best": {name: [group[k] for k in places] for name, places in best([runs[k] for k in group]).items()},
         }
@@ -137,7 +135,7 @@ def relative_costs(groups: Sequence[tuple[object, int]], runs: Sequence[Run | No
         `RELATIVE_COSTS`: the ratio of each run to that run, None if either number is missing or the divisor is 0.
     """
     coarsest: dict[object, int] = {}
-    for k in sorted(range(len(runs)), key=lambda k: groups[k][1], reverse=True):
+    for k in sorted(range(len(runs)), key=lambda k: (groups[k][1], k), reverse=True):
         if runs[k] is not None:
             coarsest[groups[k][0]] = k
     references = [coarsest.get(group) for group, _ in groups]
@@ -174,13 +172,13 @@ def comparison_csv(document: dict[str, Any]) -> str:
     head = ("log", "method", "grid", "azimuth", "status", "exit_code", "error", "directory")
     names = [*(figure.name for figure in QUANTITIES), *HIT_QUANTITIES]
     costs = [f"price.{name}" for name in RELATIVE_COSTS]
-    table.writerow([*head, "verdict", "reason", *names, *costs, "finding"])
+    table.writerow([*head, "verdict", "reason", *names, *costs, "finding", "differs"])
     findings = {k: log["headline"] for log in document["logs"] for k in log["cells"]}
     for k, cell in enumerate(document["cells"]):
         figures = [number(cell["run"], name) for name in names]
         texts = [inert(text) for text in (*(cell[key] for key in head), *verdict_texts(cell["run"]))]
         ratios = [document["price"][name][k] for name in RELATIVE_COSTS]
-        table.writerow([*texts, *figures, *ratios, inert(findings[k])])
+        table.writerow([*texts, *figures, *ratios, inert(findings[k]), inert(cell["differs"])])
     return rows.getvalue()
 
 
@@ -205,7 +203,7 @@ def comparison_markdown(document: dict[str, Any]) -> str:
 
 def _cells(document: dict[str, Any], k: int) -> list[str]:
     cell = document["cells"][k]
-    texts = [escape(cell["log"]), cell["method"], f"{cell['azimuth']}/{cell['grid']}"]
+    texts = [escape(cell["log"]), cell["method"], escape(setting_of(cell))]
     texts.append(verdict_texts(cell["run"])[0] or "-")
     for figure in QUANTITIES:
         text = figure.text_of(cell["run"])

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec.structs import replace
 
 from mavnav.batch.cases import make_cases
-from mavnav.batch.request import BatchLogs, BatchRequest, Rules, RunLimits, crossed_settings, named_settings
+from mavnav.batch.request import BatchLogs, BatchRequest, Rules, RunLimits, crossed_settings, named_settings, swept
 from mavnav.batch.runner import BatchPlan, check_gates, plan_cases, run_cases
 from mavnav.comparison.document import COMPARISON_FILE, RELATIVE_COSTS, comparison_document, write_comparison
 from mavnav.config.named_files import read_json
@@ -56,12 +56,12 @@ def comparison_settings(
     Parameters
     ----------
     file, sets, options
-        The common configuration, as in `load_config`.
+        The common configuration, as in `load_config`; a key of ``sets`` may have several values, as in `swept`.
     methods
         Names of methods; if empty, the method of the configuration.
     grids
-        Search grids ``NxM``; if empty, the three of the paper. A single grid is compared with that of the
-        configuration (10x10).
+        Search grids ``NxM``; if empty, the three of the paper, in a sweep that of the configuration. A single grid
+        without a sweep is compared with that of the configuration (10x10).
     azimuths
         Yaw samples: none, one number for all named grids, or one per grid. If empty, those of the configuration, else
         `mavnav.config.models.paired_yaw_samples`.
@@ -74,9 +74,10 @@ def comparison_settings(
         The number of yaw samples is neither 0, 1, nor the number of grids.
     """
     configs: list[Config] = []
+    sweep = len(swept(sets)) > 1
     for method in [[name] for name in methods] or [[]]:
-        settings = crossed_settings(file, sets, method, grids or PAPER_GRIDS, azimuths, options)
-        if len(grids) == 1:
+        settings = crossed_settings(file, sets, method, grids or (() if sweep else PAPER_GRIDS), azimuths, options)
+        if len(grids) == 1 and not sweep:
             settings += crossed_settings(file, sets, method, (), (), options)
         configs += sorted((each.config for each in settings), key=lambda c: (c.grid.points, c.azimuth))
     return named_settings(configs)
@@ -128,19 +129,19 @@ def plan_comparison(request: BatchRequest, progress: Progress) -> BatchPlan:
     Raises, before any run: UsageError for logs and files that cannot be read and for gates on unknown names, and
     OutputError if the directory cannot be used.
     """
-    check_comparison_directory(request.directory)
     cases = make_cases(request, progress)
     for case in cases:
         if case.run is None:
             raise UsageError(case.error)
     check_gates(request, cases, [f"price.{name}" for name in RELATIVE_COSTS])
+    check_comparison_directory(request.directory)
     return plan_cases(request, _named_cases(cases))
 
 
 def _named_cases(cases: Iterable[Case]) -> list[Case]:
     """Return the cases without duplicates (copies of a log have the same keys), named ``drive.mcap robust 40/20x20``.
 
-    The yaw samples are before the grid as in the paper.
+    The yaw samples are before the grid as in the paper; what else differs between the settings follows.
     """
     by_key: dict[str, tuple[Case, PlannedRun]] = {}
     for case in cases:
@@ -148,7 +149,11 @@ def _named_cases(cases: Iterable[Case]) -> list[Case]:
             by_key.setdefault(case.run.key, (case, case.run))
     logs = short_names({run.request.log for _, run in by_key.values()})
     return [
-        replace(case, name=f"{logs[run.request.log]} {run.config.method} {run.config.azimuth}/{run.config.grid}")
+        replace(
+            case,
+            name=f"{logs[run.request.log]} {run.config.method} {run.config.azimuth}/{run.config.grid} "
+            f"{case.setting.differs}".rstrip(),
+        )
         for case, run in by_key.values()
     ]
 

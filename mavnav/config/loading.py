@@ -9,6 +9,7 @@ import difflib
 import re
 from functools import cache, reduce
 from inspect import cleandoc
+from itertools import combinations
 from json import dumps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, get_args
@@ -19,7 +20,8 @@ from msgspec.structs import fields as fields_of
 
 from mavnav.config.layers import Layer
 from mavnav.config.models import Config, MethodName, PaperExpert, RobustExpert
-from mavnav.errors import ConfigError
+from mavnav.errors import ConfigError, missing
+from mavnav.units import MM
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -32,8 +34,11 @@ Part = TypeVar("Part")
 HELP = {"Config": "mavnav config show", "Scenario": "mavnav simulate --schema", "Manifest": "mavnav batch --schema"}
 """Name of a model -> the command that shows its keys."""
 
-OPTIONS = {"planner.technique": "--planner"}
-"""Key -> option, for options that are not named like the last part of their key."""
+RESOLUTION = "resolution_m"
+"""Short for the cell size of whatever method is used, in m."""
+
+OPTIONS = {"technique": "--planner", RESOLUTION: "--resolution"}
+"""Last part of a key -> its option, for options that are not named like it."""
 
 _KINDS = {
     "float": "a number",
@@ -77,7 +82,7 @@ def file_layer(file: str | Path | None) -> Layer:
     if not path.exists() and str(file) in presets():
         path = presets_folder() / f"{file}.yaml"
     if not path.exists():
-        raise ConfigError(f"{path}: no such file; name a YAML file, or a preset: {', '.join(presets())}")
+        raise ConfigError(missing(path, f"name a YAML file, or a preset: {', '.join(presets())}"))
     from mavnav.config.yaml_layers import read_yaml  # noqa: PLC0415  yaml takes 10 ms to load
 
     return read_yaml(path)
@@ -120,10 +125,34 @@ def overlay(
 
     ``short`` is a section that has a short form, and the key within it that the short form gives.
     """
-    layers = [layer, *map(_set_layer, sets), _option_layer(overrides)]
+    given = [_set_layer(text) for text in sets]
+    for one, other in combinations(given, 2):
+        if one.values.keys() & other.values.keys():
+            key = ".".join(*one.values)
+            raise ConfigError(
+                f"--set {key} is given twice; leave one out, or compare both: compare LOG --set {key}=A,B"
+            )
+    layers = [layer, *given, _option_layer(overrides)]
     if short:
         layers = [each.spelled_out(*short) for each in layers]
-    return reduce(lambda below, above: above.over(below), layers)
+    methods = reduce(_over, layers).values
+    return reduce(_over, [_with_cells(each, methods) for each in layers])
+
+
+def _over(below: Layer, above: Layer) -> Layer:
+    return above.over(below)
+
+
+def _with_cells(layer: Layer, methods: Mapping[Key, object]) -> Layer:
+    """Return a layer with `RESOLUTION` as the cell size, in mm, of the method beside it among all values."""
+    short = next((key for key in layer.values if key[-1] == RESOLUTION), None)
+    if short is None:
+        return layer
+    method, given = methods.get((*short[:-1], "method")), layer.values[short]
+    cell = (*short[:-1], str(method) if method in get_args(MethodName) else Config().method, "cell_mm")
+    value = round(given / MM, 6) if isinstance(given, float | int) else given
+    rest = {key: other for key, other in layer.values.items() if key != short}
+    return Layer({cell: value}, {cell: layer.origins.get(short, RESOLUTION)}).over(Layer(rest, layer.origins))
 
 
 def method_layer(method: object) -> Layer:
@@ -147,7 +176,7 @@ def _set_layer(assignment: str) -> Layer:
 
 def _option_layer(overrides: Mapping[str, object]) -> Layer:
     values = {tuple(name.split(".")): value for name, value in overrides.items() if value is not None}
-    flags = {key: OPTIONS.get(".".join(key), f"--{key[-1].replace('_', '-')}") for key in values}
+    flags = {key: OPTIONS.get(key[-1], f"--{key[-1].replace('_', '-')}") for key in values}
     return Layer(values, flags)
 
 

@@ -34,6 +34,12 @@ class SearchOptions(TypedDict, total=False):
     azimuth: Annotated[
         int | None, Search("--azimuth N", "Yaw samples of the search (default 2N for NxN, at most 40).", "azimuth")
     ]
+    resolution_m: Annotated[
+        float | None,
+        Search(
+            "--resolution METERS", "Edge of a map cell (default that of the method: 0.02 with robust).", "resolution_m"
+        ),
+    ]
 
 
 class ReplayOptions(SearchOptions, Generic[PathType], total=False):

@@ -7,7 +7,7 @@ import os
 from math import isfinite
 from typing import TYPE_CHECKING, Final
 
-from mavnav.errors import NoScansError, UsageError, lacks_memory
+from mavnav.errors import NoScansError, UsageError, lacks_memory, missing
 from mavnav.logs.formats import detect
 from mavnav.logs.formats.rosbag2 import METADATA, name_stem, part_number
 from mavnav.logs.formats.source import Source
@@ -18,6 +18,15 @@ if TYPE_CHECKING:
 
 _MOST_HOLES_BYTES: Final = 4 << 30
 """Holes take no space on the disk, but must be hashed as zeros; no recorder leaves any."""
+
+_SEE: Final = "look at it with 'mavnav view', or measure it with 'mavnav metrics'"
+FINISHED: Final = {
+    "merge.json": f"merge; {_SEE}",
+    "run.json": f"run; {_SEE}; 'mavnav replay --again' repeats it",
+    "comparison.json": "comparison; look at it with 'mavnav view'",
+    "batch.json": "batch; look at it with 'mavnav view'",
+}
+"""Documents of results, whose folders hold recordings that are no logs -> what they are of, and what to do."""
 
 _MOST_EXTENTS: Final = 10_000
 _MOST_NAMED: Final = 4
@@ -52,7 +61,10 @@ def check_files(path: Path, more: tuple[Path, ...]) -> None:
 def check_file(path: Path) -> None:
     """Raise UsageError where there is no file or folder, NoScansError where a file is hardly more than holes."""
     if not path.exists():
-        raise UsageError(f"{path}: no such file or folder; give the path of a log")
+        raise UsageError(missing(path, "give the path of a log"))
+    made = next((what for name, what in FINISHED.items() if (path / name).is_file()), None)
+    if made and not (path / METADATA).is_file():
+        raise UsageError(f"{path} is no log, but a finished {made}")
     if not (path.is_file() or path.is_dir()):
         raise UsageError(f"{path}: neither a regular file nor a folder; give the path of a log")
     if path.is_file() and (holes_bytes := _holes(path)) > _MOST_HOLES_BYTES:

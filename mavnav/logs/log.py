@@ -170,6 +170,10 @@ class Log(Struct, frozen=True, eq=False, kw_only=True):
         """Read the usable scans, as `scans` does."""
         return self.scans()
 
+    def __repr__(self) -> str:
+        """Return what the log is, in a line."""
+        return f"Log({str(self.path)!r}, topic={self.topic!r}, scans={len(self)}, duration_s={self.duration_s:.1f})"
+
     def __len__(self) -> int:
         """Count the usable scans."""
         return self.counts.usable

@@ -62,6 +62,11 @@ class Grid(Struct, frozen=True):
     hits: NDArray[np.uint16] = field(default_factory=lambda: np.zeros((0, 0), np.uint16))
     passes: NDArray[np.uint16] = field(default_factory=lambda: np.zeros((0, 0), np.uint16))
 
+    def __repr__(self) -> str:
+        """Return cell size, place and shape, in a line."""
+        rows, cols = self.hits.shape
+        return f"Grid(cell_m={self.cell_m:g}, origin_xy_m={self.origin_xy_m}, hits=uint16[{rows}, {cols}])"
+
     def __post_init__(self) -> None:
         """Convert the counts as `counts` does."""
         force_setattr(self, "hits", counts(self.hits))

@@ -8,18 +8,25 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from msgspec import Struct, field
+from msgspec.structs import replace
 
+from mavnav.pose import Trajectory
 from mavnav.scan import SAME_RAD
+from mavnav.units import NS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from mavnav.pose import Trajectory
     from mavnav.scan import LaserSpec, Scan
 
     Floats = NDArray[np.float64]
+    Scans = Callable[[], Iterable[Scan]]
+    """Reads all scans again at every call."""
+
+PAUSE_NS: Final = round(1000.0 / NS)
+"""Between two sessions, so that no two scans of different ones are neighbors in time."""
 
 NEAR_M: Final = 0.1
 FAR_SHORT_M, FAR_LONG_M, SHORT_SENSOR_M = 4.0, 8.0, 6.0
@@ -34,10 +41,25 @@ class Journey(Struct, frozen=True):
     """
 
     map_T_laser: Trajectory
-    scans: Callable[[], Iterable[Scan]]
+    scans: Scans
     mapped_share: float
     lost_for_good: bool = False
     planar: bool = True
+
+
+def one_after_another(tracks: Sequence[tuple[Trajectory, Scans]], mapped_share: float) -> Journey:
+    """Return the tracks of several sessions in one map frame as one, each `PAUSE_NS` after the end of that before."""
+    begins_ns = np.array([poses.stamps_ns[0] for poses, _ in tracks])
+    lasting_ns = np.array([poses.stamps_ns[-1] for poses, _ in tracks]) - begins_ns + PAUSE_NS
+    shifts_ns = np.cumsum(lasting_ns) - lasting_ns - begins_ns
+    stamps_ns = [poses.stamps_ns + shift_ns for (poses, _), shift_ns in zip(tracks, shifts_ns, strict=True)]
+
+    def scans() -> Iterator[Scan]:
+        for (_, read), shift_ns in zip(tracks, shifts_ns.tolist(), strict=True):
+            yield from (replace(scan, stamp_ns=scan.stamp_ns + shift_ns) for scan in read())
+
+    together = Trajectory(np.concatenate(stamps_ns), np.concatenate([poses.xyyaw for poses, _ in tracks]))
+    return Journey(together, scans, mapped_share)
 
 
 class PlacedScans(Struct, frozen=True):

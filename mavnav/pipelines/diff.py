@@ -10,7 +10,7 @@ from msgspec import Struct
 
 from mavnav.config.models import Config
 from mavnav.config.named_files import read_json
-from mavnav.errors import ExitCode, UsageError
+from mavnav.errors import ExitCode, UsageError, missing
 from mavnav.ground_truth.map_file import map_files, read_map
 from mavnav.kernels.machine.building import prepare
 from mavnav.kernels.maps import raycast  # noqa: F401  it is compiled with the others
@@ -93,7 +93,7 @@ def _write(request: DiffRequest, document: dict[str, Any], picture: Callable[[Pa
 def read_walls(path: Path) -> PriorMap:
     """Read the map of a run directory, or the one that a map_server YAML file describes; raises UsageError."""
     if not path.exists():
-        raise UsageError(f"{path}: no such file; name a run directory, or the YAML file of a map")
+        raise UsageError(missing(path, "name a run directory, or the YAML file of a map"))
     if path.is_dir():
         try:
             hits = path / HITS_FILE

@@ -2,38 +2,42 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from msgspec import Struct
 from msgspec.structs import replace
 
-from mavnav.errors import MavnavError, UsageError, reason_of
+from mavnav.errors import MavnavError, UsageError, missing, reason_of
 from mavnav.ground_truth.map_file import read_map
 from mavnav.ground_truth.references import References, check_times, compare_to, in_time_of_truth
 from mavnav.kernels.machine.building import prepare
 from mavnav.logs import open_log
+from mavnav.logs.formats.detect import is_named_like_a_log
 from mavnav.mapping.occupancy_grid import occupied_xy_m
 from mavnav.metrics.fields import ABSENT
 from mavnav.metrics.gates import stored_verdict
 from mavnav.metrics.ghost_walls import GhostWall
-from mavnav.metrics.journey import Journey
+from mavnav.metrics.journey import Journey, one_after_another
 from mavnav.metrics.map_quality import MapQuality, measure_map
 from mavnav.metrics.wall_spread import wall_report
 from mavnav.metrics.walls import StraightWall, half_turn
-from mavnav.outputs.directory import RUN_FILE
+from mavnav.outputs.directory import MERGE_FILE, RUN_FILE
 from mavnav.outputs.files.document import plain
 from mavnav.outputs.files.finished_run import RunRecord, finished_run
 from mavnav.outputs.files.gridmap import HITS_FILE, read_npz
-from mavnav.pipelines.sessions import poses_of
+from mavnav.pipelines.sessions import mapped_share, poses_of
 from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.slam.findings import NOT_PLANAR
 from mavnav.units import DEG, MM, NS
 from mavnav.version import __version__
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from mavnav.mapping.occupancy_grid import Grid
+    from mavnav.outputs.files.finished_run import FinishedRun
     from mavnav.profiling import Progress
 
 SCHEMA_VERSION: Final = 1
@@ -65,12 +69,12 @@ class Subject(Struct, frozen=True):
     @property
     def has_counts(self) -> bool:
         """Whether hits and crossings are counts; a map file only separates occupied from free."""
-        return self.kind == "run"
+        return self.kind != "map"
 
     @property
     def trajectory(self) -> Trajectory | None:
-        """The tracked poses of the laser, map_T_laser, where they are known."""
-        return None if self.journey is None else self.journey.map_T_laser
+        """The tracked poses of the laser, map_T_laser, where they are known; those of a merge are of several tracks."""
+        return self.journey.map_T_laser if self.journey and self.kind == "run" else None
 
 
 def evaluate(paths: list[Path], references: References, progress: Progress) -> dict[str, Any]:
@@ -97,7 +101,9 @@ def subject(path: Path) -> Subject:
     if path.is_dir():
         return _run(path)
     if not path.exists():
-        raise UsageError(f"{path}: no such file; name a run directory, or the YAML file of a map")
+        raise UsageError(missing(path, "name a run directory, or the YAML file of a map"))
+    if is_named_like_a_log(path):
+        raise UsageError(f"{path} is a log; map it with 'mavnav replay {path}', and name that run")
     file = read_map(path)
     return Subject("map", file.grid, file.map_T_grid)
 
@@ -105,12 +111,14 @@ def subject(path: Path) -> Subject:
 def _run(directory: Path) -> Subject:
     if not (directory / RUN_FILE).is_file():
         raise UsageError(f"{directory} holds no run (no {RUN_FILE}); name a run directory, or the YAML file of a map")
-    if missing := [name for name in NEEDED_FILES if not (directory / name).exists()]:
+    if (directory / MERGE_FILE).is_file():
+        return _merge(finished_run(directory))
+    if missing_files := [name for name in NEEDED_FILES if not (directory / name).exists()]:
         advice = "repeat its command with --force, without --outputs"
-        raise UsageError(f"{directory} is no whole run: it has no {', '.join(missing)}; {advice}")
+        raise UsageError(f"{directory} is no whole run: it has no {', '.join(missing_files)}; {advice}")
     run = finished_run(directory)
     if not isinstance(run.record, RunRecord):
-        raise UsageError(f"{directory} is a merge; measure its map.yaml")
+        raise UsageError(f"{directory} is no whole run: its {RUN_FILE} is of a merge; make it again")
     record, tracking = run.record, run.record.tracking
     hits, poses, recording = (run.file(name) for name in NEEDED_FILES)
     map_T_laser = poses_of(run, poses.name)
@@ -118,7 +126,7 @@ def _run(directory: Path) -> Subject:
         raise UsageError(
             f"{directory} is no whole run: {poses.name} is empty; make it again with mavnav replay --force"
         )
-    try:
+    with _reading(directory, "replay"):
         grid = read_npz(hits)
         journey = Journey(
             map_T_laser=map_T_laser,
@@ -127,11 +135,27 @@ def _run(directory: Path) -> Subject:
             lost_for_good=tracking.lost,
             planar=NOT_PLANAR not in (tracking.reasons or ()),
         )
-    except (OSError, ValueError, KeyError, TypeError, MavnavError) as error:
-        reason = reason_of(error)
-        raise UsageError(f"{directory} is no whole run: {reason}; make it again with mavnav replay --force") from error
     late, verdict = _begins_late(record, map_T_laser), stored_verdict(run.document)
     return Subject("run", grid, Pose(), journey, late, verdict, tracking.holds_s, record.config.truth_at)
+
+
+@contextmanager
+def _reading(directory: Path, command: str) -> Iterator[None]:
+    try:
+        yield
+    except (OSError, ValueError, LookupError, TypeError, ZeroDivisionError, MavnavError) as error:
+        reason, again = reason_of(error), f"make it again with mavnav {command} --force"
+        raise UsageError(f"{directory} is no whole run: {reason}; {again}") from error
+
+
+def _merge(run: FinishedRun) -> Subject:
+    """Read a merge, whose frame is that of one of its sessions."""
+    with _reading(run.directory, "merge"):
+        stored = run.record.stored_sessions
+        tracks = [(poses_of(run, e.trajectory), open_log(run.file(e.recording), odom="off").scans) for e in stored]
+        journey = one_after_another(tracks, mapped_share(run.document["sessions"]))
+        grid = read_npz(run.file(HITS_FILE))
+    return Subject("merge", grid, Pose(), journey, begins_late=True, verdict=stored_verdict(run.document))
 
 
 def _begins_late(record: RunRecord, map_T_laser: Trajectory) -> bool:

@@ -12,21 +12,26 @@ from mavnav.atomic_files import temporary_folder
 from mavnav.errors import ExitCode, NoScansError, SeveralTopicsError, TopicError, UsageError, reason_of, worst
 from mavnav.logs import check_log
 from mavnav.logs.formats.detect import log_name
-from mavnav.mapping.occupancy_grid import known_area
+from mavnav.mapping.occupancy_grid import known_area, measured_area
 from mavnav.metrics.gates import stored_verdict
+from mavnav.metrics.journey import one_after_another
+from mavnav.metrics.map_quality import measure_map
 from mavnav.outputs.directory import MERGE_FILE, RUN_FILE, atomic_directory, check_directory, file_sha256
+from mavnav.outputs.documents.run_json import RunDocument
 from mavnav.outputs.documents.sections import evidence
 from mavnav.outputs.documents.verdict import Verdict, worst_verdict
 from mavnav.outputs.files.document import plain, to_json
 from mavnav.outputs.files.finished_run import MergeRecord, finished_run, of_document
 from mavnav.outputs.files.gridmap import GridMap, write_npz, write_pgm, write_yaml
+from mavnav.outputs.files.map_document import map_document
 from mavnav.outputs.files.trajectory import recording_file, trajectory_file, write_poses, write_scans
+from mavnav.outputs.files.wall_table import WALLS_FILE, write_cuts
 from mavnav.outputs.pictures.map_picture import write_merged
 from mavnav.outputs.report.summary_page import merge_summary, write_summary
 from mavnav.outputs.writers import REPORT_FILE
 from mavnav.pipelines.maps import rounded_pose
 from mavnav.pipelines.replay import ReplayRequest, replay_log
-from mavnav.pipelines.sessions import UNREADABLE, read_session
+from mavnav.pipelines.sessions import UNREADABLE, mapped_share, read_session
 from mavnav.sessions.group import Join, frame_of, merged_map
 from mavnav.sessions.growth import join_sessions
 from mavnav.slam.methods.registry import load_kernels
@@ -37,6 +42,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from mavnav.config.models import Config
+    from mavnav.mapping.occupancy_grid import Grid
+    from mavnav.metrics.map_quality import MeasuredMap
     from mavnav.outputs.files.finished_run import FinishedRun
     from mavnav.pose import Trajectory
     from mavnav.profiling import Progress
@@ -92,9 +99,12 @@ def merge(request: MergeRequest, progress: Progress) -> dict[str, Any]:
         load_kernels(request.config, progress, rare=True)
         group, refused = join_sessions(sessions, request.config, lambda name: progress(f"joining {name}", 0, None))
         grid, members = merged_map(group, request.config, [_first(group, sessions)], progress)
-        drawn = GridMap(known_area(grid))
+        document = _document(request, inputs, [*group.joins, *refused], members)
+        progress("measuring", 0, None)
+        tracks = [(session.map_T_laser, session.scans) for session in members]
+        measured = measure_map(measured_area(grid), one_after_another(tracks, mapped_share(document["sessions"])))
         progress("writing", 0, None)
-        return _write(request, drawn, members, _document(request, inputs, [*group.joins, *refused], members))
+        return _write(request, known_area(grid), measured, members, document)
 
 
 def _check(request: MergeRequest) -> None:
@@ -103,14 +113,14 @@ def _check(request: MergeRequest) -> None:
         raise UsageError("there is nothing to merge with one log; name two or more logs or runs")
     if request.config.method != "robust":
         raise UsageError(f"merge: method {request.config.method} cannot search whole maps; use the robust method")
-    inputs = *request.inputs, request.config_file
-    check_directory(request.directory, force=request.force, marker=MERGE_FILE, inputs=inputs)
     for path in request.inputs:
         if _is_run(path):
             _run(path)
         else:
             with suppress(NoScansError):
                 check_log(path, None, None)
+    inputs = *request.inputs, request.config_file
+    check_directory(request.directory, force=request.force, marker=MERGE_FILE, inputs=inputs)
 
 
 def _is_run(path: Path) -> bool:
@@ -174,14 +184,18 @@ def _first(group: SessionGroup, sessions: list[Session]) -> int:
     return next(inside.index(session.name) for session in sessions if session.name in inside)
 
 
-def _write(request: MergeRequest, drawn: GridMap, members: list[Session], document: dict[str, Any]) -> dict[str, Any]:
+def _write(
+    request: MergeRequest, grid: Grid, measured: MeasuredMap, members: list[Session], document: dict[str, Any]
+) -> dict[str, Any]:
     """Write all files; return the document with their digests."""
+    drawn = GridMap(grid)
     paths = {session.name: session.map_T_laser for session in members}
     with atomic_directory(request.directory, force=request.force, marker=MERGE_FILE) as folder:
         write_pgm(drawn, folder / "map.pgm")
         write_yaml(drawn, folder / "map.yaml")
         write_npz(drawn, folder / "hits.npz")
         write_merged(drawn, paths, Verdict(**document["verdict"]), folder / "map.png")
+        write_cuts(measured.cuts, folder / WALLS_FILE)
         for session in members:
             write_poses(session.map_T_laser, folder / trajectory_file(session.name))
             write_scans(session.scans, folder / recording_file(session.name))
@@ -189,6 +203,11 @@ def _write(request: MergeRequest, drawn: GridMap, members: list[Session], docume
             write_summary(merge_summary(document, (folder / "map.png").read_bytes()), folder / REPORT_FILE)
         digests = {file.name: file_sha256(file) for file in sorted(folder.iterdir())}
         document = document | {"outputs": digests}
+        own = map_document(grid, measured, request.config, mapped_share(document["sessions"]))
+        own |= {key: document[key] for key in ("verdict", "outputs", "exit_code")}
+        own |= {"damage": [damage for each in document["sessions"] for damage in each["damage"]], "warnings": []}
+        ordered = {key: own[key] for key in RunDocument.__struct_fields__ if key in own}
+        (folder / RUN_FILE).write_text(to_json(ordered), encoding="utf-8")
         (folder / MERGE_FILE).write_text(to_json(document), encoding="utf-8")
     return document
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from msgspec import Struct
@@ -69,6 +69,13 @@ def read_session(run: FinishedRun, stored: Stored, config: Config, name: str = "
         raise NoScansError("no scan was tracked")
     log = open_log(recording, odom="off")
     return make_session(name or stored.name, log.scans, trajectory, config, doubtful=stored.doubtful)
+
+
+def mapped_share(sessions: list[dict[str, Any]]) -> float:
+    """Return the share, 0 to 1, of the scans of the sessions in a map that are in it, by the rows of merge.json."""
+    shares = [(each["scans"], each["tracking"]["tracked_share"]) for each in sessions if each["joined"]]
+    whole: float = sum(scans / share for scans, share in shares)
+    return float(sum(scans for scans, _ in shares)) / whole
 
 
 ANY_PAUSE_S: Final = np.inf

@@ -33,7 +33,7 @@ def test_a_suite_a_log_and_a_case_a_run(document: dict[str, Any]) -> None:
     assert [type(case.result[0]).__name__ for case in cases] == ["Failure", "Error", "Failure", "Error"]
     assert [case.result[0].message for case in cases][2:] == [
         "gate map.rows<=3 failed: it is 7",
-        "gone.bag: no such file or folder; give the path of a log",
+        "gone.bag: no such file; give the path of a log",
     ]
     assert {case.classname for case in cases} == {suite.name for suite in suites}
     assert cases[0].result[0].type == "exit code 3"

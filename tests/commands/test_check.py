@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
+from mavnav.batch import check as command
 from mavnav.batch.document import BATCH_FILE
-from mavnav.commands import check as command
 from mavnav.comparison.document import COMPARISON_FILE
 from mavnav.errors import ExitCode
 

@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
-from msgspec.structs import replace
+from msgspec import convert
+from msgspec.structs import fields, replace
 
 import mavnav as api
 from mavnav.ground_truth.tables import read_tum
+from mavnav.metrics.journey import one_after_another
+from mavnav.outputs.documents.run_json import RunDocument
 from mavnav.pipelines.merge import session_names
+from mavnav.pose import Pose, Trajectory
+from mavnav.scan import LaserSpec, Scan
 from support.log_files import drive, laser, write_mcap
 from support.sessions import CELLAR, errors_m, tour, written
 
@@ -46,9 +53,9 @@ def test_logs_and_runs_are_joined(mavnav, logs, back, tmp_path) -> None:
     document = json.loads(out)
     assert document == json.loads((tmp_path / "m" / "merge.json").read_text())
     assert (document["joined"], document["refused"], document["exit_code"]) == (2, 0, 0)
-    files = {"map.pgm", "map.yaml", "map.png", "hits.npz", "report.html"}
+    files = {"map.pgm", "map.yaml", "map.png", "hits.npz", "walls.csv", "report.html"}
     files |= {f"session_{name}.{kind}" for name in ("hall", "back") for kind in ("tum", "mcap")}
-    assert {file.name for file in (tmp_path / "m").iterdir()} == {*files, "merge.json"}
+    assert {file.name for file in (tmp_path / "m").iterdir()} == {*files, "merge.json", "run.json"}
     assert set(document["outputs"]) == files
     hall = tour("hall")
     for name, recording in (("hall", hall), ("back", tour("back", 1))):
@@ -61,6 +68,43 @@ def test_logs_and_runs_are_joined(mavnav, logs, back, tmp_path) -> None:
     assert {row["name"]: row["closures"] for row in [*first["joined_to"], *second["joined_to"]]}
     diff = api.diff(tmp_path / "m", back)
     assert (diff["changed_m2"], diff["changes"]) == (0, [])
+    check_that_commands_take_a_merge(mavnav, tmp_path / "m", back)
+
+
+def check_that_commands_take_a_merge(mavnav, merge: Path, run: Path) -> None:
+    """Assert that run.json of a merge has keys and types of that of a run, is measured alike, and serves commands."""
+    document = json.loads((merge / "run.json").read_text())
+    assert list(document) == [key for key in json.loads((run / "run.json").read_text()) if key in document]
+    types = {field.name: field.type for field in fields(RunDocument)}
+    assert all(convert(value, types[key]) is not None for key, value in document.items() if key != "config")
+    assert document["wall_thickness"]["spread"]["length_m"] > 10
+
+    code, out, _ = mavnav("metrics", merge, "--json", "-q")
+    (entry,) = json.loads(out)["maps"]
+    assert (code, entry["kind"], entry["verdict"]) == (0, "merge", document["verdict"])
+    measured, stored = (each["wall_thickness"]["spread"] for each in (entry, document))
+    assert measured["median_mm"] == pytest.approx(stored["median_mm"], rel=0.01)
+    assert measured["length_m"] == pytest.approx(stored["length_m"], rel=0.01)
+    assert mavnav("metrics", merge, "--truth-map", "corner", "-q")[0] == 2
+    assert mavnav("check", merge, "--gate", "wall_thickness.p95_mm<=150")[0] == 0
+    assert mavnav("check", merge, "--gate", "wall_thickness.p95_mm<=1")[0] == 1
+    assert mavnav("view", merge, "--no-browser", "-q")[0] == 0
+    assert mavnav("compare", merge, run, "-q", "-o", merge.parent / "c")[0] == 2
+
+
+def test_sessions_follow_one_another_for_the_metrics() -> None:
+    spec = LaserSpec(beams=1, angle_min_rad=0.0, angle_step_rad=0.1, range_min_m=0.0, range_max_m=9.0)
+
+    def track(*times_s: int) -> tuple[Trajectory, Callable[[], list[Scan]]]:
+        stamps_ns = [t * 10**9 for t in times_s]
+        poses = Trajectory.of(stamps_ns, [Pose(float(t)) for t in times_s])
+        return poses, lambda: [Scan(stamp_ns, np.ones(1), spec) for stamp_ns in stamps_ns]
+
+    journey = one_after_another([track(5, 7), track(5, 6, 9)], 0.5)
+    assert journey.map_T_laser.stamps_ns.tolist() == [0, 2 * 10**9, 1002 * 10**9, 1003 * 10**9, 1006 * 10**9]
+    assert journey.map_T_laser.xyyaw[:, 0].tolist() == [5, 7, 5, 6, 9]
+    for _ in range(2):
+        assert [scan.stamp_ns for scan in journey.scans()] == journey.map_T_laser.stamps_ns.tolist()
 
 
 def test_what_does_not_join_is_said(mavnav, logs, tmp_path) -> None:
@@ -74,7 +118,7 @@ def test_what_does_not_join_is_said(mavnav, logs, tmp_path) -> None:
     assert f"hall ({logs['hall']}) did not join: too few of its scans fit" in err
     assert "error: cellar" not in err
     assert f"blind ({logs['blind']}) did not join" in err
-    assert [line.split()[0] for line in out.splitlines()] == ["?", "try", "result", *names, "written"]
+    assert [line.split()[0] for line in out.splitlines()] == ["?", "try", "result", *names, "walls", "written"]
     assert not (tmp_path / "m" / "session_hall.tum").exists()
     code, out, err = mavnav("merge", logs["hall"], logs["back"], "-o", tmp_path / "m", "-q")
     assert (code, out) == (6, "")

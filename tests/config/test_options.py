@@ -9,6 +9,7 @@ import pytest
 
 import mavnav
 from mavnav.config.layers import by_dotted_key
+from mavnav.config.loading import RESOLUTION
 from mavnav.config.models import Config
 from mavnav.config.options import (
     OPTIONS,
@@ -73,7 +74,7 @@ def test_a_pose_that_cannot_be_meant_is_refused_by_its_option() -> None:
 def test_names_are_those_of_options() -> None:
     assert {*READING, *REFERENCES} <= OPTIONS.keys()
     settings = {option.setting: option for option in OPTIONS.values() if option.setting}
-    assert settings.keys() <= by_dotted_key(Config().document()).keys()
+    assert settings.keys() - {RESOLUTION} <= by_dotted_key(Config().document()).keys()
     assert not any(option.manifest for option in settings.values())
 
 

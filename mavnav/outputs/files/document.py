@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import platform
-from functools import cache
 from math import hypot, isfinite
 from typing import TYPE_CHECKING, Any, Final
 
@@ -18,12 +17,13 @@ from mavnav.outputs.documents import run_json as model
 from mavnav.outputs.documents import sections
 from mavnav.outputs.documents.addresses import public_address
 from mavnav.outputs.documents.verdict import verdict_of
+from mavnav.outputs.files.map_document import SCHEMA_VERSION, map_section, versions
 from mavnav.outputs.run import base_frame, half_sweep_s
 from mavnav.profiling import peak_memory_mb
 from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY
 from mavnav.slam.matching.steps import refused_by
-from mavnav.units import DEG, MM, NS
-from mavnav.version import __version__, installed_version
+from mavnav.units import DEG, NS
+from mavnav.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -42,9 +42,6 @@ if TYPE_CHECKING:
     from mavnav.slam.recovery.parts import Part
     from mavnav.slam.result import SlamResult
 
-SCHEMA_VERSION: Final = 1
-LIBRARIES: Final = ("numpy", "numba", "scipy", "mcap", "rosbags", "pillow", "msgspec", "pyyaml")
-
 FAR_FROM_START_M: Final = 3.0
 """Distance of the pose found from the given start pose above which a run warns; the search near that ends at 1 m."""
 
@@ -60,7 +57,7 @@ def run_document(run: RunResult, outputs: dict[str, str]) -> model.RunDocument:
         mavnav_version=__version__,
         verdict=run_verdict(run),
         python=platform.python_version(),
-        libraries=_versions(),
+        libraries=versions(),
         input=_input(run),
         config=run.config,
         method=run.config.method,
@@ -77,7 +74,7 @@ def run_document(run: RunResult, outputs: dict[str, str]) -> model.RunDocument:
         wall_thickness=run.walls,
         map_quality=run.measured.quality,
         reference=run.reference or ABSENT,
-        map=_map(run),
+        map=map_section(run.known, run.slam.tracked_share),
         slices=[sections.map_slice(layer) for layer in run.slices.layers] if run.slices else ABSENT,
         mission=mission.result if mission else ABSENT,
         truth=mission.errors if mission else ABSENT,
@@ -120,11 +117,6 @@ def track_verdict(slam: SlamResult, log: Log, config: Config, **more: object) ->
             }
         )
     )
-
-
-@cache
-def _versions() -> dict[str, str]:
-    return {name: installed_version(name) for name in LIBRARIES}
 
 
 def write_metrics(run: RunResult, path: Path) -> None:
@@ -320,21 +312,6 @@ def _spread(values: NDArray[Any]) -> model.Spread:
     if not len(values):
         return model.Spread(np.nan, np.nan, np.nan, np.nan)
     return model.Spread(float(np.mean(values)), float(np.median(values)), values.min().item(), values.max().item())
-
-
-def _map(run: RunResult) -> model.Map:
-    grid = run.known
-    rows, cols = grid.hits.shape
-    return model.Map(
-        cell_mm=grid.cell_m / MM,
-        rows=rows,
-        cols=cols,
-        cells=int(np.count_nonzero(grid.hits)),
-        hits=int(grid.hits.sum(dtype=np.int64)),
-        size_m=[cols * grid.cell_m, rows * grid.cell_m],
-        origin_xy_m=list(grid.origin_xy_m),
-        accepted_share=run.slam.tracked_share,
-    )
 
 
 def _timing(run: RunResult) -> model.TimingReport:

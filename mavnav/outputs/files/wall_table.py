@@ -21,8 +21,12 @@ COLUMNS: Final = ("x_m", "y_m", "direction_deg", "width_mm", "length_m")
 
 
 def write(run: RunResult, path: Path) -> None:
+    """Write the cuts of a run."""
+    write_cuts(run.measured.cuts, path)
+
+
+def write_cuts(cuts: WallCuts | None, path: Path) -> None:
     """Write a row for each place where the scans saw a wall; the width is empty where the map has none to measure."""
-    cuts = run.measured.cuts
     columns = () if cuts is None else (cuts.xy_m, cuts.direction_rad, cuts.width_m, cuts.length_m)
     with path.open("w", encoding="ascii", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")

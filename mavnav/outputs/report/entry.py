@@ -94,8 +94,13 @@ def file_in(folder: Path, name: str) -> Path:
 
 
 def name_of(cell: dict[str, Any]) -> str:
-    """Return the name of a run within its log: method, yaw samples and search grid, in the paper's order."""
-    return f"{cell.get('method')} {cell.get('azimuth')}/{cell.get('grid')}"
+    """Return the name of a run within its log: its method, and what `setting_of` says."""
+    return f"{cell.get('method')} {setting_of(cell)}"
+
+
+def setting_of(cell: dict[str, Any]) -> str:
+    """Return yaw samples and search grid of a run, in the paper's order, and in what else it differs from others."""
+    return f"{cell.get('azimuth')}/{cell.get('grid')} {cell.get('differs') or ''}".rstrip()
 
 
 def load(cell: dict[str, Any], base: Path) -> Entry | Failure:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from mavnav.metrics.wall_spread import WallCuts
+from mavnav.outputs.files import wall_table
 from mavnav.outputs.files.gridmap import read_npz
 from mavnav.outputs.report.entry import Entry, ScanColumns, SessionPart, file_in
 
@@ -24,6 +25,7 @@ def load_merge(document: dict[str, Any], folder: Path) -> Entry:
     """Read a merge; raises OSError, ValueError and LookupError where its files are not those of one."""
     joined = [each for each in document["sessions"] if each["joined"]]
     poses = [_read_tum(file_in(folder, each["trajectory"])) for each in joined]
+    walls = folder / wall_table.WALLS_FILE
     firsts = [0, *accumulate(map(len, poses))]
     return Entry(
         log=", ".join(each["name"] for each in joined),
@@ -32,7 +34,7 @@ def load_merge(document: dict[str, Any], folder: Path) -> Entry:
         document=document,
         grid=read_npz(folder / "hits.npz"),
         scans=_columns(poses),
-        cuts=WallCuts(np.zeros((0, 2)), *np.zeros((3, 0))),
+        cuts=wall_table.read(walls) if walls.is_file() else WallCuts(np.zeros((0, 2)), *np.zeros((3, 0))),
         true_walls=[],
         goal_xy_m=np.zeros((0, 2)),
         sessions=tuple(

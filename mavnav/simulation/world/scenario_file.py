@@ -21,7 +21,7 @@ from mavnav.config.loading import (
 )
 from mavnav.config.models import Config, OdometryConfig
 from mavnav.config.yaml_layers import read_yaml
-from mavnav.errors import ConfigError
+from mavnav.errors import ConfigError, missing
 from mavnav.simulation.world.laser import LASERS
 from mavnav.simulation.world.scenario import Scenario
 from mavnav.units import MM
@@ -83,7 +83,7 @@ def scenario_path(file: str | Path) -> Path:
         return presets_folder() / f"{path.name.removesuffix('.yaml')}.yaml"
     if path.exists():
         return path
-    raise ConfigError(f"{path}: no such file; name a YAML file, or a scenario: {', '.join(scenarios())}")
+    raise ConfigError(missing(path, f"name a YAML file, or a scenario: {', '.join(scenarios())}"))
 
 
 def scenario_schema() -> dict[str, Any]:
