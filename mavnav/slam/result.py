@@ -10,9 +10,9 @@ from msgspec import Struct, field
 from mavnav.slam.findings import NOT_PLANAR, Loops
 from mavnav.slam.matching.observability import covariances_of
 from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, fit_odometry, with_noise
-from mavnav.slam.matching.steps import LostInterval, Steps, jumps, lost_intervals, tracked_trajectory
+from mavnav.slam.matching.steps import NEARLY_ALL, LostInterval, Steps, jumps, lost_intervals, tracked_trajectory
 from mavnav.slam.methods.pauses import pause_warnings
-from mavnav.slam.recovery.parts import LEAST_BEFORE_END, Part, lost_for_good, part_warnings, parts_of
+from mavnav.slam.recovery.parts import Part, lost_for_good, part_warnings, parts_of
 from mavnav.slam.retries.attempt import COARSER_VOXELS
 from mavnav.slam.retries.odometry import odometry_warnings
 from mavnav.units import NS
@@ -77,7 +77,7 @@ class SlamResult(Struct, frozen=True):
 
         So too where it ended before the log, unless nearly all scans have a pose.
         """
-        return lost_for_good(self.steps, self.lost, self.parts, LEAST_BEFORE_END)
+        return lost_for_good(self.steps, self.lost, self.parts, NEARLY_ALL)
 
     @property
     def planar(self) -> bool:
