@@ -61,12 +61,14 @@ class Part(Struct, frozen=True):
     joined: bool
 
 
-def lost_for_good(steps: Steps, lost: Sequence[LostInterval], parts: Sequence[Part] = (), most: float = 1.0) -> bool:
+def lost_for_good(
+    steps: Steps, lost: Sequence[LostInterval], parts: Sequence[Part] = (), most: float = 1.0, bridged: int = 0
+) -> bool:
     """Return whether the track ended before the log, has too few of its scans, or too many are in parts not joined.
 
-    A track with a share ``most`` of the scans or more may end before the log.
+    A track with a share ``most`` of the scans or more may end before the log. ``bridged`` scans have poses by odometry.
     """
-    share = float(steps.share("tracked"))
+    share = float(steps.share("tracked")) + bridged / max(len(steps), 1)
     ended = bool(lost) and not lost[-1].recovered and share < most
     left_out = sum(part.scans for part in parts if not part.joined)
     few = share < LEAST_TRACKED_SHARE or left_out > MOST_LEFT_OUT * len(steps)
