@@ -59,13 +59,13 @@ class Bridges(Struct, frozen=True):
 
 
 def bridge_by_odometry(track: Track) -> Bridges:
-    """Return the poses of lost scans by odometry; none where that does not fit the track.
+    """Return the poses of lost scans by odometry; none where that does not fit the track, and none in causal mode.
 
     Nor does it fit where it leads from the pose before to another one than that after. A log that ends so must end
     blind: scans that show walls, but match nowhere, tell of a laser that was carried.
     """
     steps, odometry = track.steps, track.motion.odometry
-    if odometry is None or track.log_odometry is None:
+    if odometry is None or track.log_odometry is None or track.refiner is None:
         return Bridges()
     error = with_noise(track.log_odometry, tracked_trajectory(steps), track.findings.odometry).error
     elsewhere = {step.index for part in track.findings.parts for step in part}

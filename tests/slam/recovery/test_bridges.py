@@ -77,6 +77,13 @@ def test_odometry_that_leads_elsewhere_is_no_bridge() -> None:
     assert len(run.path) == len(run.trajectory)
 
 
+def test_a_causal_track_has_no_bridges() -> None:
+    scans = [replace(s, ranges_m=np.full(241, 0.05)) if k in range(20, 30) else s for k, s in enumerate(drive().scans)]
+    run = run_slam(lambda: iter(scans[:40]), Config(final_pass=False), 0.1, drive().map_T_laser)
+    assert any(lost.scans == 10 for lost in run.lost)
+    assert run.bridges.numbers == ()
+
+
 @pytest.mark.parametrize("numbers", [(3, 4, 6), (1,)])
 def test_covariances_grow_from_those_before(numbers: tuple[int, ...]) -> None:
     covariances = np.arange(48.0).reshape(8, 6)
