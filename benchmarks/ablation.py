@@ -1,11 +1,13 @@
-"""What each pass, attempt and threshold buys: it is undone alone, and disturbed logs and missions are run again.
+"""What each pass, attempt, rule and threshold buys: it is undone alone, and logs and missions are run again.
 
-    python benchmarks/ablation.py FOLDER [passes] [thresholds] [--logs N] [--missions N] [--jobs N] [--only TEXT]
+    python benchmarks/ablation.py FOLDER [passes] [rules] [thresholds] [--every N] [--missions N] [--only TEXT] ...
 
-FOLDER has the disturbed logs that ``disturbed.py make`` wrote; every N-th of them is run. A threshold (a number of a
-module of mavnav/slam) is doubled, and halved. The table has for each thing undone the runs by outcome, the change of
-their mean error, and the CPU time; what changes no run is a candidate for deletion. Constants of kernels are compiled
-and not tried.
+FOLDER has the disturbed logs that ``disturbed.py make`` wrote; every N-th of them is run, besides some logs as they
+were recorded, and missions. A rule is undone by the value that stands beside it in `RULES`; a threshold (any number of
+a module of mavnav/slam) is doubled, and halved. Runs that never reach a line with its name are not run again. The table
+has for each thing undone the runs by outcome, how many have another outcome or another path, and the CPU time of those
+that were run again. What makes nothing worse when it is undone is a candidate for deletion. Constants of kernels are
+compiled and not tried.
 """
 
 from __future__ import annotations
@@ -14,20 +16,23 @@ import argparse
 import ast
 import importlib
 import pkgutil
+import re
 import sys
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from functools import partial
+from functools import cache, partial
+from math import inf
 from pathlib import Path
 from time import process_time
+from types import FrameType
 from typing import Any
 
-from disturbed import LOST, OUTCOMES, names, outcome, read_poses
-from doubt_corpus import flown, largest_errors, mission_names
+from disturbed import LOST, OUTCOMES, PARTS, names, outcome, read_poses
+from doubt_corpus import LOGS, at_scans, flown, largest_errors, mission_names
 
 import mavnav.slam
-from mavnav.config.models import Config
+from mavnav.config.loading import load_config
 from mavnav.logs import open_log
 from mavnav.pose import Trajectory, correct_path
 from mavnav.slam import pipeline
@@ -40,8 +45,59 @@ PASSES = ("ATTEMPTS", "RECOVERING", "CHECKING", "DRAWING")
 NEEDED = ("refine_against_final_map", "judge_track")
 """Passes without which there is nothing to compare: the evidence, and the doubt."""
 
-Undo = tuple[str, str, float]
-"""A module or tuple of the pipeline, a name in it, and the factor on its value; 0 takes it out."""
+OPEN = ("ccny_demo", "lego_robot4", "slambot_rplidar", "turtlebot4_mac2", "urg_exp1")
+"""Logs that are run as they were recorded, in the parts of `PARTS`."""
+
+REPORTS = ("sparse_90_beams", "hall_360_beams_slow_odom", "odometry_reset_near_start")
+"""Logs with true poses that are run as they were recorded."""
+
+NEVER = 10**9
+
+RULES: dict[str, dict[str, Any]] = {
+    "methods.robust": {
+        "NEAR_MINIMA": 6,
+        "FOUND_PERIODS": 0.0,
+        "FOUND_ANYWHERE_COST": 0.4,
+        "FOUND_COST": inf,
+        "OBSERVED_SHARE": 0.0,
+    },
+    "recovery.across_gap": {"LONGEST_GAP_S": 0.0, "CONFLICT_WEIGHT": 0.0, "LEAST_AGREEMENT": 0.0, "MINIMA": 6},
+    "recovery.parts": {"MOST_TRACKED": 0, "SEARCHED_SCANS": 0},
+    "recovery.part_by_odometry": {"MOST_CONFLICTS": -1.0},
+    "retries.beginning": {"EARLY_SCANS": 0, "MOST_TRIES": 1},
+    "methods.acceptance": {"EXPECTED": inf, "INNER_SHARE": 1.0, "REACHABLE": inf, "FOUND_CONFLICTS": 1.0},
+    "methods.pauses": {"FASTER": inf, "PAUSE_PERIODS": 0.0},
+    "retries.beam_order": {"LISTED_RATIO": inf},
+    "matching.budget": {"RARELY_SCANS": NEVER, "LONG_LOST_SCANS": NEVER, "WIDE_FIRST": NEVER, "WHOLE_FIRST": NEVER},
+    "matching.relocalization": {
+        "AGREEING_SCANS": 1,
+        "PRIOR": 0.0,
+        "MOST_MOTION_COST": inf,
+        "AMBIGUITY_MARGIN": 0.0,
+        "CONFLICT_POINTS": NEVER,
+    },
+    "robust.expert": {
+        "regain_above": 0.6,
+        "retry_below": 0.6,
+        "conflicts_below": 1,
+        "near_window_mm": 0,
+        "overlap_mm": 0,
+        "sparse_points": 0,
+        "waiting_share": 0,
+        "max_extensions": 0,
+        "prior": 0,
+    },
+    "retries.odometry": {"IMPROVED": 1.0, "LEAST_CHANGE": (0.0, 0.0, 0.0)},
+    "matching.odometry_fit": {"NEIGHBOURS": 0, "DISTINCT": 0.0, "KEPT": 1.0, "SURE": 0.0, "LEAST_ERROR": 0.0},
+    "matching.motion_model": {"MOST_ERROR": inf, "NEW_SHARE": 1.0},
+    "matching.scan_matching": {"ALTERNATIONS": 1, "FINAL_ALTERNATIONS": 2, "FINAL_STOP": 1.0},
+}
+"""Section of the configuration, or module of mavnav/slam -> name -> value with which the rule decides nothing."""
+
+Undo = tuple[str, str, Any]
+"""A tuple of the pipeline, a section of the configuration or a module; a name in it; and its new value."""
+
+Run = dict[str, Any]
 
 
 def passes() -> Iterator[Undo]:
@@ -49,12 +105,18 @@ def passes() -> Iterator[Undo]:
     for group in PASSES:
         for name in dict.fromkeys(map(name_of, getattr(pipeline, group))):
             if name not in NEEDED:
-                yield group, name, 0.0
+                yield group, name, None
 
 
 def name_of(each: Any) -> str:
     """Return the name of a pass or an attempt."""
     return str(getattr(each, "name", None) or each.__name__)
+
+
+def rules() -> Iterator[Undo]:
+    """Yield the rules, each with the value that undoes it."""
+    for where, values in RULES.items():
+        yield from ((where, name, value) for name, value in values.items())
 
 
 def thresholds() -> Iterator[Undo]:
@@ -64,7 +126,8 @@ def thresholds() -> Iterator[Undo]:
         for name in assigned_names(Path(str(module.__file__))):
             value = getattr(module, name)
             if isinstance(value, int | float) and value and not isinstance(value, bool):
-                yield from ((each.name, name, factor) for factor in (2.0, 0.5))
+                where = each.name.removeprefix("mavnav.slam.")
+                yield from ((where, name, type(value)(value * factor)) for factor in (2.0, 0.5))
 
 
 def assigned_names(path: Path) -> list[str]:
@@ -79,65 +142,115 @@ def assigned_names(path: Path) -> list[str]:
     return [name for name in names if name.isupper()]
 
 
-def undo(what: Undo | None) -> None:
-    """Undo one thing in this process, in all modules that have the name."""
+def is_module(where: str) -> bool:
+    """Return whether something to be undone is a constant of a module."""
+    return where not in PASSES and where != "robust.expert"
+
+
+def undo(what: Undo | None) -> list[str]:
+    """Undo one thing in this process, in all modules that import the name; return settings of the configuration."""
     if what is None:
-        return
-    where, name, factor = what
+        return []
+    where, name, value = what
     if where in PASSES:
         setattr(pipeline, where, tuple(each for each in getattr(pipeline, where) if name_of(each) != name))
-        return
-    value = getattr(sys.modules[where], name)
-    changed = type(value)(value * factor)
-    for module in list(sys.modules.values()):
-        if getattr(module, "__name__", "").startswith("mavnav.") and vars(module).get(name) is value:
-            setattr(module, name, changed)
+    elif not is_module(where):
+        return [f"{where}.{name}={value}"]
+    else:
+        old = getattr(importlib.import_module(f"mavnav.slam.{where}"), name)
+        for module in users_of(where, name):
+            assert getattr(module, name) is old
+            setattr(module, name, value)
+    return []
 
 
-def describe(what: Undo | None) -> str:
-    """Return what is undone in words."""
-    if what is None:
-        return "nothing"
-    where, name, factor = what
-    return name if where in PASSES else f"{where.removeprefix('mavnav.slam.')}.{name} x {factor:g}"
+def users_of(where: str, name: str) -> list[Any]:
+    """Return the module that defines a constant, and those that import it."""
+    home = importlib.import_module(f"mavnav.slam.{where}")
+    imported = re.compile(rf"from mavnav\.slam\.{re.escape(where)} import (\([^)]*|.*)\b{name}\b")
+    loaded = [module for key, module in list(sys.modules.items()) if key.startswith("mavnav.") and module.__file__]
+    return [home, *(m for m in loaded if imported.search(Path(str(m.__file__)).read_text("utf-8")))]
 
 
-def runs_without(folder: Path, runs: list[str], what: Undo | None) -> dict[str, dict[str, Any]]:
-    """Return the outcomes of the runs with one thing undone, by name; to be called in a process of its own."""
-    undo(what)
-    return {name: fly_mission(name) if name.startswith("mission-") else track_log(folder, name) for name in runs}
-
-
-def track_log(folder: Path, name: str) -> dict[str, Any]:
-    """Track a disturbed log; return errors, doubt and CPU time."""
-    log, start_s = open_log(folder / f"{name}.mcap"), process_time()
-    odometry = correct_path(log.odometry.odom_T_laser, -round(log.mid_sweep_s / NS)) if log.odometry else None
-    slam = pipeline.run_slam(
-        log.scans, Config(), log.period_s, odometry, base_T_laser=log.base_T_laser, scans_ns=log.stamps_ns
+@cache
+def lines_of(where: str, name: str) -> frozenset[tuple[str, int]]:
+    """Return the lines, by file, that read a constant, besides defaults of parameters."""
+    paths = [str(module.__file__) for module in users_of(where, name)]
+    nodes = ((path, node) for path in paths for node in ast.walk(ast.parse(Path(path).read_text("utf-8"))))
+    return frozenset(
+        (path, line)
+        for path, node in nodes
+        if isinstance(node, ast.stmt) and not isinstance(node, ast.FunctionDef | ast.ClassDef)
+        if any(isinstance(part, ast.Name) and part.id == name for part in ast.walk(node))
+        for line in range(node.lineno, (node.end_lineno or node.lineno) + 1)
     )
-    return evaluated(slam, read_poses(folder / f"{name.partition('.')[0]}.tum"), process_time() - start_s)
 
 
-def fly_mission(name: str) -> dict[str, Any]:
-    """Fly a mission; return errors, doubt and CPU time."""
+def runs_without(folder: Path, logs: Path, wanted: dict[str, Any], what: Undo | None) -> dict[str, Run]:
+    """Return the outcomes of some runs with one thing undone, by name; to be called in a process of its own."""
+    sets = undo(what)
+    return {name: run_once(folder, logs, name, sets, trace=what is None) for name in wanted}
+
+
+def run_once(folder: Path, logs: Path, name: str, sets: list[str], *, trace: bool) -> Run:
+    """Run a log or a mission; return errors, doubt, CPU time and, if they are traced, the lines that ran."""
+    lines: set[tuple[str, int]] = set()
     start_s = process_time()
-    return evaluated(*flown(name), process_time() - start_s)
-
-
-def evaluated(slam: SlamResult, truth: Trajectory, cpu_s: float) -> dict[str, Any]:
-    """Return a run as ``disturbed.outcome`` takes it."""
+    sys.settrace(partial(note_lines, lines) if trace else None)
+    slam, truth = flown(name) if name.startswith("mission-") else track_log(folder, logs, name, sets)
+    sys.settrace(None)
     off_m, off_deg = largest_errors(slam.trajectory, truth)
     doubt = slam.doubt.probability if slam.doubt else None
-    return {"exit": LOST * slam.lost_for_good, "off_m": off_m, "off_deg": off_deg, "doubt": doubt, "cpu_s": cpu_s}
+    run: Run = {"name": name, "exit": LOST * slam.lost_for_good, "off_m": off_m, "off_deg": off_deg, "doubt": doubt}
+    return {**run, "cpu_s": process_time() - start_s, "path": slam.trajectory.xyyaw.tobytes(), "lines": lines}
 
 
-def row(what: Undo | None, runs: dict[str, dict[str, Any]], before: dict[str, dict[str, Any]]) -> str:
-    """Return a row of the table."""
-    counts = Counter(map(outcome, runs.values()))
-    changed = sum(outcome(runs[name]) != outcome(before[name]) for name in runs)
-    same = sum(runs[name]["off_m"] == before[name]["off_m"] for name in runs)
-    cpu = sum(run["cpu_s"] for run in runs.values()) / sum(run["cpu_s"] for run in before.values())
-    cells = [describe(what), *(str(counts[each]) for each in OUTCOMES), str(changed), str(same), f"{cpu:.2f}"]
+def note_lines(lines: set[tuple[str, int]], frame: FrameType, _event: str, _arg: Any) -> Any:
+    """Take note of the lines of mavnav/slam that run."""
+    path = frame.f_code.co_filename
+    if "/mavnav/" not in path or "/kernels/" in path:
+        return None
+
+    def note(frame: FrameType, _event: str, _arg: Any) -> Any:
+        lines.add((path, frame.f_lineno))
+        return note
+
+    return note
+
+
+def track_log(folder: Path, logs: Path, name: str, sets: list[str]) -> tuple[SlamResult, Trajectory]:
+    """Track a log; return the result of SLAM, and the poses to compare it with."""
+    log_name = name.partition(".")[0]
+    if "." in name:
+        log = open_log(folder / f"{name}.mcap")
+    else:
+        start_s, end_s = PARTS.get(name, (None, None))
+        log = open_log(logs / LOGS[name][0], start_s=start_s, end_s=end_s)
+    odometry = correct_path(log.odometry.odom_T_laser, -round(log.mid_sweep_s / NS)) if log.odometry else None
+    slam = pipeline.run_slam(
+        log.scans, load_config(sets=sets), log.period_s, odometry, base_T_laser=log.base_T_laser, scans_ns=log.stamps_ns
+    )
+    if log_name in PARTS:
+        return slam, read_poses(folder / f"{log_name}.tum")
+    return slam, at_scans(list(log.scans()), (logs / LOGS[name][0]).with_name("truth.tum"))
+
+
+def affected(what: Undo, before: dict[str, Run]) -> dict[str, Run]:
+    """Return the runs that can change: those that reach a line with the name, if it is one of a module."""
+    if not is_module(what[0]):
+        return before
+    return {name: run for name, run in before.items() if not run["lines"].isdisjoint(lines_of(*what[:2]))}
+
+
+def row(what: Undo | None, again: dict[str, Run], before: dict[str, Run]) -> str:
+    """Return a row of the table; runs that were not run again are as before."""
+    counts = Counter(outcome(run) for run in (before | again).values())
+    changed = sum(outcome(run) != outcome(before[name]) for name, run in again.items())
+    others = sum(run["path"] != before[name]["path"] for name, run in again.items())
+    times = [sum(runs[name]["cpu_s"] for name in again) for runs in (again, before)]
+    cpu = f"{times[0] / times[1]:.2f}" if times[1] else ""
+    told = "nothing" if what is None else what[1] if what[0] in PASSES else f"{what[0]}.{what[1]} = {what[2]}"
+    cells = [told, *(str(counts[each]) for each in OUTCOMES), str(changed), str(others), cpu]
     return "| " + " | ".join(cells) + " |"
 
 
@@ -145,23 +258,25 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("what", nargs="*", choices=("passes", "thresholds"), default=["passes"])
-    parser.add_argument("--logs", type=int, default=8, help="every N-th disturbed log")
-    parser.add_argument("--missions", type=int, default=1, help="seeds of each mission")
+    parser.add_argument("what", nargs="*", default=["passes", "rules"], help="passes, rules, thresholds")
+    parser.add_argument("--logs", type=Path, default=Path("../shared/logs"))
+    parser.add_argument("--every", type=int, default=29, help="every N-th disturbed log")
+    parser.add_argument("--missions", type=int, default=2, help="number of missions")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--only", default="", help="a text in the name of what is undone")
     args = parser.parse_args()
-    runs = [*names()[:: args.logs], *(mission_names(args.missions) if args.missions else ())]
-    kinds = {"passes": passes, "thresholds": thresholds}
-    wanted: list[Undo | None] = [None]
-    wanted += [each for kind in args.what for each in kinds[kind]() if args.only in describe(each)]
-    header = ["undone", *OUTCOMES, "outcome changes", "same path", "CPU"]
-    print(f"{len(runs)} runs", "| " + " | ".join(header) + " |", "|" + "---|" * len(header), sep="\n")
+    runs = [*names()[:: args.every], *OPEN, *REPORTS, *mission_names(1)[: args.missions]]
+    kinds = {"passes": passes, "rules": rules, "thresholds": thresholds}
+    wanted = [each for kind in args.what for each in kinds[kind]() if args.only in ".".join(map(str, each))]
+    header = ["undone", *OUTCOMES, "other outcome", "other path", "CPU"]
+    print(f"{len(runs)} runs", "", "| " + " | ".join(header) + " |", "|" + "---|" * len(header), sep="\n")
+    without = partial(runs_without, args.folder, args.logs)
     with ProcessPoolExecutor(args.jobs, max_tasks_per_child=1) as pool:
-        before: dict[str, dict[str, Any]] = {}
-        for what, done in zip(wanted, pool.map(partial(runs_without, args.folder, runs), wanted), strict=True):
-            before = before or done
-            print(row(what, done, before), flush=True)
+        before = pool.submit(without, dict.fromkeys(runs), None).result()
+        print(row(None, before, before), flush=True)
+        done = pool.map(without, ([*affected(what, before)] for what in wanted), wanted)
+        for what, again in zip(wanted, done, strict=True):
+            print(row(what, again, before), flush=True)
 
 
 if __name__ == "__main__":

@@ -164,7 +164,7 @@ class RunResult(Struct, frozen=True, dict=True):
     def map_T_base(self) -> Trajectory | None:
         """The trajectory of the robot's base in the map frame, None where the mounting is not known."""
         mounting = self.log.base_T_laser
-        return None if mounting is None else self.slam.trajectory.compose(mounting.inverse())
+        return None if mounting is None else self.slam.path.compose(mounting.inverse())
 
     @property
     def exit_code(self) -> ExitCode:

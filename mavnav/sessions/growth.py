@@ -15,9 +15,9 @@ from mavnav.sessions.closures import SOON_S, ended_before, join_at_end, join_ses
 from mavnav.sessions.group import GroupMap, Join, SessionGroup, group_of
 from mavnav.sessions.map_alignment import fit_transform
 from mavnav.slam.loop_closure.closure import AMBIGUITY_MARGIN, fits
-from mavnav.slam.matching.relocalization import apart, candidates, everywhere, unambiguous
+from mavnav.slam.matching.relocalization import AGREEING_SCANS, apart, candidates, everywhere, unambiguous
 from mavnav.slam.matching.steps import evenly
-from mavnav.slam.recovery.parts import LEAST_AGREEING, consensus
+from mavnav.slam.recovery.parts import consensus
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -49,7 +49,7 @@ def locate_session(session: Session, known: KeyFrameMap, config: Config) -> tupl
     group_T_session, join = consensus(pairs), Join(session.name, searched, len(pairs))
     if group_T_session is None:
         few = "too few of its scans fit in one place of the others' map"
-        return join._replace(why=few if len(pairs) < LEAST_AGREEING else "its scans disagree"), None
+        return join._replace(why=few if len(pairs) < AGREEING_SCANS else "its scans disagree"), None
     agreeing = [pair for pair in pairs if not apart(group_T_session @ pair[0], pair[1])]
     return join._replace(agreeing=len(agreeing)), fit_transform(agreeing)
 

@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec import Struct, field
 
+from mavnav.pose import Trajectory
 from mavnav.slam.findings import NOT_PLANAR, Loops
 from mavnav.slam.matching.observability import covariances_of
 from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, fit_odometry, with_noise
-from mavnav.slam.matching.steps import LostInterval, Steps, jumps, lost_intervals, tracked_trajectory
+from mavnav.slam.matching.steps import NEARLY_ALL, LostInterval, Steps, jumps, lost_intervals, tracked_trajectory
 from mavnav.slam.methods.pauses import pause_warnings
-from mavnav.slam.recovery.parts import LEAST_BEFORE_END, Part, lost_for_good, part_warnings, parts_of
+from mavnav.slam.recovery.bridges import Bridges, bridge_by_odometry
+from mavnav.slam.recovery.parts import Part, lost_for_good, part_warnings, parts_of
 from mavnav.slam.retries.attempt import COARSER_VOXELS
 from mavnav.slam.retries.odometry import odometry_warnings
 from mavnav.units import NS
@@ -23,7 +25,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.mapping.occupancy_grid import Grid
-    from mavnav.pose import Trajectory
     from mavnav.slam.findings import Doubt, TrackedAgain
     from mavnav.slam.matching.odometry_fit import OdometryFit
     from mavnav.slam.track import Track
@@ -44,7 +45,7 @@ class SlamResult(Struct, frozen=True):
     tracked as a whole, each on a separate map at first; else empty. ``doubt`` is None where it
     was not judged. ``begin_ns`` is the stamp of the scan that begins the map and defines the map frame; None where
     nothing was tracked. ``odometry`` is what corrects the odometry that is used; None if none is. ``sweep_s``
-    is the time of a sweep where it is another than stated, else None.
+    is the time of a sweep where it is another than stated, else None. ``bridges`` are poses of lost scans by odometry.
     """
 
     steps: Steps
@@ -60,6 +61,14 @@ class SlamResult(Struct, frozen=True):
     begin_ns: int | None = None
     odometry: OdometryFit | None = None
     sweep_s: float | None = None
+    bridges: Bridges = field(default_factory=Bridges)
+
+    @property
+    def path(self) -> Trajectory:
+        """The poses of all scans that have one: the tracked ones, and lost ones by odometry."""
+        stamps_ns = np.concatenate((self.trajectory.stamps_ns, self.bridges.trajectory.stamps_ns))
+        order = np.argsort(stamps_ns, kind="stable")
+        return Trajectory(stamps_ns[order], np.vstack((self.trajectory.xyyaw, self.bridges.trajectory.xyyaw))[order])
 
     @property
     def tracks_compared(self) -> int:
@@ -77,7 +86,7 @@ class SlamResult(Struct, frozen=True):
 
         So too where it ended before the log, unless nearly all scans have a pose.
         """
-        return lost_for_good(self.steps, self.lost, self.parts, LEAST_BEFORE_END)
+        return lost_for_good(self.steps, self.lost, self.parts, NEARLY_ALL, len(self.bridges.numbers))
 
     @property
     def planar(self) -> bool:
@@ -92,20 +101,25 @@ class SlamResult(Struct, frozen=True):
 def summarize(track: Track) -> SlamResult:
     """Return the result of a finished track; its map is taken from the method."""
     steps, findings, parts, lost = track.steps, track.findings, parts_of(track), tuple(lost_intervals(track.steps))
+    bridges = bridge_by_odometry(track)
+    covariances = covariances_of(steps, findings.hessians) if len(findings.hessians) else None
+    if covariances is not None:
+        bridges.grow(covariances)
     return SlamResult(
         steps,
         tracked_trajectory(steps),
         track.method.release_map(),
         lost,
         findings.loops,
-        (*odometry_warnings(track), *findings.warnings, *_late_warnings(track, parts, lost)),
+        (*odometry_warnings(track), *findings.warnings, *_late_warnings(track, parts, lost, bridges)),
         findings.attempts,
         parts,
         findings.doubt,
-        covariances_of(steps, findings.hessians) if len(findings.hessians) else None,
+        covariances,
         beginning_ns(steps, track.begin),
         used_odometry(track),
         findings.sweep_s,
+        bridges,
     )
 
 
@@ -121,9 +135,12 @@ def used_odometry(track: Track) -> OdometryFit | None:
     return corrected or with_noise(track.log_odometry, path, used)
 
 
-def _late_warnings(track: Track, parts: Sequence[Part], lost: Sequence[LostInterval]) -> Iterator[str]:
+def _late_warnings(
+    track: Track, parts: Sequence[Part], lost: Sequence[LostInterval], bridges: Bridges
+) -> Iterator[str]:
     """Yield the warnings that depend on the finished path."""
     yield from part_warnings(parts, track.steps[0].stamp_ns) if parts else ()
+    yield from bridges.warnings(track.steps[0].stamp_ns) if bridges.numbers else ()
     yield from jump_warnings(track.steps)
     if track.prior_map is None:
         yield from pause_warnings(track.steps, track.motion)

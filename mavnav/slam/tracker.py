@@ -6,7 +6,8 @@ from time import perf_counter
 from typing import TYPE_CHECKING, NamedTuple
 
 from mavnav.profiling import add_scan
-from mavnav.slam.matching.relocalization import apart
+from mavnav.slam.matching.budget import DOUBTFUL_SCANS, LONG_LOST_SCANS, RARELY_SCANS
+from mavnav.slam.matching.relocalization import AGREEING_SCANS, apart
 from mavnav.slam.matching.scan_matching import MatchVerdict
 from mavnav.slam.matching.steps import Step
 
@@ -19,33 +20,19 @@ if TYPE_CHECKING:
     from mavnav.slam.matching.scan_matching import Match
     from mavnav.slam.methods.registry import Method, Refiner
 
-DOUBTFUL_SCANS, LONG_LOST_SCANS, RARELY_SCANS = 8, 16, 64
-"""Numbers of scans without an accepted pose that decide when the whole map is searched.
-
-Below the first, a search follows every probable match. From it on, it follows probable matches of a log without
-odometry, if the last search is at least as many scans ago. At the second, and at every multiple of the third, it
-follows any match that is not accepted.
-"""
-
-CONFIRMATIONS = 3
-"""Number of successive scans that must agree on a pose before it is accepted after a gap."""
-
-NEVER = -1000
-"""Scan number of the last search if there was none: long before any interval between searches."""
-
 
 class TrackState(NamedTuple):
     """The last accepted motion, and the motion on trial, if any, on which the last ``confirmations`` scans agree.
 
     ``missed`` counts the scans since the last accepted one; ``searched`` is its value at the last search of the whole
-    map.
+    map, long ago without one.
     """
 
     motion: Motion
     trial: Motion | None = None
     confirmations: int = 0
     missed: int = 0
-    searched: int = NEVER
+    searched: int = -DOUBTFUL_SCANS
 
     @property
     def here(self) -> Motion:
@@ -60,7 +47,7 @@ class TrackState(NamedTuple):
             return self._replace(trial=None, confirmations=0, missed=self.missed + 1)
         far = verdict is MatchVerdict.PROBABLE and not self.trial
         moved = (self.here.started_at if far else self.here.moved_to)(map_T_laser, stamp_ns)
-        if self.trial and self.confirmations + 1 >= CONFIRMATIONS:
+        if self.trial and self.confirmations + 1 >= AGREEING_SCANS:
             return TrackState(moved)
         return self._replace(trial=moved, confirmations=self.confirmations + 1, missed=self.missed + 1)
 
@@ -112,9 +99,9 @@ def search_whole_map(
 
 
 def needs_whole_map_search(verdict: MatchVerdict, state: TrackState) -> bool:
-    """Return whether to search the whole map: for probable matches, and rarely for others when lost.
+    """Return whether to search the whole map: for probable matches, and for others when lost for long, then rarely.
 
-    With odometry, after a long gap, the next scans confirm a probable match instead.
+    With odometry, after ``DOUBTFUL_SCANS``, the next scans confirm a probable match instead.
     """
     missed = state.missed
     if verdict is MatchVerdict.PROBABLE and (missed < DOUBTFUL_SCANS or state.motion.odometry is None):

@@ -6,8 +6,9 @@ import pytest
 
 from mavnav.pose import Pose
 from mavnav.slam.matching.motion_model import Motion
+from mavnav.slam.matching.relocalization import AGREEING_SCANS
 from mavnav.slam.matching.scan_matching import MatchVerdict
-from mavnav.slam.tracker import CONFIRMATIONS, TrackState
+from mavnav.slam.tracker import TrackState
 
 MS = 1_000_000
 HERE, THERE = Pose(1.0, 0.0, 0.0), Pose(4.0, 2.0, 1.0)
@@ -30,7 +31,7 @@ def test_a_refused_match_leaves_it_where_it_was(belief: TrackState) -> None:
 
 def test_a_place_found_again_is_believed_when_the_next_scans_agree(belief: TrackState) -> None:
     trial = belief.after(MatchVerdict.PROBABLE, THERE, 0)
-    for k in range(1, CONFIRMATIONS):
+    for k in range(1, AGREEING_SCANS):
         assert trial.here.map_T_laser == THERE
         assert trial.motion == belief.motion
         trial = trial.after(MatchVerdict.SURE, THERE, k * 100 * MS)

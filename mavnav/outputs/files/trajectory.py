@@ -44,8 +44,8 @@ def write_poses(map_T_laser: Trajectory, path: Path) -> None:
 
 
 def write_tum(run: RunResult, path: Path) -> None:
-    """Write map_T_laser of every tracked scan."""
-    write_poses(run.slam.trajectory, path)
+    """Write map_T_laser of every tracked scan, and of lost ones that have a pose by odometry."""
+    write_poses(run.slam.path, path)
 
 
 def write_base_tum(run: RunResult, path: Path) -> None:
@@ -96,7 +96,7 @@ def seconds(stamp_ns: int) -> str:
 
 
 def write_csv(run: RunResult, path: Path) -> None:
-    """Write a row for every scan that was matched; one that was not tracked has no pose.
+    """Write a row for every scan that was matched; one that was not tracked has no pose, or one by odometry.
 
     ``refused_by`` is the rule of the paper's method that refused a scan, empty where none did. ``doubtful`` is 1 for
     scans of a reason to doubt the track, if the doubt is high. The covariance of the pose is in
@@ -108,6 +108,8 @@ def write_csv(run: RunResult, path: Path) -> None:
     errors_m = np.full(len(trajectory), nan) if run.position_errors_m is None else run.position_errors_m
     poses = np.column_stack((trajectory.xyyaw, errors_m)).tolist()
     pose_of = dict(zip(trajectory.stamps_ns.tolist(), poses, strict=True))
+    bridged = run.slam.bridges.trajectory
+    pose_of |= dict(zip(bridged.stamps_ns.tolist(), [[*pose, nan] for pose in bridged.xyyaw.tolist()], strict=True))
     tilts: list[Any] = [()] * len(steps)
     if attitude is not None:
         tilts = np.column_stack(attitude.at((stamps_ns - attitude.stamps_ns[0]).astype(np.float64))).tolist()

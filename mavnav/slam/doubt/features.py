@@ -14,7 +14,7 @@ from mavnav.pose import motions
 from mavnav.slam.doubt.second_motion import LEAST_AGREEING, second_motion
 from mavnav.slam.findings import NOT_PLANAR, SECOND_MOTION
 from mavnav.slam.matching.observability import LEAST_OBSERVABILITY
-from mavnav.slam.retries.attempt import COARSER
+from mavnav.slam.retries.attempt import COARSER, FEW_POINTS
 from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
@@ -128,8 +128,8 @@ A spike is the sum times the factor.
 SPARSE_M, SPARSE_RAD = 0.3, 20 * DEG
 """Motion between two scans above which sampling is sparse."""
 
-FEW_POINTS, CONFLICTS, LOST_SHARE = 80, 0.05, 0.1
-"""Bounds: fewer points, more conflicts and more scans lost by a second track raise doubt."""
+CONFLICTS, LOST_SHARE = 0.05, 0.1
+"""Bounds besides ``FEW_POINTS``: more conflicts and more scans lost by a second track raise doubt."""
 
 WEAK_S, WEAK_M_S, LONGEST_S = 10.0, 0.5, 1.0
 """Time over which the motion along walls that leave it open adds up, the least speed that is then possible, whatever

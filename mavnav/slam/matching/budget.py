@@ -8,6 +8,9 @@ from __future__ import annotations
 
 from math import inf
 
+DOUBTFUL_SCANS, LONG_LOST_SCANS, RARELY_SCANS = 8, 16, 64
+"""Numbers of scans without an accepted pose after which a laser is lost, lost for long, and rarely searched."""
+
 POSES, CELLS = 20_000, 80_000
 """Numbers of poses of a wide search, and of cells whose costs are bounded for it, that take as long as a local one."""
 

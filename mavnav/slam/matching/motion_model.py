@@ -26,17 +26,19 @@ if TYPE_CHECKING:
     """A velocity in the laser's own frame, m/s, m/s, rad/s."""
 
 USUAL_PERIOD_S = 0.1  # scan period where the stamps do not show it
-LONGEST_S = 1.2  # longest extrapolation of a velocity
+GAP_S, LONGEST_S = 0.5, 1.2
+"""Time without a pose or a measured motion that is a gap, and longest extrapolation of a velocity, s."""
+
+MOST_ERROR = 0.3
+"""Largest error of a measured motion that is used, as a share of the motion."""
+
 NEW_SHARE = 0.7  # weight of a new velocity in the running average
 
 LEAST_FIT_STEPS, FIT_DECAY = 10, 0.98
 """Minimum number of steps before a measured yaw rate is used, and the factor by which their weight decays at a step."""
 
-FIT_SHARE, FIT_RAD = 0.3, 0.3 * DEG
-"""Largest RMS error of a yaw rate that fits: as a share of the turns, and the noise of a match, rad."""
-
-ROTATION_GAP_NS = 200_000_000
-"""Longest gap between yaw rates over which they are integrated, ns."""
+FIT_RAD = 0.3 * DEG
+"""RMS error of a yaw rate that fits, however little the laser turns: the noise of a match, rad."""
 
 
 class YawRateFit(NamedTuple):
@@ -53,7 +55,7 @@ class YawRateFit(NamedTuple):
     @property
     def fits(self) -> bool:
         """Whether the measured yaw rate predicts better than constant velocity, or well enough by itself."""
-        well = max(self.by_velocity, FIT_SHARE**2 * self.turned, FIT_RAD**2 * self.steps)
+        well = max(self.by_velocity, MOST_ERROR**2 * self.turned, FIT_RAD**2 * self.steps)
         return self.steps >= LEAST_FIT_STEPS and self.by_rotation <= well
 
     def after(self, turned_rad: float, by_rotation_rad: float, by_velocity_rad: float) -> YawRateFit:
@@ -100,7 +102,7 @@ class Motion(NamedTuple):
         return self.map_T_laser @ Pose(x * ahead_s, y * ahead_s, yaw * ahead_s if turn_rad is None else turn_rad)
 
     def _measured_turn(self, stamp_ns: int) -> float | None:
-        return None if self.rotation is None else self.rotation.turned_rad(self.stamp_ns, stamp_ns, ROTATION_GAP_NS)
+        return None if self.rotation is None else self.rotation.turned_rad(self.stamp_ns, stamp_ns, round(GAP_S / NS))
 
     def by_odometry(self, stamp_ns: int) -> Pose | None:
         """Return the last pose moved by the odometry; None where it does not cover both times, or is too fast."""
@@ -128,7 +130,7 @@ class Motion(NamedTuple):
         """Return the motion after a new accepted pose."""
         elapsed = self.elapsed_s(stamp_ns)
         twist = x, y, yaw = _twist(self.map_T_laser, map_T_laser, elapsed)
-        if elapsed <= 0.5 + self.period_s:
+        if elapsed <= GAP_S + self.period_s:
             new, old, (last_x, last_y, last_yaw) = NEW_SHARE, 1.0 - NEW_SHARE, self.twist
             twist = new * x + old * last_x, new * y + old * last_y, new * yaw + old * last_yaw
         moved = self._replace(map_T_laser=map_T_laser, stamp_ns=stamp_ns, twist=twist)

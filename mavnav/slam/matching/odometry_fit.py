@@ -14,6 +14,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from mavnav.pose import Pose, Trajectory, between, correct_path
+from mavnav.slam.matching.motion_model import GAP_S
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -23,9 +24,6 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
     Complex = NDArray[np.complex128]
-
-GAP_NS: Final = 500_000_000
-"""Longest gap in the odometry over which it is interpolated, ns."""
 
 WINDOW_S: Final = 1.0
 """Time over which motions are compared, s."""
@@ -88,9 +86,9 @@ class LogOdometry(Struct, frozen=True):
     scans_ns: NDArray[np.int64] | None = None
 
     def lookup(self, fit: OdometryFit) -> Odometry:
-        """Return the corrected pose of the laser by stamp, ns; None outside, or in a gap of over ``GAP_NS``."""
+        """Return the corrected pose of the laser by stamp, ns; None outside, or in a gap of over ``GAP_S``."""
         odom_T_base = correct_path(self.odom_T_base, round(fit.offset_s / NS), fit.distance_scale, fit.turn_scale)
-        pose_at = partial(odom_T_base.compose(self.base_T_laser).at, max_gap_ns=GAP_NS)
+        pose_at = partial(odom_T_base.compose(self.base_T_laser).at, max_gap_ns=round(GAP_S / NS))
         if not fit.mean_stamps or self.scans_ns is None:
             return pose_at
         averaged_ns = partial(np.interp, xp=self.scans_ns, fp=average_stamps(self.scans_ns))
@@ -251,7 +249,7 @@ def _by_odometry(path: Trajectory, motions: _Motions, offset_s: float) -> tuple[
     after = np.searchsorted(at_s, times)
     inside = (after > 0) & (after < len(at_s))
     row = np.clip(after, 1, max(len(at_s) - 1, 1))
-    gapless = (path.stamps_ns[row] - path.stamps_ns[row - 1] <= GAP_NS) if len(at_s) > 1 else inside
+    gapless = ((path.stamps_ns[row] - path.stamps_ns[row - 1]) * NS <= GAP_S) if len(at_s) > 1 else inside
     covered: NDArray[np.bool_] = np.asarray((inside & gapless).all(axis=0))
     columns = (path.xyyaw[:, 0], path.xyyaw[:, 1], np.unwrap(path.xyyaw[:, 2]))
     start, end = (np.column_stack([np.interp(some[covered], at_s, c) for c in columns]) for some in times)

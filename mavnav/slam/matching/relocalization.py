@@ -71,6 +71,9 @@ MOST_MOTION_COST = 4.0
 AMBIGUITY_MARGIN = 0.05
 """Minimum difference in rank to another pose; below, a match is ambiguous."""
 
+AGREEING_SCANS = 3
+"""Number of scans that must agree on a pose after a gap, or on that of a part: one may fit by chance."""
+
 DIRECTIONS_RAD = np.arange(8, dtype=np.float64) * (pi / 4)
 """Directions of the steps that test whether a pose is observable."""
 

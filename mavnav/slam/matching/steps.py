@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 LOST_SCANS = 5
 """Minimum number of scans in a row without an accepted pose that are a lost interval; fewer need a jump across them."""
 
+NEARLY_ALL = 0.9
+"""Share of the scans with a pose, or with odometry, from which it does not matter that the others have none."""
+
 JUMP_M, JUMP_RAD = 0.5, 45 * DEG
 """Motion across scans without an accepted pose that makes them a lost interval, however few they are."""
 

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mavnav.slam.matching.motion_model import LONGEST_S
+from mavnav.slam.matching.motion_model import GAP_S, LONGEST_S
 from mavnav.slam.matching.scan_matching import MatchVerdict
+from mavnav.slam.methods.pauses import PAUSE_S
 
 if TYPE_CHECKING:
     from mavnav.config.models import RobustConfig
     from mavnav.pose import Pose
     from mavnav.slam.matching.motion_model import Motion
     from mavnav.slam.matching.scan_matching import Match
-
-REGAIN_S = 0.5  # longest gap before more inliers are required: after it, chance matches are likely
 
 INNER_SHARE = 0.5
 """Share of the near window within which a match is accepted: nearer to its edge, the pose may be outside of it."""
@@ -24,8 +23,8 @@ REACHABLE = 1.0
 EXPECTED = 0.01
 """Largest ``motion_cost`` with which fewer inliers are enough after a gap."""
 
-FOUND_CONFLICTS, LONG_GAP_S = 0.05, 2.5
-"""Largest share of visibility conflicts of a pose after a gap of more than ``LONG_GAP_S``; odometry shows no lifting.
+FOUND_CONFLICTS = 0.05
+"""Largest share of visibility conflicts of a pose after a gap of more than ``PAUSE_S``; odometry shows no lifting.
 
 Measured: 0.11 to 0.25 where the laser was carried into another room, up to 0.01 where it stayed; after shorter gaps of
 urg_exp1 up to 0.1 at the right pose.
@@ -60,7 +59,7 @@ class Acceptance:
 
     def conflicts_after_gap(self, match: Match, motion: Motion, elapsed_s: float) -> bool:
         """Return whether a pose after a long gap has too many visibility conflicts."""
-        return elapsed_s > max(LONG_GAP_S, motion.period_s) and match.conflicts > self.found_conflicts
+        return elapsed_s > max(PAUSE_S, motion.period_s) and match.conflicts > self.found_conflicts
 
     def verdict(self, match: Match, motion: Motion, elapsed_s: float) -> MatchVerdict:
         """Accept a match with many inliers and few visibility conflicts, at a possible speed.
@@ -74,7 +73,7 @@ class Acceptance:
             return MatchVerdict.REFUSED
         if (match.motion_cost > REACHABLE and not good) or self.conflicts_after_gap(match, motion, elapsed_s):
             return MatchVerdict.REFUSED
-        if elapsed_s <= max(LONGEST_S if good else REGAIN_S, motion.period_s) and match.motion_cost <= REACHABLE:
+        if elapsed_s <= max(LONGEST_S if good else GAP_S, motion.period_s) and match.motion_cost <= REACHABLE:
             return MatchVerdict.SURE
         expected = match.motion_cost <= EXPECTED
         return MatchVerdict.PROBABLE if expected or match.inliers >= limits.regain_above else MatchVerdict.REFUSED

@@ -1,13 +1,14 @@
-"""Pauses in the scans: how far the laser can have moved meanwhile, and whether it was found late after one."""
+"""Pauses in the scans: how far the laser can have moved meanwhile."""
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
+from bisect import bisect_left
 from math import hypot
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mavnav.slam.matching.motion_model import GAP_S, MOST_ERROR
 from mavnav.slam.matching.odometry_fit import WINDOW_S
 from mavnav.units import NS
 
@@ -20,17 +21,11 @@ if TYPE_CHECKING:
     from mavnav.slam.matching.motion_model import Motion
     from mavnav.slam.matching.steps import Step, Steps
 
-PAUSE_S, GAP_S, PAUSE_PERIODS = 2.5, 0.5, 2.5
-"""Time between two scans from which it is a pause, s, that with odometry, s, and that in periods."""
+PAUSE_S, PAUSE_PERIODS = 2.5, 2.5
+"""Time between two scans from which it is a pause, s and in periods; with odometry it is one from ``GAP_S`` on."""
 
 LEAST_SPEED_M_S, FASTER, SLACK_M = 0.3, 1.2, 0.5
 """Speed that every vehicle reaches, largest ratio of the mean speed in a pause to the highest before, and slack."""
-
-ODOMETRY_SHARE = 0.3
-"""Largest error of odometry across a pause, as a share of the motion, besides the slack."""
-
-LATE_SCANS = 32
-"""Number of scans after a pause without a pose from which the next pose is doubtful: the laser moved on to new area."""
 
 
 class Pauses:
@@ -60,7 +55,7 @@ class Pauses:
             return False
         ahead = motion.by_odometry(stamp_ns)
         if ahead is not None:
-            return ahead.gap(map_T_laser)[0] > ODOMETRY_SHARE * ahead.gap(motion.map_T_laser)[0] + SLACK_M
+            return ahead.gap(map_T_laser)[0] > MOST_ERROR * ahead.gap(motion.map_T_laser)[0] + SLACK_M
         return is_too_far(motion.map_T_laser, map_T_laser, motion.elapsed_s(stamp_ns), self._fastest_m_s)
 
 
@@ -93,16 +88,6 @@ def pauses(steps: Steps, period_s: float) -> list[int]:
     """Return the numbers of the scans before the pauses of a log."""
     before: list[int] = np.flatnonzero(np.diff(steps.column("stamp_ns")) * NS > shortest_pause_s(period_s)).tolist()
     return before
-
-
-def first_found_late(steps: Steps, period_s: float) -> int | None:
-    """Return the number of the first scan after the first pause after which the laser was found late; None without."""
-    accepted = np.flatnonzero(steps.column("tracked")).tolist()
-    for pause in pauses(steps, period_s):
-        later = bisect_right(accepted, pause)
-        if 0 < later < len(accepted) and accepted[later] - pause > LATE_SCANS:
-            return pause + 1
-    return None
 
 
 def pause_warnings(steps: Steps, motion: Motion) -> Iterator[str]:

@@ -13,7 +13,17 @@ from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose
 from mavnav.profiling import timed
 from mavnav.scan import LONGEST_SWEEP
-from mavnav.slam.matching.budget import WHOLE_EACH, WHOLE_FIRST, WIDE_EACH, WIDE_FIRST, WIDE_MOST, Budget, search_work
+from mavnav.slam.matching.budget import (
+    DOUBTFUL_SCANS,
+    RARELY_SCANS,
+    WHOLE_EACH,
+    WHOLE_FIRST,
+    WIDE_EACH,
+    WIDE_FIRST,
+    WIDE_MOST,
+    Budget,
+    search_work,
+)
 from mavnav.slam.matching.observability import LEAST_OBSERVABILITY
 from mavnav.slam.matching.relocalization import (
     CANDIDATES,
@@ -55,15 +65,6 @@ if TYPE_CHECKING:
 NEAR_MINIMA = 3
 """Number of separate minima near the prediction that are refined: the lowest one of a coarse grid may be wrong."""
 
-LOST_PERIODS = 8
-"""Number of periods without an accepted pose after which the laser is lost.
-
-Then wide regions are searched as far as their budget allows. Once the laser is found, the scans between are rematched.
-"""
-
-RARELY_SCANS = 64
-"""Number of scans without an accepted pose from which, without odometry, a scan is searched only in wide regions."""
-
 FOUND_PERIODS = 1.5
 """Time since the last accepted pose, in periods, below which the previous scan was accepted.
 
@@ -89,7 +90,7 @@ def _expected_poses(scan: Scan, predicted: Pose, motion: Motion) -> tuple[Pose, 
 
 
 def _is_lost(motion: Motion, elapsed_s: float) -> bool:
-    return elapsed_s > LOST_PERIODS * motion.period_s
+    return elapsed_s > DOUBTFUL_SCANS * motion.period_s
 
 
 class Robust:

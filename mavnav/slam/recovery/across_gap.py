@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mavnav.slam.matching.motion_model import motion_by, motions_along
+from mavnav.slam.matching.motion_model import MOST_ERROR, motion_by, motions_along
 from mavnav.slam.matching.relocalization import apart, around, candidates
 from mavnav.slam.matching.scan_matching import no_match
 from mavnav.slam.matching.steps import Steps, evenly, tracked_trajectory
-from mavnav.slam.methods.pauses import FASTER, ODOMETRY_SHARE, SLACK_M
+from mavnav.slam.methods.pauses import FASTER, SLACK_M
 from mavnav.slam.methods.robust import Robust
 from mavnav.units import DEG, NS
 
@@ -87,8 +87,8 @@ def reach_across(here: Step, beyond: Step, track: Track, fastest: tuple[float, f
     if moved is None:
         off_m, off_rad = (FASTER * speed * elapsed_s for speed in fastest)
         return Reach(pose, off_m + SLACK_M, min(pi, off_rad + SLACK_RAD))
-    off_m = ODOMETRY_SHARE * moved.distance_m + SLACK_M
-    return Reach(pose @ moved, off_m, min(pi, ODOMETRY_SHARE * abs(moved.yaw_rad) + SLACK_RAD))
+    off_m = MOST_ERROR * moved.distance_m + SLACK_M
+    return Reach(pose @ moved, off_m, min(pi, MOST_ERROR * abs(moved.yaw_rad) + SLACK_RAD))
 
 
 def pose_across_gap(

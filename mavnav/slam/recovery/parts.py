@@ -17,13 +17,14 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from mavnav.pose import Pose
-from mavnav.slam.matching.relocalization import apart
+from mavnav.slam.matching.budget import LONG_LOST_SCANS
+from mavnav.slam.matching.relocalization import AGREEING_SCANS, apart
 from mavnav.slam.matching.scan_matching import no_match
 from mavnav.slam.matching.steps import LOST_SCANS, Step, Steps, evenly, lost_intervals, runs_of
-from mavnav.slam.methods.pauses import first_found_late, highest_speeds, pauses
+from mavnav.slam.methods.pauses import highest_speeds, pauses
 from mavnav.slam.recovery.across_gap import LOCAL_SCANS, pose_across_gap, reach_across
 from mavnav.slam.recovery.part_by_odometry import neighbours, placed_warning, pose_by_odometry
-from mavnav.slam.retries.beginning import MISSED_SCANS, count_accepted, until_missing
+from mavnav.slam.retries.beginning import LEAST_TRACKED_SHARE, count_accepted, until_missing
 from mavnav.units import NS, pluralize
 
 if TYPE_CHECKING:
@@ -38,17 +39,14 @@ if TYPE_CHECKING:
 MOST_TRACKED = 4
 """Maximum number of stretches of lost scans that are tracked on separate maps."""
 
-SEARCHED_SCANS, LEAST_AGREEING = 6, 3
-"""Number of scans of a part that are searched in the largest map, and minimum number of them that must agree."""
+SEARCHED_SCANS = 6
+"""Number of scans of a part that are searched in the largest map."""
 
 LONG_AGO_NS = 10**18
 """Time since the last pose of a laser that may be anywhere, 32 years."""
 
-LEAST_TRACKED_SHARE, MOST_LEFT_OUT = 0.5, 0.1
-"""Minimum share of scans with a pose, and maximum share of scans in parts that are not joined.
-
-Beyond either bound a log is lost for good: a short track at its end, recovered by chance, is no track of the log.
-"""
+MOST_LEFT_OUT = 0.1
+"""Largest share of scans in parts that are not joined: beyond, the track is not one of the whole log."""
 
 
 class Part(Struct, frozen=True):
@@ -63,16 +61,14 @@ class Part(Struct, frozen=True):
     joined: bool
 
 
-LEAST_BEFORE_END = 0.9
-"""Share of scans with a pose from which a log whose end does not match is not lost: the robot was lifted, say."""
-
-
-def lost_for_good(steps: Steps, lost: Sequence[LostInterval], parts: Sequence[Part] = (), most: float = 1.0) -> bool:
+def lost_for_good(
+    steps: Steps, lost: Sequence[LostInterval], parts: Sequence[Part] = (), most: float = 1.0, bridged: int = 0
+) -> bool:
     """Return whether the track ended before the log, has too few of its scans, or too many are in parts not joined.
 
-    A track with a share ``most`` of the scans or more may end before the log.
+    A track with a share ``most`` of the scans or more may end before the log. ``bridged`` scans have poses by odometry.
     """
-    share = float(steps.share("tracked"))
+    share = float(steps.share("tracked")) + bridged / max(len(steps), 1)
     ended = bool(lost) and not lost[-1].recovered and share < most
     left_out = sum(part.scans for part in parts if not part.joined)
     few = share < LEAST_TRACKED_SHARE or left_out > MOST_LEFT_OUT * len(steps)
@@ -90,22 +86,6 @@ def join_lost_parts(track: Track, refiner: Refiner) -> Track:
     others += [part for part in track.findings.parts if not taken.intersection(step.index for step in part)]
     whole = with_all_scans(replace(largest, findings=replace(track.findings, parts=())), track.steps)
     return join_parts(whole, [part for part in others if part])
-
-
-def drop_late_poses(track: Track, refiner: Refiner) -> Track:
-    """Give up the poses after a pause in the scans after which the laser was found late: one scan is weak evidence.
-
-    Only the scans before it are tracked again; `join_lost_parts` tracks the others, and joins them if several agree. A
-    log that is lost for good is left as it is: that is said anyway.
-    """
-    if not refiner.builds_map or track.motion.odometry is not None:
-        return track
-    lost = lost_for_good(track.steps, list(lost_intervals(track.steps)))
-    first = None if lost else first_found_late(track.steps, track.motion.period_s)
-    if first is None:
-        return track
-    before = track.over(islice(track.log_scans(), first), "track again")
-    return with_all_scans(before, track.steps)
 
 
 def lost_parts(track: Track) -> list[Track]:
@@ -126,11 +106,11 @@ def lost_parts(track: Track) -> list[Track]:
 
 
 def track_stretch(track: Track, stretch: range) -> Track:
-    """Track a stretch of scans from an empty map, until ``MISSED_SCANS`` in a row do not match it."""
+    """Track a stretch of scans from an empty map, until ``LONG_LOST_SCANS`` in a row do not match it."""
     least_points = track.config.robust.min_points
     part = replace(track.with_findings(parts=()), begin=stretch.start)
     scans = islice(track.log_scans(), stretch.stop)
-    return part.over(scans, "track again", lambda steps: until_missing(steps, least_points, MISSED_SCANS, np.inf))
+    return part.over(scans, "track again", lambda steps: until_missing(steps, least_points, LONG_LOST_SCANS, np.inf))
 
 
 def lost_stretches(steps: Steps, within: range) -> list[range]:
@@ -250,7 +230,7 @@ def part_pose(part: list[Step], scans: dict[int, Scan], track: Track) -> Pose | 
     """
     refiner = track.refiner
     chosen = spread_out(part)
-    if refiner is None or len(chosen) < LEAST_AGREEING:
+    if refiner is None or len(chosen) < AGREEING_SCANS:
         return None
     anywhere = track.motion._replace(odometry=None).started_at(Pose(), part[0].stamp_ns - LONG_AGO_NS)
     pairs: list[tuple[Pose, Pose]] = []
@@ -258,7 +238,7 @@ def part_pose(part: list[Step], scans: dict[int, Scan], track: Track) -> Pose | 
         match = refiner.relocalize(scans[step.index], no_match(Pose()), anywhere)
         if match:
             pairs.append((step.match.map_T_laser, match.map_T_laser))
-        if len(pairs) + left < LEAST_AGREEING:
+        if len(pairs) + left < AGREEING_SCANS:
             return None
     return consensus(pairs)
 
@@ -277,7 +257,7 @@ def consensus(pairs: list[tuple[Pose, Pose]]) -> Pose | None:
     transforms = [after @ before.inverse() for before, after in pairs]
     agreeing = [sum(not apart(moved @ a, b) for a, b in pairs) for moved in transforms]
     most = max(agreeing, default=0)
-    return transforms[agreeing.index(most)] if most >= LEAST_AGREEING and 2 * most > len(pairs) else None
+    return transforms[agreeing.index(most)] if most >= AGREEING_SCANS and 2 * most > len(pairs) else None
 
 
 def insert_part(part: Sequence[Step], map_T_part: Pose, scans: dict[int, Scan], track: Track) -> Iterator[Step]:

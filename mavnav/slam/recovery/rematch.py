@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec.structs import replace
 
+from mavnav.slam.matching.budget import DOUBTFUL_SCANS
 from mavnav.slam.matching.motion_model import LONGEST_S, motion_at
 from mavnav.slam.matching.scan_matching import MatchVerdict, with_effort
-from mavnav.slam.matching.steps import Step, Steps
+from mavnav.slam.matching.steps import LOST_SCANS, Step, Steps
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -23,18 +24,12 @@ if TYPE_CHECKING:
     from mavnav.slam.methods.registry import Refiner
     from mavnav.slam.track import Track
 
-SHORT_SCANS = 8
-"""Longest interval between accepted scans, in periods, within which rejected ones are searched in wide regions."""
-
-MOST_FAILED = 5
-"""Number of successive scans without a match that ends the rematching of a gap: the laser was elsewhere or blocked."""
-
 
 def rematch_rejected(track: Track, refiner: Refiner) -> Track:
     """Match the rejected scans again between their accepted neighbours.
 
     The scans of a gap are matched backwards from the next accepted pose. Those accepted enter trajectory and map; the
-    others stay without a pose.
+    others stay without a pose. ``LOST_SCANS`` in a row without a match end that: the laser was elsewhere or blocked.
     """
     steps = track.steps
     before = between_accepted(steps)
@@ -43,7 +38,7 @@ def rematch_rejected(track: Track, refiner: Refiner) -> Track:
     scans = {index: scan for index, scan in enumerate(track.log_scans()) if index in before}
     updated, after, failed = Steps(steps), steps[-1], 0
     for step in reversed(steps):
-        if step.index in scans and failed < MOST_FAILED and (after.stamp_ns - step.stamp_ns) * NS <= LONGEST_S:
+        if step.index in scans and failed < LOST_SCANS and (after.stamp_ns - step.stamp_ns) * NS <= LONGEST_S:
             updated[step.index] = rematch_between(scans[step.index], step, before[step.index], after, track, refiner)
             failed += 1
         if updated[step.index].tracked:
@@ -64,7 +59,7 @@ def between_accepted(steps: Steps) -> dict[int, Step]:
 def rematch_between(scan: Scan, step: Step, before: Step, after: Step, track: Track, refiner: Refiner) -> Step:
     """Match a scan between two accepted ones; return its step, tracked if the match is accepted."""
     here = motion_at(track.motion, after, before)
-    short = here.elapsed_s(before.stamp_ns) <= SHORT_SCANS * here.period_s
+    short = here.elapsed_s(before.stamp_ns) <= DOUBTFUL_SCANS * here.period_s
     return rematch(scan, step, here, track, track.method.match if short else refiner.match_between)
 
 

@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from msgspec.structs import replace
 
-from mavnav.slam.matching.motion_model import motion_at
+from mavnav.slam.matching.motion_model import GAP_S, LONGEST_S, motion_at
 from mavnav.slam.matching.steps import LOST_SCANS, tracked_trajectory
 from mavnav.slam.retries.attempt import Attempt
 from mavnav.slam.retries.beginning import until_missing
-from mavnav.units import DEG, NS
+from mavnav.slam.retries.odometry import LEAST_TURN_RAD
+from mavnav.units import NS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -38,26 +39,11 @@ if TYPE_CHECKING:
 STRETCH_SCANS = 80
 """Number of scans, those with most rotation, that are compared."""
 
-SHORT_TRIAL, LEAST_SCANS, TRIAL_SHARE = 30, 40, 0.25
-"""Numbers of these scans that are tracked in both orders: in a short trial, and in a long one at least.
-
-In the long one it is no more than the third number as a share of the log.
-"""
-
-GAP_S, LONG_GAP_S = 0.5, 1.2
-"""Time between tracked scans above which a turn does not count, and above which no comparison includes it."""
-
 LEAST_COMPARED = 10
 """Minimum number of scans tracked in both orders for a comparison."""
 
-LEAST_TURN_RAD = 90 * DEG
-"""Minimum rotation within the stretch for a comparison."""
-
-SHORT_RATIO, REVERSED_RATIO = 1.05, 0.9
-"""Ratios of the mean costs, reverse to listed order: above the first one in the short trial the listed order is used.
-
-Below the second one in the long trial the reverse order is used.
-"""
+BETTER = 0.9
+"""Ratio of the mean costs, of scans de-skewed anew to de-skewed as stated, below which the new way is used."""
 
 SAMPLE_EVERY, LISTED_RATIO = 8, 1.6
 """Step between scans that are matched in both orders in the map of the track, and the cost ratio that decides at once.
@@ -66,9 +52,6 @@ Above it, reverse to listed order, the listed order is used. On five logs, a sim
 parts of scans or beams removed, it is 1.09 to 5.4 where the listed order is right, and 0.36 to 1.38 where it is wrong:
 the map was made in the listed order, and favors it. With eight times as many scans it is up to 1.52 where it is wrong.
 """
-
-REVERSED_AT_ONCE, LEAST_SAMPLED = 0.8, 5
-"""Ratio of these costs below which the reverse order is used, and minimum number of scans for that."""
 
 WARNING = "beams were fired in the reverse of the listed order, judged by the turns, and are de-skewed so"
 
@@ -91,8 +74,8 @@ def reversed_scans(log_scans: LogScans) -> Iterator[Scan]:
 def has_reversed_order(track: Track) -> bool:
     """Return whether the reverse order fits better where the laser turned most.
 
-    A few scans are matched in both orders in the map of the track. Unless they decide, both orders are tracked, each on
-    a separate map: first in a short trial, then in a long one.
+    A few scans are matched in both orders in the map of the track. Unless they decide for the listed one, both orders
+    are tracked, each on a separate map.
     """
     refiner = track.method.refiner
     if refiner is None or track.config.robust.deskew != "auto":
@@ -108,29 +91,17 @@ def has_reversed_order(track: Track) -> bool:
         for before, step, scan in sampled
         if before.tracked and step.tracked
     ]
-    ratio = cost_ratio(pairs)
-    if ratio > LISTED_RATIO:
-        return False
-    if ratio < REVERSED_AT_ONCE and len(pairs) >= LEAST_SAMPLED:
-        return True
-    if cost_ratio(track_both(scans, stretch, SHORT_TRIAL, track)) > SHORT_RATIO:
-        return False
-    most = max(LEAST_SCANS, int(TRIAL_SHARE * len(track.steps)))
-    return cost_ratio(track_both(scans, stretch, most, track)) < REVERSED_RATIO
+    return not cost_ratio(pairs) > LISTED_RATIO and cost_ratio(track_both(scans, stretch, track)) < BETTER
 
 
-def track_both(
-    scans: list[Scan], stretch: range, most: int, track: Track, change: Callable[[Scan], Scan] | None = None
-) -> Pairs:
-    """Track up to ``most`` scans of a stretch in both orders, on separate maps; return the matches of both.
+def track_both(scans: list[Scan], stretch: range, track: Track, change: Callable[[Scan], Scan] | None = None) -> Pairs:
+    """Track the scans of a stretch in both orders, on separate maps; return the matches of both.
 
-    Another ``change`` of the scans takes the place of the reverse order.
-
-    They are those that turn most. The path of the track predicts the poses. The tracks end where ``LOST_SCANS`` in a
-    row do not match. None are returned with fewer than ``LEAST_COMPARED`` scans.
+    Another ``change`` of the scans takes the place of the reverse order. The path of the track predicts the poses. The
+    tracks end where ``LOST_SCANS`` in a row do not match. None are returned with fewer than ``LEAST_COMPARED`` scans.
     """
-    some = [scans[row - stretch.start] for row in turning_scans(stretch, most, track)]
-    path = partial(tracked_trajectory(track.steps).at, max_gap_ns=int(LONG_GAP_S / NS))
+    some = [scans[row - stretch.start] for row in turning_scans(stretch, track)]
+    path = partial(tracked_trajectory(track.steps).at, max_gap_ns=int(LONGEST_S / NS))
     alone = replace(track, prior_map=None, begin=0, motion=track.motion._replace(odometry=path))
     until = partial(until_missing, least_points=0, most_missed=LOST_SCANS, most_held=np.inf)
     listed, other = (alone.over(s, until=until).steps for s in (some, map(change or reversed_scan, some)))
@@ -138,13 +109,13 @@ def track_both(
     return both if len(both) >= LEAST_COMPARED else []
 
 
-def turning_scans(stretch: range, most: int, track: Track) -> list[int]:
-    """Return the numbers of up to ``most`` tracked scans of a stretch, without a long gap, that turn most."""
+def turning_scans(stretch: range, track: Track) -> list[int]:
+    """Return the numbers of the tracked scans of a stretch, without a long gap, that turn most."""
     steps = track.steps
     rows = stretch.start + np.flatnonzero(steps.column("tracked")[stretch.start : stretch.stop])
     apart_s = np.diff(steps.column("stamp_ns")[rows]) * NS
-    runs = np.diff(np.flatnonzero(np.concatenate(([True], apart_s > LONG_GAP_S, [True]))))
-    part = turning_stretch(steps.column("map_T_laser")[rows, 2], min(most, int(runs.max()) - 1), 0.0, apart_s)
+    runs = np.diff(np.flatnonzero(np.concatenate(([True], apart_s > LONGEST_S, [True]))))
+    part = turning_stretch(steps.column("map_T_laser")[rows, 2], int(runs.max()) - 1, 0.0, apart_s)
     chosen: list[int] = rows[part.start : part.stop].tolist()
     return chosen
 
@@ -166,12 +137,12 @@ def turning_stretch(
     """Return the range of up to ``scans`` scans over which the headings (n,) turn most.
 
     It is empty where they turn by less than ``least_rad``. With the times between the scans, (n - 1,), turns across a
-    gap of more than ``GAP_S`` do not count, and the range has no gap of more than ``LONG_GAP_S``.
+    gap of more than ``GAP_S`` do not count, and the range has no gap of more than ``LONGEST_S``.
     """
     turns = np.abs((np.diff(yaws_rad) + pi) % (2.0 * pi) - pi)
     if apart_s is not None:
         turns[apart_s > GAP_S] = 0.0
-        turns[apart_s > LONG_GAP_S] = -np.inf
+        turns[apart_s > LONGEST_S] = -np.inf
     length = min(scans, STRETCH_SCANS, len(turns))
     if length <= 0:
         return range(0)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from msgspec.structs import replace
 
+from mavnav.slam.matching.budget import DOUBTFUL_SCANS, LONG_LOST_SCANS
 from mavnav.slam.matching.steps import LOST_SCANS, Step
 from mavnav.slam.retries.odometry import while_odometry_fits
 
@@ -19,22 +20,19 @@ if TYPE_CHECKING:
 
     from mavnav.slam.track import Track, Until
 
-EARLY_SCANS, MISSED_SCANS, MISSED_LATER = 30, 16, 8
-"""Largest number of scans of a map that is given up, and number of successive usable scans that do not match it.
+EARLY_SCANS = 30
+"""Largest number of scans of a map that is given up.
 
-The third number is that of a map with a later beginning.
+It is given up if ``LONG_LOST_SCANS`` usable ones in a row do not match it, ``DOUBTFUL_SCANS`` after a later beginning.
 """
 
-MOST_TRIES, EACH_TRIES = 10, 2
-"""Maximum number of beginnings that are tried, and number after which their distance doubles each time.
-
-They span 260 scans in all.
-"""
+MOST_TRIES = 8
+"""Maximum number of beginnings that are tried; their least distance doubles each time, to 255 scans in all."""
 
 LATER_BEGINNING: Final = "later beginning"
 
-MOST_SHARE = 0.5
-"""Share of the scans after a beginning that must have a pose for it to be taken at once."""
+LEAST_TRACKED_SHARE = 0.5
+"""Share of the scans that must have a pose: else the log is lost, and its beginning not taken at once."""
 
 
 def track_from_good_beginning(track: Track) -> Track:
@@ -50,20 +48,20 @@ def track_from_good_beginning(track: Track) -> Track:
     def until(most_missed: int) -> Until:
         return partial(until_missing, least_points=least_points, most_missed=most_missed)
 
-    first = best = while_odometry_fits(track, "track", until(MISSED_SCANS))
+    first = best = while_odometry_fits(track, "track", until(LONG_LOST_SCANS))
     begin = early_loss(first.steps, least_points)
     if begin is None:
         return first
     for tried in range(MOST_TRIES):
-        other = while_odometry_fits(replace(track, begin=begin), "track again", until(MISSED_LATER))
-        lost = early_loss(other.steps, least_points, MISSED_LATER)
-        enough = max(MOST_SHARE * (len(other.steps) - begin), count_accepted(first) + 1)
+        other = while_odometry_fits(replace(track, begin=begin), "track again", until(DOUBTFUL_SCANS))
+        lost = early_loss(other.steps, least_points, DOUBTFUL_SCANS)
+        enough = max(LEAST_TRACKED_SHARE * (len(other.steps) - begin), count_accepted(first) + 1)
         whole = lost is None and count_accepted(other) >= enough
         best = other if whole or count_accepted(other) > count_accepted(best) else best
         if lost is None:
             break
-        begin = max(lost, begin + (1 << max(tried - EACH_TRIES, 0)))
-    if early_loss(best.steps, least_points, MISSED_LATER if best.begin else MISSED_SCANS) is not None:
+        begin = max(lost, begin + (1 << tried))
+    if early_loss(best.steps, least_points, DOUBTFUL_SCANS if best.begin else LONG_LOST_SCANS) is not None:
         best = while_odometry_fits(best, "track again")
     return after_another(best, first).with_attempt(LATER_BEGINNING, kept=best.begin > 0)
 
@@ -79,7 +77,7 @@ def count_accepted(track: Track) -> int:
     return int(np.count_nonzero(track.steps.column("tracked")))
 
 
-def early_loss(steps: Iterable[Step], least_points: int, most_missed: int = MISSED_SCANS) -> int | None:
+def early_loss(steps: Iterable[Step], least_points: int, most_missed: int = LONG_LOST_SCANS) -> int | None:
     """Return the first of the scans that do not match a map of few scans; None if the map is kept.
 
     Scans of fewer than ``least_points`` points do not count. At the end of a log ``LOST_SCANS`` in a row are enough.
@@ -98,7 +96,7 @@ def early_loss(steps: Iterable[Step], least_points: int, most_missed: int = MISS
 
 
 def until_missing(
-    steps: Iterable[Step], least_points: int, most_missed: int = MISSED_SCANS, most_held: float = EARLY_SCANS
+    steps: Iterable[Step], least_points: int, most_missed: int = LONG_LOST_SCANS, most_held: float = EARLY_SCANS
 ) -> Iterator[Step]:
     """Yield the steps of a track until ``most_missed`` usable scans in a row do not match its map.
 

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from msgspec.structs import replace
 
-from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, OdometryFit, fit_odometry, with_noise
-from mavnav.slam.matching.steps import Steps, tracked_trajectory
+from mavnav.slam.matching.motion_model import MOST_ERROR
+from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, UNITS, OdometryFit, fit_odometry, with_noise
+from mavnav.slam.matching.steps import NEARLY_ALL, Steps, tracked_trajectory
 from mavnav.slam.retries.attempt import Attempt
 from mavnav.units import DEG
 
@@ -20,29 +21,20 @@ if TYPE_CHECKING:
     from mavnav.slam.matching.steps import Step
     from mavnav.slam.track import Track, Until
 
-MOST_ERROR: Final = 0.3
-"""Largest error of odometry that is used, as a share of the motion."""
-
 IMPROVED: Final = 0.85
 """Ratio of the errors with and without a correction from which it is applied."""
 
 LEAST_CHANGE: Final = OdometryFit(0.03, 0.03, 0.05)
 """Offset, s, and changes of the scales from which a correction is applied."""
 
-SCALES: Final = ((0.4, 2.5), (0.0095, 0.0105), (0.00095, 0.00105))
-"""Factors on distances of wheels that are wrongly calibrated, and of odometry in centimeters and millimeters."""
-
-TURNS: Final = (0.5, 2.0)
-"""Factors on turns of wheels that are wrongly calibrated."""
+SCALES: Final = (0.4, 2.5)
+"""Least and largest factor on distances and turns of wheels that are wrongly calibrated."""
 
 FIRST_CHECK, CHECK_RATIO = 200, 3
 """Number of poses at which a track is first compared with its odometry, and ratio of those of one check to the next."""
 
 LEAST_TURN_RAD: Final = 90 * DEG
-"""Turns that show whether scans are mirrored."""
-
-LEAST_COVERED = 0.9
-"""Minimum share of scans that odometry covers without a warning."""
+"""Turns that show whether scans are mirrored, and in which order their beams were fired."""
 
 
 def while_odometry_fits(track: Track, phase: str = "track", until: Until | None = None) -> Track:
@@ -88,8 +80,8 @@ def correction(track: Track, steps: Steps) -> OdometryFit | None:
 
 def is_plausible(fit: OdometryFit) -> bool:
     """Return whether wheels or units explain the scales."""
-    low, high = TURNS
-    return low < fit.turn_scale < high and any(low < fit.distance_scale < high for low, high in SCALES)
+    low, high = SCALES
+    return low < fit.turn_scale < high and any(low < fit.distance_scale / unit < high for unit in UNITS)
 
 
 def contradicts(track: Track, steps: Steps) -> bool:
@@ -156,7 +148,7 @@ def odometry_warnings(track: Track) -> Iterator[str]:
     known = track.motion.odometry_at(track.steps.column("stamp_ns"))
     if track.odometry_contradicts:
         yield f"odometry contradicts the scans and is not used: {contradiction(track)}"
-    elif len(known) and known.mean() < LEAST_COVERED:
+    elif len(known) and known.mean() < NEARLY_ALL:
         yield (
             f"odometry covers {np.count_nonzero(known)} of {len(known)} scans (not in gaps of over 0.5 s); the others "
             "are matched without it: record it for the whole log, or cut the log with --start and --end"

@@ -13,16 +13,13 @@ from typing import TYPE_CHECKING, Final
 from msgspec.structs import replace
 
 from mavnav.slam.retries.attempt import Attempt, is_sharper
-from mavnav.slam.retries.beam_order import STRETCH_SCANS, cost_ratio, track_both, turning_stretch
+from mavnav.slam.retries.beam_order import BETTER, cost_ratio, track_both, turning_stretch
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mavnav.scan import Scan
     from mavnav.slam.track import LogScans, Track
-
-BETTER: Final = 0.9
-"""Ratio of the mean costs of matches, timed anew to as stated, below which the log is tracked with the new times."""
 
 
 def time_sweeps(track: Track) -> Track | None:
@@ -36,7 +33,7 @@ def time_sweeps(track: Track) -> Track | None:
         return None
     turn_s = scans[0].spec.usual_turn_s(period_s)
     ratios = {
-        turn: cost_ratio(track_both(scans, stretch, STRETCH_SCANS, track, partial(timed_scan, turn_s=turn)))
+        turn: cost_ratio(track_both(scans, stretch, track, partial(timed_scan, turn_s=turn)))
         for turn in (turn_s, -turn_s)
     }
     best_s = min(ratios, key=ratios.__getitem__)

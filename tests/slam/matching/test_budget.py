@@ -16,6 +16,7 @@ from mavnav.slam import tracker
 from mavnav.slam.matching.budget import (
     CELLS,
     POSES,
+    RARELY_SCANS,
     WHOLE_EACH,
     WHOLE_FIRST,
     WIDE_EACH,
@@ -27,7 +28,7 @@ from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.relocalization import STEP_M, around, within_reach, within_reach_of
 from mavnav.slam.matching.scan_matching import MatchVerdict
 from mavnav.slam.matching.steps import Step
-from mavnav.slam.methods.robust import RARELY_SCANS, Robust
+from mavnav.slam.methods.robust import Robust
 from mavnav.slam.tracker import TrackState
 from support.synthetic import TOUR, along, furnished_rooms, polyline, record, scan_at
 

@@ -7,8 +7,8 @@ import pytest
 from msgspec.structs import replace
 
 from mavnav.pose import Pose, Trajectory
+from mavnav.slam.matching.motion_model import GAP_S
 from mavnav.slam.matching.odometry_fit import (
-    GAP_NS,
     GOOD_ODOMETRY,
     LEAST_ERROR,
     NEIGHBOURS,
@@ -184,5 +184,5 @@ def test_odometry_is_unknown_outside_and_in_a_gap() -> None:
     pose_at = LogOdometry(Trajectory(path.stamps_ns[kept], path.xyyaw[kept])).lookup(GOOD_ODOMETRY)
     assert pose_at(int(path.stamps_ns[0]) - 1) is None
     assert pose_at(int(path.stamps_ns[103])) is None
-    assert int(path.stamps_ns[107] - path.stamps_ns[99]) > GAP_NS
+    assert int(path.stamps_ns[107] - path.stamps_ns[99]) > GAP_S / NS
     assert pose_at(int(path.stamps_ns[50]) + 30 * MS) is not None

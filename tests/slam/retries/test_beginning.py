@@ -15,10 +15,11 @@ from mavnav.pipelines.maps import references_in_map
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import LaserSpec, Scan
 from mavnav.slam.matching.motion_model import Motion
+from mavnav.slam.matching.relocalization import AGREEING_SCANS
 from mavnav.slam.matching.scan_matching import no_match
 from mavnav.slam.matching.steps import Step
 from mavnav.slam.pipeline import run_slam
-from mavnav.slam.recovery.parts import LEAST_AGREEING, SEARCHED_SCANS, consensus, part_pose, spread_out
+from mavnav.slam.recovery.parts import SEARCHED_SCANS, consensus, part_pose, spread_out
 from mavnav.slam.result import SlamResult
 from support.synthetic import DEG, TOUR, along, box, furnished_rooms, record, room
 
@@ -122,13 +123,13 @@ def test_the_search_for_a_part_ends_when_too_few_of_its_scans_can_be_found() -> 
     track = SimpleNamespace(refiner=SimpleNamespace(relocalize=lambda *args: searched.append(args)), motion=Motion(0.1))
     part = [step(Pose(0.3 * k))._replace(index=k) for k in range(SEARCHED_SCANS)]
     assert part_pose(part, dict.fromkeys(range(SEARCHED_SCANS)), track) is None
-    assert len(searched) == SEARCHED_SCANS - LEAST_AGREEING + 1
+    assert len(searched) == SEARCHED_SCANS - AGREEING_SCANS + 1
 
 
 def test_scans_of_a_part_must_agree() -> None:
     places, moved = [Pose(0.3 * k) for k in range(5)], Pose(1.0, 2.0, 0.5)
     pairs = [(place, moved @ place) for place in places]
-    assert consensus(pairs[: LEAST_AGREEING - 1]) is None
-    assert consensus(pairs[:LEAST_AGREEING]).gap(moved)[0] < 1e-9
-    wrong = [(place, Pose(5.0 + k, 1.0, 2.0 * k)) for k, place in enumerate(places[:LEAST_AGREEING])]
-    assert consensus([*pairs[:LEAST_AGREEING], *wrong]) is None
+    assert consensus(pairs[: AGREEING_SCANS - 1]) is None
+    assert consensus(pairs[:AGREEING_SCANS]).gap(moved)[0] < 1e-9
+    wrong = [(place, Pose(5.0 + k, 1.0, 2.0 * k)) for k, place in enumerate(places[:AGREEING_SCANS])]
+    assert consensus([*pairs[:AGREEING_SCANS], *wrong]) is None
