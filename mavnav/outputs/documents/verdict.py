@@ -18,7 +18,7 @@ from mavnav.config.layers import by_dotted_key
 from mavnav.config.loading import load_config
 from mavnav.metrics.fields import text
 from mavnav.metrics.gates import VERDICTS
-from mavnav.slam.findings import HIGH, NOT_PLANAR, SECOND_MOTION
+from mavnav.slam.findings import EXTERNAL, HIGH, NOT_PLANAR, SECOND_MOTION
 from mavnav.units import pluralize
 
 Run: TypeAlias = Mapping[str, Any]
@@ -108,6 +108,8 @@ def _lost(run: Run) -> Cause:
     if not tracking["lost"]:
         return None
     poses = f"{100 * tracking['tracked_share']:.0f} % of the scans have a pose"
+    if run["method"] == EXTERNAL:
+        return f"only {poses}", "give a trajectory of the whole log, with the clock of its scans"
     since = _since(tracking["intervals"])
     if known := run.get("localisation"):
         another = "another" if known["start_pose"] else "a"
@@ -153,6 +155,8 @@ def _advice_if_lost(run: Run) -> str:
 def _without_changes(run: Run) -> str:
     """Advise to leave out the settings of the method that are not its defaults; empty where all are."""
     method = run["method"]
+    if method == EXTERNAL:
+        return LOOK
     usual = by_dotted_key(load_config(None, [], {"method": method}).document())
     used = by_dotted_key({method: run["config"].get(method, {})})
     names = [

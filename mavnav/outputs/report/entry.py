@@ -94,8 +94,8 @@ def file_in(folder: Path, name: str) -> Path:
 
 
 def name_of(cell: dict[str, Any]) -> str:
-    """Return the name of a run within its log: method, yaw samples and search grid, in the paper's order."""
-    return f"{cell.get('method')} {cell.get('azimuth')}/{cell.get('grid')}"
+    """Return the name of a run within its log: method, yaw samples and search grid, or that of the given poses."""
+    return str(cell.get("trajectory") or f"{cell.get('method')} {cell.get('azimuth')}/{cell.get('grid')}")
 
 
 def load(cell: dict[str, Any], base: Path) -> Entry | Failure:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import itemgetter
 from typing import TYPE_CHECKING, Final
 
 from mavnav.outputs.documents import quantities
@@ -166,5 +167,5 @@ def _cost(sound: Sequence[NamedRun], best: NamedRun) -> str:
 
 
 def _fewest_evaluations(sound: Sequence[NamedRun]) -> str:
-    cheapest = min(sound, key=lambda e: number(e.document, "search.evaluations_per_scan.mean") or float("inf"))
-    return f"; {cheapest.name} needs the fewest evaluations"
+    searched = [(work, e.name) for e in sound if (work := number(e.document, "search.evaluations_per_scan.mean"))]
+    return f"; {min(searched, key=itemgetter(0))[1]} needs the fewest evaluations" if searched else ""
