@@ -14,6 +14,7 @@ from mavnav.commands.terminal import Rows, note_problems, print_result
 from mavnav.errors import ExitCode
 
 if TYPE_CHECKING:
+    from mavnav.logs.records import RawMessage
     from mavnav.logs.writing.convert import Conversion
 
 SCHEMA_VERSION = 1
@@ -22,6 +23,7 @@ EPILOG = """
 [bold]Examples[/bold]
 mavnav convert crashed.bag.active drive.mcap
 mavnav convert rosbag2_folder drive.mcap --strict --json | jq .left_out
+mavnav convert drive.bag drive_with_map.mcap --run runs/drive
 """
 
 
@@ -30,6 +32,12 @@ def convert(
     log: shared.LogFile,
     target: Annotated[Path, typer.Argument(metavar="OUT.mcap", help="The file to write.", show_default=False)],
     *,
+    run: Annotated[
+        Path | None,
+        shared.input_option(
+            "--run", metavar="RUN", help="Add the result of a run of this log: /tf from the map, /map, /pose, markers."
+        ),
+    ] = None,
     force: shared.Force = False,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
@@ -40,13 +48,20 @@ def convert(
 
     with reporting(quiet=quiet) as report:
         strict, progress = bool(given["strict"]), partial(report, "converting")
-        done = convert_log(log, target, strict=strict, force=force, progress=progress)
+        added = _added(run, log) if run else ()
+        done = convert_log(log, target, strict=strict, force=force, progress=progress, added=added)
     code = ExitCode.DAMAGED_INPUT if done.damage else ExitCode.DONE
     result = document(log, target, done, code)
     print_result(result, _rows(result), json=json)
     if not json:
         note_problems(result)
     raise typer.Exit(code)
+
+
+def _added(run: Path, log: Path) -> list[RawMessage]:
+    from mavnav.pipelines.augment import messages_of_run
+
+    return messages_of_run(run, log)
 
 
 def document(log: Path, target: Path, done: Conversion, code: ExitCode) -> dict[str, Any]:
