@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from time import perf_counter, process_time
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from msgspec import Struct, field
 from msgspec.structs import replace
@@ -26,6 +26,7 @@ from mavnav.outputs.run import RunResult, Timing, half_sweep_s
 from mavnav.outputs.writers import write_run
 from mavnav.pipelines.again import changed_values
 from mavnav.pipelines.maps import check_references, measured_map, references_in_map
+from mavnav.pipelines.programs import run_program
 from mavnav.pipelines.reach import with_reach
 from mavnav.pose import Pose
 from mavnav.profiling import new_profile
@@ -38,12 +39,15 @@ if TYPE_CHECKING:
 
     from mavnav.ground_truth.references import References
     from mavnav.logs import Log
+    from mavnav.pipelines.programs import Program, ProgramCost
     from mavnav.pose import Trajectory
     from mavnav.profiling import Progress
 
 LASER: Final = "laser"
 BASE: Final = "base"
 RUN_POSES: Final = "trajectory.tum"
+PROGRAMS: Final = "programs"
+"""Folder of what programs write and print."""
 
 
 class Source(Struct, frozen=True):
@@ -101,23 +105,36 @@ class ScoreRequest(Struct, frozen=True):
     force: bool = False
     typed: Typed = field(default_factory=Typed)
     more: tuple[Path, ...] = ()
+    programs: tuple[Program, ...] = ()
+    limit_s: float = 3600.0
+
+
+class Scored(NamedTuple):
+    """A trajectory that was scored: its name, which is that of its directory, and its run.json, or why it has none."""
+
+    name: str
+    document: dict[str, Any] | None
+    error: str = ""
 
 
 class _Poses(Struct, frozen=True):
-    """A trajectory of the laser, and what its poses were of."""
+    """A trajectory of the laser, what its poses were of, and what a program took to write it."""
 
     source: Source
     world_T_laser: Trajectory
     frame: str
+    program: dict[str, Any] = {}
 
 
-def score_log(request: ScoreRequest, progress: Progress) -> list[tuple[str, dict[str, Any]]]:
-    """Draw and judge the scans at the poses of every trajectory; return the names with their run.json.
+def score_log(request: ScoreRequest, progress: Progress) -> list[Scored]:
+    """Draw and judge the scans at the poses of every trajectory and every program.
 
-    What can be wrong with log, files and directories is found before the first map is drawn. Raises UsageError,
-    TopicError, NoScansError and OutputError.
+    What can be wrong with log, files and directories is found before the first program is run. Raises UsageError,
+    TopicError, NoScansError and OutputError; a program that fails is a result without a document.
     """
-    names = [source.name for source in request.sources]
+    names = [*(source.name for source in request.sources), *(program.name for program in request.programs)]
+    if not names:
+        raise UsageError("no trajectory; name one with --trajectory, or a program with --external")
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise UsageError(f"two trajectories are named {twice[0]}; write NAME=FILE with another name for one of them")
     inputs = (request.log, *request.more, *paths_of(request.options))
@@ -134,7 +151,32 @@ def score_log(request: ScoreRequest, progress: Progress) -> list[tuple[str, dict
     load_kernels(config, progress)
     log = replace(log, warnings=(*warnings, *log.warnings))
     request = replace(request, config=config)
-    return [(each.source.name, _score(each, request, log, references, progress)) for each in poses]
+    scored = [Scored(each.source.name, _score(each, request, log, references, progress)) for each in poses]
+    for program in request.programs:
+        progress(program.name, 0, None)
+        cost = run_program(program, request.log, _written(program, request), request.limit_s)
+        poses_or_error = _written_poses(program, cost, request, log)
+        if isinstance(poses_or_error, str):
+            scored.append(Scored(program.name, None, poses_or_error))
+        else:
+            scored.append(Scored(program.name, _score(poses_or_error, request, log, references, progress)))
+    return scored
+
+
+def _written(program: Program, request: ScoreRequest) -> Path:
+    return request.directory / PROGRAMS / f"{program.name}.tum"
+
+
+def _written_poses(program: Program, cost: ProgramCost, request: ScoreRequest, log: Log) -> _Poses | str:
+    """Return what a program wrote, or why it cannot be used."""
+    if cost.problem:
+        return cost.problem
+    try:
+        poses = _read(Source(program.name, str(_written(program, request)), LASER), request, log)
+    except UsageError as error:
+        return str(error)
+    measured = {"wall_s": cost.wall_s, "cpu_s": cost.cpu_s, "peak_memory_mb": cost.peak_memory_mb}
+    return replace(poses, program={"command": program.command, **measured})
 
 
 def _open(request: ScoreRequest, recorded: str | None) -> Log:
@@ -200,9 +242,9 @@ def _score(
         round(SWEEPS[source.pose_at] * log.mid_sweep_s / NS),
         lambda _, done: progress(source.name, done, log.counts.usable),
     )
-    references, warnings = references_in_map(references, log, outcome.begin_ns)
-    outcome = replace(outcome, warnings=(*outcome.warnings, *warnings))
     held = in_time_of_truth(outcome.trajectory, half_sweep_s(log, outcome), config.truth_at)
+    references, warnings = references_in_map(references, log, int(held.stamps_ns[0]) if len(held) else None)
+    outcome = replace(outcome, warnings=(*outcome.warnings, *warnings))
     origin = StartPose(world_T_map.x_m, world_T_map.y_m, world_T_map.yaw_rad / DEG)
     measured = measured_map(outcome, log)
     run = RunResult(
@@ -212,7 +254,9 @@ def _score(
         measured=measured,
         timing=Timing(perf_counter() - wall_s, process_time() - cpu_s, 0.0, stages),
         provenance=provenance(utc_now(), request.typed, [*_again(request, source)]),
-        external=External(source.name, source.text, poses.frame, source.pose_at, len(poses.world_T_laser), origin),
+        external=External(
+            source.name, source.text, poses.frame, source.pose_at, len(poses.world_T_laser), origin, **poses.program
+        ),
         reference=compare_to(references, held, occupied_xy_m(outcome.grid)),
         true_map=references.true_map,
         position_errors_m=position_errors(held, references.truth, aligned=True) if references.truth else None,

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -112,6 +114,68 @@ def test_what_has_no_pose_is_counted(folder: Path) -> None:
     assert (interval["start_s"], interval["end_s"]) == pytest.approx((4.0, 7.9), abs=0.11)
     assert short["verdict"]["word"] == "lost"
     assert "of the scans have a pose" in short["verdict"]["reason"]
+
+
+WRITER = """
+import sys, time, subprocess
+log, poses, out, how = sys.argv[1:]
+print("reads", log, flush=True)
+if how == "fails":
+    sys.exit(3)
+if how == "hangs":
+    subprocess.run([sys.executable, "-c", "import time; time.sleep(60)"])
+numbers = [k * k for k in range(2_000_000)]
+if how == "writes":
+    open(out, "w").write(open(poses).read())
+if how == "nonsense":
+    open(out, "w").write("no poses")
+"""
+
+
+def test_programs_are_run_and_measured_and_those_that_fail_are_rows(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "writer.py").write_text(WRITER)
+    run_it = f"{sys.executable} {folder}/writer.py {{log}} {folder}/own/trajectory.tum {{out}}"
+    words = [f"--external={how}={run_it} {how}" for how in ("writes", "fails", "hangs", "nothing", "nonsense")]
+    words += ["--external", "absent=no-such-program {out}", "--time-limit", "3"]
+    started_s = time.monotonic()
+    assert score(folder, f"own={folder}/own", out="programs", more=tuple(words)) == 1
+    assert time.monotonic() - started_s < 55.0
+    printed, page = capsys.readouterr().err, json.loads((folder / "programs" / "comparison.json").read_text())
+    errors = {cell["name"]: cell["error"] for cell in page["cells"]}
+    assert errors["own"] is errors["writes"] is None
+    for name, why in {
+        "fails": "it ended with code 3",
+        "hangs": "it took over 3 s",
+        "nothing": "it wrote no trajectory",
+        "nonsense": "2 columns in place of 8",
+        "absent": "no-such-program cannot be started",
+    }.items():
+        assert why in errors[name]
+        assert f"error: {name}: " in printed
+    own, written = (document(folder / "programs" / name) for name in ("own", "writes"))
+    assert written["map_quality"] == own["map_quality"]
+    assert "wall_s" not in own["external"]
+    assert 0.02 < written["external"]["cpu_s"] < 30.0
+    assert 50.0 < written["external"]["peak_memory_mb"] < 1000.0  # of a list of two million numbers
+    assert "reads" in (folder / "programs" / "programs" / "fails.txt").read_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["--external", "a=program {log}"], "has no {out}"),
+        (["--external", "a/b=program {out}"], "names no directory"),
+        (["--external", "a='program {out}"], "cannot be split"),
+        ([], "no trajectory; name one"),
+    ],
+)
+def test_programs_are_checked_before_the_work(
+    folder: Path, words: list[str], why: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert score(folder, out="none", more=tuple(words)) == 2
+    assert why in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -166,6 +166,10 @@ class External(Struct, frozen=True):
     pose_at: Annotated[str, text("beam of a scan, first, middle or last, at whose time a pose with its stamp holds")]
     poses: Annotated[int, number("poses of the trajectory")]
     origin: StartPose
+    command: Annotated[str, text("command that wrote the poses")] = OPTIONAL
+    wall_s: Annotated[float, number("time that the command took by the clock")] = OPTIONAL
+    cpu_s: Annotated[Measured, number("processor time of the command")] = OPTIONAL
+    peak_memory_mb: Annotated[Measured, number("largest memory of a process of the command")] = OPTIONAL
 
 
 class Spread(Struct, frozen=True):
