@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 import time
 from pathlib import Path
@@ -89,6 +90,16 @@ def test_a_scored_run_is_measured_as_any_other(scores: Path, capsys: pytest.Capt
     (again,) = json.loads(capsys.readouterr().out)["maps"]
     assert again["map_quality"]["revisits"] == pytest.approx(document(scores / "truth")["map_quality"]["revisits"])
     assert run(["check", str(scores / "truth"), "--gate", "map.accepted_share>=0.95"]) == 0
+
+
+def test_a_scored_run_is_repeated_by_its_own_command(scores: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    capsys.readouterr()
+    assert run(["replay", "--again", str(scores / "own")]) == 2
+    assert "write mavnav score" in capsys.readouterr().err
+    again = shlex.split(document(scores / "own")["provenance"]["again"])
+    repeated = scores.parent / "repeated"
+    assert run([*again[1:], "-q", "-o", str(repeated)]) == 0
+    assert document(repeated / "own")["outputs"] == document(scores / "own")["outputs"]
 
 
 def test_bases_and_frames_are_brought_to_the_laser(folder: Path, scores: Path) -> None:
