@@ -50,6 +50,7 @@ be written; 70 a bug; 130 interrupted; 143 terminated.
 COMMANDS: Final = {
     "replay": "cli.md#replay",
     "compare": "compare.md",
+    "score": "score.md",
     "batch": "ci.md",
     "check": "cli.md#quality-gates",
     "view": "report.md",

@@ -157,6 +157,21 @@ class Trajectory(Struct, frozen=True):
             return None
         return blend(self[k - 1], self[k], (stamp_ns - t0) / (t1 - t0))
 
+    def poses_at(self, stamps_ns: NDArray[np.int64], max_gap_ns: int) -> NDArray[np.float64]:
+        """Interpolate the poses (n, 3) at times (n,); NaN outside, and in gaps longer than ``max_gap_ns``."""
+        if not len(self):
+            return np.full((len(stamps_ns), 3), np.nan)
+        first, last = self.stamps_ns[[0, -1]]
+        inside = np.clip(stamps_ns, first, last)
+        after = np.searchsorted(self.stamps_ns, inside)
+        before = after - (self.stamps_ns[after] > inside)
+        since = (inside - first).astype(np.float64), (self.stamps_ns - first).astype(np.float64)
+        x, y, yaw = self.xyyaw.T
+        out = np.column_stack([np.interp(*since, column) for column in (x, y, np.unwrap(yaw))])
+        out[:, 2] = (out[:, 2] + pi) % (2.0 * pi) - pi
+        out[(inside != stamps_ns) | (self.stamps_ns[after] - self.stamps_ns[before] > max_gap_ns)] = np.nan
+        return out
+
     def compose(self, b_T_c: Pose) -> Trajectory:
         """Follow another point of the same rigid body: ``a_T_b`` over time gives ``a_T_c``."""
         yaw = self.xyyaw[:, 2]

@@ -166,3 +166,18 @@ def test_recordings_follow_their_seed_and_start_at_the_origin_of_the_map() -> No
     np.testing.assert_array_equal(a.scans[1].ranges_m, b.scans[1].ranges_m)
     assert not np.array_equal(a.scans[1].ranges_m, c.scans[1].ranges_m, equal_nan=True)
     assert close(a.map_T_laser[0], Pose())
+
+
+@pytest.mark.parametrize("max_gap_ns", [40, 10**9])
+def test_many_poses_are_interpolated_as_one_is(max_gap_ns: int) -> None:
+    rng = np.random.default_rng(3)
+    stamps_ns = np.cumsum(rng.integers(1, 80, 30))
+    path = Trajectory(stamps_ns, np.column_stack((rng.normal(size=(30, 2)), rng.uniform(-np.pi, np.pi, 30))))
+    times_ns = np.arange(-5, int(stamps_ns[-1]) + 5)
+    none = Pose(np.nan, np.nan, np.nan)
+    expected = np.array([path.at(int(t), max_gap_ns) or none for t in times_ns])
+    off = path.poses_at(times_ns, max_gap_ns) - expected
+    off[:, 2] = (off[:, 2] + np.pi) % (2 * np.pi) - np.pi
+    np.testing.assert_array_equal(np.isnan(off), np.isnan(expected))
+    np.testing.assert_allclose(off[np.isfinite(off)], 0.0, atol=1e-9)
+    assert not len(Trajectory.of([], []).poses_at(times_ns[:0], 1))

@@ -10,6 +10,7 @@ from mavnav.api.arguments import (
     config_of,
     count_of,
     grid_of,
+    optional_path,
     options_of,
     path_of,
     paths_of,
@@ -60,7 +61,9 @@ def info(log: File, *, topic: str | Sequence[str] | None = None, strict: bool = 
 
 
 @with_python_names
-def convert(log: File, target: File, *, strict: bool = False, force: bool = False) -> dict[str, Any]:
+def convert(
+    log: File, target: File, *, run: File | None = None, strict: bool = False, force: bool = False
+) -> dict[str, Any]:
     """Convert a log, as far as it can be read, to an indexed MCAP with ROS 2 messages.
 
     Parameters
@@ -69,6 +72,8 @@ def convert(log: File, target: File, *, strict: bool = False, force: bool = Fals
         The log, as for `open_log`.
     target
         The file to write, .mcap.
+    run
+        Add the result of this run of the log: /tf from the map, /map, /pose and markers.
     strict
         Leave out messages from where a checksum does not match.
     force
@@ -87,7 +92,12 @@ def convert(log: File, target: File, *, strict: bool = False, force: bool = Fals
     from mavnav.pipelines.log_documents import convert_to  # noqa: PLC0415  heavy
 
     return convert_to(
-        path_of(log, "log"), path_of(target, "target"), strict=strict, force=force, progress=lambda _done, _total: None
+        path_of(log, "log"),
+        path_of(target, "target"),
+        optional_path(run, "run"),
+        strict=strict,
+        force=force,
+        progress=lambda _done, _total: None,
     )
 
 

@@ -75,9 +75,8 @@ def _table(document: dict[str, Any], less: set[str]) -> Table:
     """Return the table without what is in ``less``, see `NARROWER`."""
     from rich.table import Table
 
-    from mavnav.comparison.document import ratio
+    from mavnav.comparison.document import labels, ratio
     from mavnav.outputs.documents.quantities import verdict_texts
-    from mavnav.outputs.report.entry import setting_of
 
     table = Table(box=None, pad_edge=False, header_style="bold")
     known = [figure for figure in _known_quantities(document) if figure.name not in less]
@@ -95,10 +94,9 @@ def _table(document: dict[str, Any], less: set[str]) -> Table:
         log = [_text(cell["log"])] if several else []
         figures = [_figure(document, k, figure, bars=BARS not in less) for figure in known]
         ratios = [_text(ratio(document, name, k)) for name in shown.values()]
-        grid = _text(setting_of(cell))
         marked, style = verdict_mark(verdict_texts(cell["run"])[0])
         word = [] if SIGNS in less else [_text(marked[:1] if WORDS in less else marked, style)]
-        table.add_row(*log, _text(cell["method"]), grid, *word, *figures, *ratios, _text(_state(cell)))
+        table.add_row(*log, *map(_text, labels(cell)), *word, *figures, *ratios, _text(_state(cell)))
     return table
 
 

@@ -16,6 +16,7 @@ EPILOG = """
 [bold]Examples[/bold]
 mavnav convert crashed.bag.active drive.mcap
 mavnav convert rosbag2_folder drive.mcap --strict --json | jq .left_out
+mavnav convert drive.bag drive_with_map.mcap --run runs/drive
 """
 
 
@@ -24,6 +25,12 @@ def convert(
     log: shared.LogFile,
     target: Annotated[Path, typer.Argument(metavar="OUT.mcap", help="The file to write.", show_default=False)],
     *,
+    run: Annotated[
+        Path | None,
+        shared.input_option(
+            "--run", metavar="RUN", help="Add the result of a run of this log: /tf from the map, /map, /pose, markers."
+        ),
+    ] = None,
     force: shared.Force = False,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
@@ -34,7 +41,7 @@ def convert(
 
     with reporting(quiet=quiet) as report:
         strict, progress = bool(given["strict"]), partial(report, "converting")
-        result = convert_to(log, target, strict=strict, force=force, progress=progress)
+        result = convert_to(log, target, run, strict=strict, force=force, progress=progress)
     print_result(result, _rows(result), json=json)
     if not json:
         note_problems(result)

@@ -41,7 +41,7 @@ _COMMANDS: Final = {
     "'mavnav replay LOG', then 'mavnav view RUN', which plays the scans": "play playback animate",
     "'mavnav info LOG'": "bag rosbag inspect stat stats topics check-log describe ls",
     "'mavnav view RUN'": "plot show visualize visualise open gui display report",
-    "'mavnav metrics RUN'": "evaluate eval evo ate ape score measure quality validate",
+    "'mavnav metrics RUN'": "evaluate eval evo ate ape measure quality validate",
     "'mavnav compare LOG --set KEY=A,B'": "sweep tune benchmark grid ablation",
     "'mavnav merge RUN RUN'": "join stitch combine multi",
     "'mavnav replay LOG --map MAP'": "localize localise localization amcl",

@@ -176,7 +176,8 @@ def comparison_csv(document: dict[str, Any]) -> str:
     findings = {k: log["headline"] for log in document["logs"] for k in log["cells"]}
     for k, cell in enumerate(document["cells"]):
         figures = [number(cell["run"], name) for name in names]
-        texts = [inert(text) for text in (*(cell[key] for key in head), *verdict_texts(cell["run"]))]
+        known = cell | {"method": labels(cell)[0]}
+        texts = [inert(text) for text in (*(known[key] for key in head), *verdict_texts(cell["run"]))]
         ratios = [document["price"][name][k] for name in RELATIVE_COSTS]
         table.writerow([*texts, *figures, *ratios, inert(findings[k]), inert(cell["differs"])])
     return rows.getvalue()
@@ -203,12 +204,18 @@ def comparison_markdown(document: dict[str, Any]) -> str:
 
 def _cells(document: dict[str, Any], k: int) -> list[str]:
     cell = document["cells"][k]
-    texts = [escape(cell["log"]), cell["method"], escape(setting_of(cell))]
+    texts = [escape(cell["log"]), *map(escape, labels(cell))]
     texts.append(verdict_texts(cell["run"])[0] or "-")
     for figure in QUANTITIES:
         text = figure.text_of(cell["run"])
         texts.append(f"**{text}**" if k in winning(document, figure.name) else text)
     return texts + [ratio(document, name, k) for name in ("evaluations", "cpu")]
+
+
+def labels(cell: dict[str, Any]) -> tuple[str, str]:
+    """Return the method and the search grid of a run; of one at given poses the name of these, and a dash."""
+    name = cell.get("trajectory")
+    return (name, "-") if name else (cell["method"], setting_of(cell))
 
 
 def winning(document: dict[str, Any], metric: str) -> set[int]:

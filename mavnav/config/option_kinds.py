@@ -27,13 +27,13 @@ INPUT, SEARCH, OUTPUT, CHECKS, RESOURCES = "Input", "Search", "Output", "Checks"
 """Panels of the help."""
 
 AUTO: Final = "auto"
-TOPIC_PREFIX: Final = "topic:"
+TOPIC_PREFIX, TF_PREFIX = "topic:", "tf:"
 
 
 def recorded_topic(truth: str) -> str | None:
-    """Return the topic in a ``--truth`` value: ``auto``, or the text after ``topic:``; None for a file."""
-    if truth == AUTO:
-        return AUTO
+    """Return what ``--truth`` names in a log: ``auto``, ``tf:MAP``, or what follows ``topic:``; None for a file."""
+    if truth == AUTO or truth.startswith(TF_PREFIX):
+        return truth
     return truth.removeprefix(TOPIC_PREFIX) if truth.startswith(TOPIC_PREFIX) else None
 
 

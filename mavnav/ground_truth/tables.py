@@ -1,7 +1,8 @@
-"""Text files of true poses: trajectories in TUM format, relations in that of Kuemmerle et al. (2009)."""
+"""Text files of poses: trajectories in TUM format and as CSV, relations in the format of Kuemmerle et al. (2009)."""
 
 from __future__ import annotations
 
+import csv
 from decimal import Decimal, InvalidOperation
 from math import isfinite
 from typing import TYPE_CHECKING, Final
@@ -37,11 +38,75 @@ def read_tum(path: Path) -> Trajectory:
     poses = {}
     for where, columns in _rows(path, "a TUM trajectory, t x y z qx qy qz qw"):
         x, y, _, *quaternion = (_number(where, text) for text in columns[1:])
-        if not _is_unit(quaternion):
-            raise UsageError(f"{where}: the quaternion is not of length 1; mend that line")
-        poses[_stamp_ns(where, columns[0])] = (x, y, yaw_of_quaternion(*quaternion))
+        poses[_stamp_ns(where, columns[0])] = (x, y, _yaw_rad(where, quaternion))
+    return _in_order(poses)
+
+
+TRAJECTORIES: Final = "a trajectory: TUM, CSV with t,x,y,yaw (s, m, rad), trajectory.csv of a run, or EuRoC"
+KITTI_COLUMNS: Final = 12
+EUROC_COLUMNS: Final = 8
+"""Least number of columns of EuRoC's state estimates: time in ns, position, quaternion from w on, and more."""
+
+
+def read_trajectory(path: Path) -> Trajectory:
+    """Read a trajectory by its content: TUM, or comma-separated rows of one of three kinds.
+
+    ``t,x,y,yaw`` (s, m, m, rad); ``trajectory.csv`` of a run, whose scans without a pose are left out; and the state
+    estimates of EuRoC, ``t,x,y,z,qw,qx,qy,qz`` (ns, m). Raises UsageError with file and line, also for KITTI's poses,
+    which have no times.
+    """
+    lines = [line for line in _text(path, TRAJECTORIES).splitlines() if line.strip()]
+    data = next((line for line in lines if not line.startswith("#")), "")
+    if "," in data:
+        return _of_table(path, list(csv.reader(lines)))
+    if len(data.split()) == KITTI_COLUMNS:
+        advice = "make a TUM file of poses and times with evo's kitti_poses_and_timestamps_to_trajectory.py"
+        raise UsageError(f"{path} has poses without times (KITTI); {advice}")
+    return read_tum(path)
+
+
+def _of_table(path: Path, rows: list[list[str]]) -> Trajectory:
+    """Return the poses of comma-separated rows, the first of which may be a head."""
+    head = [name.strip(" #") for name in rows[0]]
+    names = {name: k for k, name in enumerate(head)}
+    euroc = any("[ns]" in name for name in head)
+    wanted = ("stamp", "x_m", "y_m", "yaw_rad") if "stamp" in names else ("t", "x", "y", "yaw")
+    columns = [names.get(name, k) for k, name in enumerate(wanted)]
+    poses = {}
+    for number, row in enumerate(rows, start=1):
+        where = f"{path}, row {number}"
+        if row[0].startswith("#") or (number == 1 and not _is_number(row[0])):
+            continue
+        if len(row) < (EUROC_COLUMNS if euroc else 1 + max(columns)):
+            raise UsageError(f"{where}: {len(row)} columns are too few; name a file of {TRAJECTORIES}")
+        if euroc:
+            x, y, _, w, *xyz = (_number(where, text) for text in row[1:EUROC_COLUMNS])
+            poses[_stamp_ns(where, f"{row[0]}e-9")] = (x, y, _yaw_rad(where, [*xyz, w]))
+        elif all(row[k].strip() for k in columns):
+            x, y, yaw = (_number(where, row[k]) for k in columns[1:])
+            poses[_stamp_ns(where, row[columns[0]])] = (x, y, yaw)
+    if not poses:
+        raise UsageError(f"{path} has no pose; name a file of {TRAJECTORIES}")
+    return _in_order(poses)
+
+
+def _in_order(poses: dict[int, tuple[float, float, float]]) -> Trajectory:
     stamps_ns = sorted(poses)
     return Trajectory(np.array(stamps_ns, np.int64), np.array([poses[t] for t in stamps_ns], np.float64))
+
+
+def _yaw_rad(where: str, quaternion: list[float]) -> float:
+    if not _is_unit(quaternion):
+        raise UsageError(f"{where}: the quaternion is not of length 1; mend that line")
+    return yaw_of_quaternion(*quaternion)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def read_relations(path: Path) -> Relations:
@@ -66,12 +131,8 @@ def _is_unit(quaternion: list[float]) -> bool:
 
 def _rows(path: Path, what: str) -> Iterator[tuple[str, list[str]]]:
     """Yield the location (``file:line``) and the columns of each row."""
-    try:
-        text = read_named(path, MAX_BYTES).decode("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not text"
-        raise UsageError(f"{path} cannot be read, {reason}; name a file of {what}") from error
-    rows = [(f"{path}:{n}", line.partition("#")[0].split()) for n, line in enumerate(text.splitlines(), start=1)]
+    lines = _text(path, what).splitlines()
+    rows = [(f"{path}:{n}", line.partition("#")[0].split()) for n, line in enumerate(lines, start=1)]
     rows = [row for row in rows if row[1]]
     if not rows:
         raise UsageError(f"{path} is empty; name a file of {what}")
@@ -79,6 +140,14 @@ def _rows(path: Path, what: str) -> Iterator[tuple[str, list[str]]]:
         if len(columns) != COLUMNS:
             raise UsageError(f"{where}: {len(columns)} columns in place of {COLUMNS}; name a file of {what}")
         yield where, columns
+
+
+def _text(path: Path, what: str) -> str:
+    try:
+        return read_named(path, MAX_BYTES).decode("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not text"
+        raise UsageError(f"{path} cannot be read, {reason}; name a file of {what}") from error
 
 
 def _number(where: str, text: str) -> float:

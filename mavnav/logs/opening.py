@@ -320,7 +320,7 @@ def _with_motion(log: Log, survey: Survey, odom: str, extrinsic: Pose | None, *,
     if attitude is None:  # else a tilted mounting is levelled as well
         warnings[place:place] = of_mounting
     imu = laser_rotation(motion.imus, log, odom, warnings.append)
-    known = motion.truth.choose(survey.topics, log.topic)
+    known = motion.truth.choose(survey.topics, log.topic, frames, laser)
     placing = (log, frames, base_T_laser, extrinsic, warnings.append)
     log = replace(
         log,

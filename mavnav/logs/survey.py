@@ -17,7 +17,7 @@ from mavnav.logs.content import check_file, check_files, check_window, size_and_
 from mavnav.logs.formats import detect
 from mavnav.logs.imu import ImuTrack
 from mavnav.logs.messages.decode import decoder, is_laser, scan_topic, scan_topics
-from mavnav.logs.messages.definitions import IMU, ODOMETRY, POSE
+from mavnav.logs.messages.definitions import IMU, ODOMETRY, PATH, POSE
 from mavnav.logs.messages.other_scans import OTHER_TYPES
 from mavnav.logs.messages.records import DecodeError
 from mavnav.logs.namespaces import FRAME, namespace
@@ -77,7 +77,7 @@ class Motion(Struct):
         if self.attitudes.takes(channel):
             yield partial(self.attitudes.add, channel.topic)
         if self.truth.takes(channel):
-            yield partial(self.truth.add, channel.topic)
+            yield partial(self.truth.add_path if channel.type == PATH else self.truth.add, channel.topic)
         elif channel.type == IMU:
             yield self.imus.setdefault(channel.topic, ImuTrack(channel.topic)).add
         elif channel.type == ODOMETRY or self.odometry.takes(channel):
@@ -87,6 +87,8 @@ class Motion(Struct):
             yield partial(self.frames[namespace(channel.topic)].add, static=static)
             if not static:
                 yield partial(self.odometry.add_transforms, channel.topic)
+            if not static and self.truth.of_frames:
+                yield partial(self.truth.add_transforms, channel.topic)
 
 
 class _MessageKind(Struct):

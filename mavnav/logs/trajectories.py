@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import re
-from array import array
 from typing import TYPE_CHECKING, Final, Literal
 
-import numpy as np
 from msgspec import Struct, field
 
 from mavnav.errors import TopicError
-from mavnav.logs.clocks import clock_of, shift_s
-from mavnav.logs.messages.definitions import ODOMETRY, POSE, TRANSFORM
+from mavnav.logs.frame_poses import TF_PREFIX, FramePoses
+from mavnav.logs.messages.definitions import ODOMETRY, PATH, POSE, POSE_COVARIANCE, TRANSFORM
 from mavnav.logs.namespaces import laser_topics, of_same_robot
 from mavnav.logs.odometry_chains import without_jumps
+from mavnav.logs.pose_track import PoseTrack
 from mavnav.logs.records import Odometry, RecordedTruth
-from mavnav.logs.stamps import Stamps, in_order
-from mavnav.logs.transforms import frame_name, mounting, planar_pose
-from mavnav.pose import Pose, Trajectory
-from mavnav.units import NS
+from mavnav.logs.transforms import frame_name, mounting
+from mavnav.pose import Pose
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -32,49 +29,13 @@ TF_TOPIC = "/tf"
 _ODOM_FRAME = "odom"
 
 TRUTH_TYPES: Final = frozenset({POSE, ODOMETRY, TRANSFORM})
+NAMED_TYPES: Final = TRUTH_TYPES | {PATH, POSE_COVARIANCE}
+"""Types of a topic that is named: a path or a pose with a covariance is an estimate, and never found by ``auto``."""
+
 TRUTH_NAMES: Final = re.compile(
     r"ground_?truth|(?:^|[/_])(?:gt|truth|mocap|vicon|optitrack|qualisys|vrpn)(?:[/_]|$)", re.IGNORECASE
 )
 """Topic names that stand for ground truth; others may hold goals or estimates, and are never taken automatically."""
-
-
-class PoseTrack(Struct):
-    """Poses of a body, frame ``base_frame``, in a fixed frame, as they came: 40 bytes each, with both stamps."""
-
-    topic: str
-    base_frame: str
-    stamps: Stamps = field(default_factory=Stamps)
-    xyyaw: array[float] = field(default_factory=lambda: array("d"))
-    unusable: int = 0
-
-    def add(self, message: TransformMessage, log_ns: int) -> None:
-        """Take in one pose; one that is not finite, or has no orientation, is only counted."""
-        pose = planar_pose(message)
-        self.unusable += pose is None
-        if pose is not None:
-            self.stamps.add(message.stamp_ns, log_ns)
-            self.xyyaw.extend((pose.x_m, pose.y_m, pose.yaw_rad))
-
-    def trajectory(self, log: Log, warn: Callable[[str], None]) -> tuple[Trajectory, float]:
-        """Return ``fixed_T_base`` by the clock of the scans, and the time that was added to its stamps for it, s.
-
-        Poses whose stamps do not ascend are left out. Stamps that are no times give way to those of recording.
-        """
-        stamps, recorded = self.stamps.by(log.stamp_source)
-        poses = np.array(self.xyyaw, dtype=np.float64).reshape(-1, 3)
-        if self.unusable:
-            text = f"{self.unusable} of {self.unusable + len(stamps)} poses are left out"
-            warn(f"{self.topic}: {text}, not finite or with a quaternion of zeros; see what publishes them")
-        if log.clock and len(stamps) > 1 and not np.ptp(stamps):
-            warn(f"{self.topic}: its stamps never change; the times of recording are used: see what publishes it")
-            stamps = recorded + round(log.clock.ahead_s / NS)
-        keep = in_order(stamps, recorded, self.topic, warn)
-        added_s = shift_s(clock_of(stamps[keep], recorded[keep]), log.clock)
-        if added_s:
-            ahead = "ahead of" if added_s < 0.0 else "behind"
-            text = f"{abs(added_s):.2f} s {ahead} those of the scans, by the times of recording, and corrected by that"
-            warn(f"{self.topic}: its stamps are {text}: synchronize the clocks")
-        return Trajectory(stamps[keep] + round(added_s / NS), poses[keep]), added_s
 
 
 class OdometryTrack(PoseTrack):
@@ -205,17 +166,26 @@ def laser_odometry(
 
 
 class TruthTracks(Struct):
-    """The ground truth of a log by topic, as far as it is ``wanted``: ``auto``, a topic, or None for none at all."""
+    """The ground truth of a log by topic, as far as it is ``wanted``: ``auto``, a topic, or None for none at all.
+
+    If the poses of a frame are wanted, ``tf:MAP,FRAME``, ``moving`` are the transforms of /tf by parent and child.
+    """
 
     wanted: str | None = None
     topics: dict[str, PoseTrack] = field(default_factory=dict)
+    moving: dict[tuple[str, str], PoseTrack] = field(default_factory=dict)
+
+    @property
+    def of_frames(self) -> bool:
+        """Whether the poses of a frame are wanted."""
+        return (self.wanted or "").startswith(TF_PREFIX)
 
     def takes(self, channel: Channel) -> bool:
         """Return whether the messages of a channel are wanted."""
-        if self.wanted is None or channel.type not in TRUTH_TYPES:
+        if self.wanted is None or channel.type not in NAMED_TYPES:
             return False
         if self.wanted == "auto":
-            return TRUTH_NAMES.search(channel.topic) is not None
+            return channel.type in TRUTH_TYPES and TRUTH_NAMES.search(channel.topic) is not None
         return frame_name(channel.topic) == frame_name(self.wanted)
 
     def add(self, topic: str, messages: list[TransformMessage], log_ns: int) -> None:
@@ -226,8 +196,26 @@ class TruthTracks(Struct):
             track = self.topics[topic] = PoseTrack(topic, frame_name(message.child))
         track.add(message, log_ns)
 
-    def choose(self, topics: Iterable[Topic], topic: str = "") -> PoseTrack | None:
+    def add_path(self, topic: str, messages: list[TransformMessage], log_ns: int) -> None:
+        """Take in a path, which replaces the one before."""
+        track = self.topics[topic] = PoseTrack(topic, "", is_path=True)
+        for message in messages:
+            track.add(message, log_ns)
+
+    def add_transforms(self, topic: str, messages: list[TransformMessage], log_ns: int) -> None:
+        """Take in the transforms of a /tf message."""
+        for message in messages:
+            edge = frame_name(message.parent), frame_name(message.child)
+            if edge not in self.moving:
+                self.moving[edge] = PoseTrack(topic, edge[1])
+            self.moving[edge].add(message, log_ns)
+
+    def choose(
+        self, topics: Iterable[Topic], topic: str = "", frames: FrameTree | None = None, laser: str = ""
+    ) -> PoseTrack | FramePoses | None:
         """Return the wanted track, None if none is wanted; of all ``topics``, for the scans on ``topic``.
+
+        Without a frame in ``tf:MAP``, it is that of the ``laser``.
 
         Raises
         ------
@@ -236,6 +224,8 @@ class TruthTracks(Struct):
         """
         if self.wanted is None:
             return None
+        if self.of_frames and frames:
+            return FramePoses(self.wanted, frame_name(self.wanted.partition(",")[2]) or laser, frames, self.moving)
         topics = [*topics]
         own = of_same_robot(self.topics, topic, laser_topics(topics)) if self.wanted == "auto" else [*self.topics]
         tracks = {name: self.topics[name] for name in sorted(own) if len(self.topics[name].stamps)}
@@ -244,14 +234,14 @@ class TruthTracks(Struct):
         if tracks:
             names = ", ".join(f"{name} ({len(track.stamps)})" for name, track in tracks.items())
             raise TopicError(f"several ground truth topics: {names}; choose one with --truth topic:NAME")
-        poses = ", ".join(f"{t.name} ({t.type}, {t.count})" for t in topics if t.type in TRUTH_TYPES) or "none"
+        poses = ", ".join(f"{t.name} ({t.type}, {t.count})" for t in topics if t.type in NAMED_TYPES) or "none"
         on = f"no ground truth on topic {self.wanted!r}"
         missing = "no topic is named like a ground truth" if self.wanted == "auto" else on
         raise TopicError(f"{missing}; topics with poses: {poses}; give --truth topic:NAME, or a file")
 
 
 def laser_truth(
-    track: PoseTrack,
+    track: PoseTrack | FramePoses,
     log: Log,
     frames: FrameTree,
     base_T_laser: Pose | None,

@@ -149,6 +149,11 @@ def _chain(edges: dict[tuple[str, str], NDArray[np.float64]], base: str, laser: 
     return base_T_frame.get(laser)
 
 
+def planar(matrix: NDArray[np.floating]) -> Pose:
+    """Return x, y and the direction of the x axis of a transform (4, 4)."""
+    return Pose(float(matrix[0, 3]), float(matrix[1, 3]), atan2(matrix[1, 0], matrix[0, 0]))
+
+
 class Mounting(NamedTuple):
     """Where the laser sits: ``base_T_laser`` projected to the plane, with z up and the laser's own x axis."""
 
@@ -167,6 +172,5 @@ def mounting(
         if matrix is not None:
             if abs(matrix[2, 2]) < _UPRIGHT:
                 warn(f"the transforms say that the laser ({laser}) is tilted; its scans are used as if it were level")
-            pose = Pose(float(matrix[0, 3]), float(matrix[1, 3]), atan2(matrix[1, 0], matrix[0, 0]))
-            return Mounting(frame_name(base), pose, bool(matrix[2, 2] < 0.0))
+            return Mounting(frame_name(base), planar(matrix), bool(matrix[2, 2] < 0.0))
     return None

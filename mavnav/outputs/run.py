@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 from msgspec import Struct, field
 
 from mavnav.errors import ExitCode
 from mavnav.mapping.occupancy_grid import known_area, occupancy
 from mavnav.metrics.wall_spread import wall_report
+from mavnav.slam.findings import EXTERNAL
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -18,14 +19,14 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from mavnav.config.models import Config
+    from mavnav.config.models import Config, MethodName
     from mavnav.logs import Log
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.mapping.slices import Slices
     from mavnav.metrics.map_quality import MeasuredMap
     from mavnav.metrics.reference import Reference, TrueMap
     from mavnav.metrics.wall_spread import WallThicknessReport
-    from mavnav.outputs.documents.run_json import Localisation, MissionResult, Provenance, TruthErrors
+    from mavnav.outputs.documents.run_json import External, Localisation, MissionResult, Provenance, TruthErrors
     from mavnav.outputs.documents.sections import Continued
     from mavnav.pose import Trajectory
     from mavnav.sessions.group import Session
@@ -99,7 +100,8 @@ class RunResult(Struct, frozen=True, dict=True):
 
     A mission of the simulator knows the truth besides. ``reference`` is the comparison with references,
     and ``true_map`` the one among them. ``stopped`` is the code of the signal that stopped
-    the run before the log ended. ``localisation`` says where the laser was found in a given map. ``slices`` is the map
+    the run before the log ended. ``localisation`` says where the laser was found in a given map, ``external`` at
+    whose poses the scans were drawn instead of being tracked. ``slices`` is the map
     by height, None if heights are unknown or hardly vary. ``continued`` says which run was continued, and ``earlier``
     are its sessions, in the map frame.
     ``address`` is where the log was fetched from, if it was; ``provenance`` says when and how the run was made.
@@ -118,6 +120,7 @@ class RunResult(Struct, frozen=True, dict=True):
     true_map: TrueMap | None = None
     stopped: ExitCode | None = None
     localisation: Localisation | None = None
+    external: External | None = None
     address: str | None = None
     position_errors_m: NDArray[np.float64] | None = None
     slices: Slices | None = None
@@ -128,6 +131,11 @@ class RunResult(Struct, frozen=True, dict=True):
     def name(self) -> str:
         """What the pictures call the run: its log, or its scenario."""
         return self.mission.path.stem if self.mission else self.log.path.name
+
+    @property
+    def method(self) -> MethodName | Literal["external"]:
+        """The method that made the poses."""
+        return EXTERNAL if self.external else self.config.method
 
     @cached_property
     def walls(self) -> WallThicknessReport:

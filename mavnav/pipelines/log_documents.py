@@ -14,6 +14,7 @@ from mavnav.logs.health import sensor_health
 from mavnav.logs.writing.convert import convert_log
 from mavnav.outputs.documents.sections import attitude_source
 from mavnav.outputs.files.document import plain
+from mavnav.pipelines.augment import messages_of_run
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -49,9 +50,15 @@ def info_document(
     return _info(contents, logs, code), error
 
 
-def convert_to(log: Path, target: Path, *, strict: bool, force: bool, progress: Callable[..., None]) -> dict[str, Any]:
-    """Convert a log to an indexed MCAP and return the document; raises what `convert_log` does."""
-    done = convert_log(log, target, strict=strict, force=force, progress=progress)
+def convert_to(
+    log: Path, target: Path, run: Path | None, *, strict: bool, force: bool, progress: Callable[..., None]
+) -> dict[str, Any]:
+    """Convert a log to an indexed MCAP and return the document; with a ``run``, its result is added to the log.
+
+    Raises what `convert_log` does, and `messages_of_run`.
+    """
+    added = messages_of_run(run, log) if run else ()
+    done = convert_log(log, target, strict=strict, force=force, progress=progress, added=added)
     return {
         "schema_version": SCHEMA_VERSION,
         "input": {"path": str(log)},

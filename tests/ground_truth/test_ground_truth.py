@@ -16,7 +16,7 @@ from mavnav.ground_truth.references import (
     of_scenario,
     read_true_map,
 )
-from mavnav.ground_truth.tables import read_relations, read_tum
+from mavnav.ground_truth.tables import read_relations, read_trajectory, read_tum
 from mavnav.metrics.reference import Reference
 from mavnav.pose import Pose, Trajectory
 from mavnav.simulation.world import load_scenario
@@ -191,3 +191,44 @@ def test_a_map_file_is_true_in_its_own_frame(tmp_path) -> None:
     (tmp_path / "map.pgm").write_bytes(pgm(np.full((2, 2), 254)))
     with pytest.raises(UsageError, match="no occupied cell"):
         read_true_map(tmp_path / "map.yaml")
+
+
+QUARTER = 0.5**0.5
+"""Sine and cosine of half a quarter turn."""
+
+FORMATS = {
+    "tum": f"# t x y z qx qy qz qw\n7.5 1 2 0 0 0 {QUARTER} {QUARTER}\n7 0 0 0 0 0 0 1\n",
+    "plain": "7,0,0,0\n7.5,1,2,1.5707963267948966\n",
+    "headed": "# t, x, y, yaw\n7,0,0,0\n7.5,1,2,1.5707963267948966\n",
+    "other order": "yaw,t,x,y\n0,7,0,0\n1.5707963267948966,7.5,1,2\n",
+    "run": "index,stamp,x_m,y_m,yaw_rad,tracked\n0,7,0,0,0,1\n1,7.2,,,,0\n2,7.5,1,2,1.5707963267948966,1\n",
+    "euroc": "#timestamp [ns],p_x [m],p_y [m],p_z [m],q_w [],q_x [],q_y [],q_z [],v_x [m s^-1]\n"
+    f"7000000000,0,0,0,1,0,0,0,9\n7500000000,1,2,0,{QUARTER},0,0,{QUARTER},9\n",
+}
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_trajectories_are_read_by_their_content(tmp_path, name) -> None:
+    file = tmp_path / "poses.txt"
+    file.write_text(FORMATS[name])
+    trajectory = read_trajectory(file)
+    assert trajectory.stamps_ns.tolist() == [7_000_000_000, 7_500_000_000]
+    np.testing.assert_allclose(trajectory.xyyaw, [[0, 0, 0], [1, 2, np.pi / 2]], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("1 0 0 4 0 1 0 5 0 0 1 6\n", "without times"),
+        ("t,x,y\n1,2,3\n", "3 columns are too few"),
+        ("1,2,3,north\n", "'north' is no number"),
+        ("t,x,y,yaw\n", "has no pose"),
+        ("#timestamp [ns],x,y,z,qw,qx,qy,qz\n7,0,0,0,2,0,0,0\n", "not of length 1"),
+        ("", "is empty"),
+    ],
+)
+def test_what_is_no_trajectory_is_refused_with_the_reason(tmp_path, text, why) -> None:
+    file = tmp_path / "poses.csv"
+    file.write_text(text)
+    with pytest.raises(UsageError, match=why):
+        read_trajectory(file)

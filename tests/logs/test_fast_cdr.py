@@ -11,7 +11,7 @@ from mavnav.logs.messages.fast_cdr import laser_of, odometry_of, pose_of, transf
 from mavnav.logs.messages.records import DecodeError, TransformMessage
 from mavnav.logs.records import Channel
 from mavnav.scan import Attitude
-from support.log_files import START_NS, build, drive, laser, serialized, store
+from support.log_files import PATH, POSE_COVARIANCE, START_NS, Message, build, drive, laser, serialized, store
 from support.tilted import attitude_message
 
 BY_LAYOUT = {TF: transforms_of, ODOMETRY: odometry_of}
@@ -60,6 +60,21 @@ def test_poses(ros) -> None:
     assert (found[0].stamp_ns, found[0].xyz) == (START_NS + 5, (0.0, 0.0, 1.5))
     for broken in (*(data[:end] for end in range(0, len(data), 7)), data + bytes(8)):
         assert pose_of(broken, encoding) is None
+
+
+@pytest.mark.parametrize("ros", [1, 2])
+@pytest.mark.parametrize(("kind", "count"), [(POSE_COVARIANCE, 1), (PATH, 3)])
+def test_poses_with_covariances_and_paths(ros, kind, count) -> None:
+    encoding = {1: "ros1", 2: "cdr"}[ros]
+    poses = [Message("/p", POSE, START_NS + k, {"x": float(k), "y": 2.0, "yaw": 0.1 * k}) for k in range(count)]
+    data = serialized(replace(poses[0], type=kind, fields=poses[0].fields | {"poses": poses}), ros)
+    expected = [pose_of(serialized(pose, ros), encoding)[0] for pose in poses]
+    decode = decoder(Channel("/p", kind, encoding), poses=True)
+    assert decode is not None
+    assert decode(data) == expected
+    for broken in (*(data[:end] for end in range(0, len(data), 7)), data + bytes(8)):
+        with pytest.raises(DecodeError):
+            decode(broken)
 
 
 @pytest.mark.parametrize("ros", [1, 2])

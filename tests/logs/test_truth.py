@@ -13,9 +13,12 @@ from mavnav.pose import Pose
 from support.log_files import (
     LASER,
     ODOM,
+    PATH,
     PERIOD_NS,
     POSE,
+    POSE_COVARIANCE,
     START_NS,
+    TF,
     TRANSFORM,
     Message,
     drive,
@@ -128,3 +131,61 @@ def test_poses_are_odometry_if_they_are_asked_for(tmp_path: Path, kind: str, chi
     usual = open_log(path)
     assert usual.odometry is not None
     assert usual.odometry.topic == "/odom"
+
+
+@pytest.mark.parametrize("kind", [POSE_COVARIANCE, PATH])
+def test_a_path_and_poses_with_covariances_are_read_where_they_are_named(tmp_path: Path, kind: str) -> None:
+    messages = poses("/gt", POSE_COVARIANCE)
+    if kind == PATH:  # sent again and again, each time longer, late after its poses
+        stamped = poses("/gt", POSE)
+        ends = [(3, 0.4), (SCANS, 30.0)]
+        messages = [
+            Message("/gt", PATH, START_NS, {"poses": stamped[:n]}, log_ns=START_NS + round(late_s * 1e9))
+            for n, late_s in ends
+        ]
+    path = write_mcap(tmp_path / "a", [*drive(SCANS), *messages])
+    truth = open_log(path, truth="/gt").truth
+    assert truth is not None
+    np.testing.assert_allclose(truth.world_T_laser.xyyaw, expected(BASE_T_LASER), atol=1e-12)
+    with pytest.raises(TopicError):
+        open_log(path, truth="auto")
+
+
+def frames(parent: str, child: str, poses: list[Pose], period_ns: int = PERIOD_NS) -> list[Message]:
+    """Return the transforms of one edge of /tf."""
+    named = {"parent": parent, "child": child}
+    return [
+        Message("/tf", TF, START_NS + k * period_ns, named | dict(zip(("x", "y", "yaw"), pose, strict=True)))
+        for k, pose in enumerate(poses)
+    ]
+
+
+@pytest.mark.parametrize(("wanted", "body"), [("tf:map,base_link", "base_link"), ("tf:/map", "laser")])
+@pytest.mark.parametrize("write", [write_mcap, write_bag1])
+def test_transforms_are_followed_through_moving_frames(tmp_path: Path, write, wanted, body) -> None:
+    corrections = [Pose(0.01 * k, -0.02 * k, 0.03 * k) for k in range(3)]  # of every 5th scan
+    driven = [Pose(0.1 * k, 0.0, 0.2 * k) for k in range(SCANS)]
+    messages = [*frames("map", "odom", corrections, 5 * PERIOD_NS), *frames("odom", "base_link", driven)]
+    truth = open_log(write(tmp_path / "a", [*drive(SCANS), *messages]), truth=wanted).truth
+    assert truth is not None
+    assert truth.body_frame == body
+    wanted_poses = [
+        Pose(0.002 * k, -0.004 * k, 0.006 * k) @ driven[k] @ BASE_T_LASER for k in range(SCANS)
+    ]  # corrections are interpolated
+    np.testing.assert_allclose(truth.world_T_laser.xyyaw, np.array(wanted_poses), atol=1e-12)
+
+
+def test_frames_may_be_tied_upwards_and_by_constant_transforms_of_tf(tmp_path: Path) -> None:
+    driven = [Pose(0.1 * k, 0.0, 0.2 * k) for k in range(SCANS)]
+    inverse = frames("base_link", "map", [pose.inverse() for pose in driven])  # as of localization
+    fixed = frames("world", "map", [Pose(1.0, 2.0, 0.5)] * 2)
+    truth = open_log(write_mcap(tmp_path / "a", [*drive(SCANS), *inverse, *fixed]), truth="tf:world").truth
+    assert truth is not None
+    wanted = [Pose(1.0, 2.0, 0.5) @ pose @ BASE_T_LASER for pose in driven]
+    np.testing.assert_allclose(truth.world_T_laser.xyyaw, np.array(wanted), atol=1e-12)
+
+
+def test_frames_that_are_not_tied_are_refused_with_those_of_the_log(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a", [*drive(SCANS), *frames("map", "odom", [Pose(), Pose(1.0)])])
+    with pytest.raises(TopicError, match="no transforms lead from 'map' to 'base_link'; frames of the log: base_link"):
+        open_log(path, truth="tf:map,base_link")

@@ -25,6 +25,8 @@ IMU = "sensor_msgs/msg/Imu"
 ODOM = "nav_msgs/msg/Odometry"
 TF = "tf2_msgs/msg/TFMessage"
 POSE = "geometry_msgs/msg/PoseStamped"
+POSE_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+PATH = "nav_msgs/msg/Path"
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
 START_NS = 1_700_000_000_000_000_000
 PERIOD_NS = 100_000_000
@@ -76,6 +78,12 @@ def build(message: Message, ros: int) -> Any:
         return types[IMU](header, turn, covariance, vector(*f["rates"]), none, vector(*gravity), none)
     if message.type == POSE:
         return types[POSE](header=_header(types, message.stamp_ns, "world", ros), pose=_pose(types, f))
+    if message.type == POSE_COVARIANCE:
+        pose = types["geometry_msgs/msg/PoseWithCovariance"](pose=_pose(types, f), covariance=np.zeros(36))
+        return types[POSE_COVARIANCE](header=_header(types, message.stamp_ns, "world", ros), pose=pose)
+    if message.type == PATH:
+        poses = [build(pose, ros) for pose in f["poses"]]
+        return types[PATH](header=_header(types, message.stamp_ns, "world", ros), poses=poses)
     if message.type == ODOM:
         zero = types["geometry_msgs/msg/Vector3"](x=0.0, y=0.0, z=0.0)
         pose = _pose(types, f)

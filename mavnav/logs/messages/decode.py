@@ -10,8 +10,28 @@ from typing import TYPE_CHECKING, Any
 
 from mavnav.logs.formats.decompress import DecompressError, unpack_message
 from mavnav.logs.messages import carmen
-from mavnav.logs.messages.definitions import FOXGLOVE_SCAN, IMU, ODOMETRY, POSE, SCAN, TF, TF_ROS1, TRANSFORM
-from mavnav.logs.messages.fast_cdr import imu_of, laser_of, odometry_of, pose_of, transform_of, transforms_of
+from mavnav.logs.messages.definitions import (
+    FOXGLOVE_SCAN,
+    IMU,
+    ODOMETRY,
+    PATH,
+    POSE,
+    POSE_COVARIANCE,
+    SCAN,
+    TF,
+    TF_ROS1,
+    TRANSFORM,
+)
+from mavnav.logs.messages.fast_cdr import (
+    covariance_pose_of,
+    imu_of,
+    laser_of,
+    odometry_of,
+    path_of,
+    pose_of,
+    transform_of,
+    transforms_of,
+)
 from mavnav.logs.messages.other_scans import other_scan, suffix_of
 from mavnav.logs.messages.records import DecodeError
 from mavnav.logs.namespaces import topic_and_frame
@@ -137,8 +157,17 @@ DECODERS: dict[tuple[str, str], Callable[[Channel], Callable[[bytes], Any]]] = {
     (carmen.ENCODING, ODOMETRY): carmen.pose_decoder,
     (carmen.ENCODING, TF): carmen.pose_decoder,
 }
+_POSE_READERS: dict[str, Callable[[bytes, str], Any]] = {
+    POSE: pose_of,
+    POSE_COVARIANCE: covariance_pose_of,
+    PATH: path_of,
+    TRANSFORM: transform_of,
+}
 POSE_DECODERS: dict[tuple[str, str], Callable[[Channel], Callable[[bytes], Any]]] = {
     (carmen.ENCODING, TRANSFORM): carmen.pose_decoder,
-    **{(encoding, POSE): partial(_ros_decoder, pose_of) for encoding in ROS_ENCODINGS},
-    **{(encoding, TRANSFORM): partial(_ros_decoder, transform_of) for encoding in ROS_ENCODINGS},
+    **{
+        (encoding, name): partial(_ros_decoder, read)
+        for name, read in _POSE_READERS.items()
+        for encoding in ROS_ENCODINGS
+    },
 }

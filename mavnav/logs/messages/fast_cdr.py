@@ -94,6 +94,21 @@ def pose_of(fields: _CdrFields) -> list[TransformMessage]:
 
 
 @_exactly
+def covariance_pose_of(fields: _CdrFields) -> list[TransformMessage]:
+    """Decode the pose of a geometry_msgs/PoseWithCovarianceStamped; None if the bytes are not exactly one."""
+    pose = fields.transform(child=False)
+    fields.doubles(_COVARIANCE)
+    return [pose]
+
+
+@_exactly
+def path_of(fields: _CdrFields) -> list[TransformMessage]:
+    """Decode the poses of a nav_msgs/Path; None if the bytes are not exactly one."""
+    fields.stamp_ns(), fields.text()
+    return [fields.transform(child=False) for _ in range(fields.count())]
+
+
+@_exactly
 def odometry_of(fields: _CdrFields) -> list[TransformMessage]:
     """Decode the pose of a nav_msgs/Odometry; None if the bytes are not exactly one."""
     pose = fields.transform()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +20,7 @@ from mavnav.logs.writing.mcap_writer import CHUNK_BYTES, OutputChannel, qos_text
 from mavnav.logs.writing.translation import Translator
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
     from pathlib import Path
 
     from mavnav.logs.records import AttachedFile
@@ -49,12 +49,14 @@ def convert_log(
     strict: bool = False,
     force: bool = False,
     progress: Callable[[int, int], None] | None = None,
+    added: Iterable[RawMessage] = (),
 ) -> Conversion:
-    """Write a log as MCAP; the new file is read back and compared before it is renamed to ``target``.
+    """Write a log as MCAP, with ``added`` messages, which are in the order of recording.
 
-    Messages of a known type that do not decode are left out, and with ``strict`` also suspect messages, such as those
-    of a chunk whose checksum does not match. Messages of unknown types are copied unchanged, and so are the quality of
-    service of topics, times of publishing, attachments and metadata records.
+    The new file is read back and compared before it is renamed to ``target``. Messages of a known type that do not
+    decode are left out, and with ``strict`` also suspect messages, such as those of a chunk whose checksum does not
+    match. Messages of unknown types are copied unchanged, and so are the quality of service of topics, times of
+    publishing, attachments and metadata records.
 
     Raises
     ------
@@ -70,7 +72,7 @@ def convert_log(
     try:
         with beside(target, exclusive=not force) as unfinished:
             writing = _Writing(strict, report, Translator(report))
-            _write(source, unfinished, writing, progress)
+            _write(source, unfinished, writing, progress, added)
             topics = writing.topics()
             if not topics:
                 raise NoScansError(f"{source}: {_nothing_read(writing)}")
@@ -115,8 +117,8 @@ class _Writing(Struct):
     numbers: dict[Channel, int] = field(default_factory=dict)
     schemas: dict[Schema, int] = field(default_factory=dict)
 
-    def put(self, writer: Any, message: RawMessage) -> None:  # noqa: ANN401  (mcap is untyped here)
-        """Write a message, or count it as left out."""
+    def put(self, writer: Any, message: RawMessage, *, added: bool = False) -> None:  # noqa: ANN401  (mcap is untyped here)
+        """Write a message, or count it as left out; an ``added`` one to a channel of its topic and type, if any."""
         if self.strict and message.suspect:
             self.left_out["suspect"] += 1
             return
@@ -128,10 +130,11 @@ class _Writing(Struct):
             return
         number = self.numbers.get(channel)
         if number is None:
-            number = self.numbers[channel] = self._register(writer, channel)
+            alike = (n for known, n in self.numbers.items() if added and _kind(known) == _kind(channel))
+            number = self.numbers[channel] = next(alike, None) or self._register(writer, channel)
         sent_ns = message.log_ns if message.publish_ns is None else message.publish_ns
         writer.add_message(number, _stamp(message.log_ns), data, _stamp(sent_ns))
-        self.counts[channel.topic, channel.type, channel.encoding] += 1
+        self.counts[_kind(channel)] += 1
 
     def put_extra(self, writer: Any, extra: AttachedFile | MetadataRecord | str) -> None:  # noqa: ANN401
         """Write what an MCAP holds besides messages, or count it as left out."""
@@ -159,11 +162,21 @@ class _Writing(Struct):
         return tuple(Topic(*key, n) for key, n in sorted(self.counts.items()))
 
 
+def _kind(channel: Channel) -> tuple[str, str, str]:
+    return channel.topic, channel.type, channel.encoding
+
+
 def _stamp(time_ns: int) -> int:
     return min(max(time_ns, 0), _MAX_STAMP_NS)
 
 
-def _write(source: Path, unfinished: Path, writing: _Writing, progress: Callable[[int, int], None] | None) -> None:
+def _write(
+    source: Path,
+    unfinished: Path,
+    writing: _Writing,
+    progress: Callable[[int, int], None] | None,
+    added: Iterable[RawMessage],
+) -> None:
     from mcap.writer import CompressionType, Writer  # noqa: PLC0415
 
     from mavnav.version import __version__  # noqa: PLC0415
@@ -173,10 +186,15 @@ def _write(source: Path, unfinished: Path, writing: _Writing, progress: Callable
         writer = Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         writer.start(profile="ros2", library=f"mavnav {__version__}")
         report.take_extra = partial(writing.put_extra, writer)
+        waiting = deque(added)
         for message in _read(source, report):
+            while waiting and waiting[0].log_ns < message.log_ns:
+                writing.put(writer, waiting.popleft(), added=True)
             writing.put(writer, message)
             if progress:
                 progress(min(report.done_bytes, report.total_bytes), report.total_bytes)
+        for message in waiting:
+            writing.put(writer, message, added=True)
         writer.finish()
 
 

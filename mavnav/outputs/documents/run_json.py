@@ -157,6 +157,21 @@ class Localisation(Struct, frozen=True):
     found: Annotated[FoundPose | None, text("first accepted pose, null if the laser was found nowhere")]
 
 
+class External(Struct, frozen=True):
+    """The trajectory at which the scans were drawn and judged; ``origin`` is the pose of the map frame in its frame."""
+
+    name: Annotated[str, text("name of the trajectory")]
+    source: Annotated[str, text("file, topic or frames of the poses")]
+    frame: Annotated[str, text("what the poses are of: laser, base or a frame of the log")]
+    pose_at: Annotated[str, text("beam of a scan, first, middle or last, at whose time a pose with its stamp holds")]
+    poses: Annotated[int, number("poses of the trajectory")]
+    origin: StartPose
+    command: Annotated[str, text("command that wrote the poses")] = OPTIONAL
+    wall_s: Annotated[float, number("time that the command took by the clock")] = OPTIONAL
+    cpu_s: Annotated[Measured, number("processor time of the command")] = OPTIONAL
+    peak_memory_mb: Annotated[Measured, number("largest memory of a process of the command")] = OPTIONAL
+
+
 class Spread(Struct, frozen=True):
     """The distribution of a number over the scans; null without any."""
 
@@ -298,7 +313,7 @@ class RunDocument(Struct, frozen=True, kw_only=True):
     libraries: Annotated[dict[str, str], text("version of each library")]
     input: LogInput
     config: Config
-    method: Annotated[MethodName, text("SLAM method")]
+    method: Annotated[MethodName | Literal["external"], text("SLAM method; external: poses of another program")]
     grid: Annotated[str, text("points of the search grid in x and y")]
     azimuth: Annotated[int, number("yaw samples of the search")]
     scenario: Annotated[dict[str, Any], text("the effective scenario; see mavnav simulate --schema")] = OPTIONAL
@@ -307,6 +322,7 @@ class RunDocument(Struct, frozen=True, kw_only=True):
     tracking: Tracking
     loop_closure: LoopClosure
     localisation: Localisation = OPTIONAL
+    external: External = OPTIONAL
     continued: Continued = OPTIONAL
     search: Search
     wall_thickness: WallThicknessReport
@@ -326,7 +342,7 @@ class RunDocument(Struct, frozen=True, kw_only=True):
 
 
 METRICS: Final = (
-    "schema_version", "verdict", "scans", "cleaning", "tracking", "loop_closure", "localisation", "search",
+    "schema_version", "verdict", "scans", "cleaning", "tracking", "loop_closure", "localisation", "external", "search",
     "wall_thickness", "map_quality", "reference", "map", "slices", "mission", "truth",
 )  # fmt: skip
 """The keys that metrics.json repeats: they depend on log, configuration and version alone, not on clock or machine."""

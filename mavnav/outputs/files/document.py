@@ -60,7 +60,7 @@ def run_document(run: RunResult, outputs: dict[str, str]) -> model.RunDocument:
         libraries=versions(),
         input=_input(run),
         config=run.config,
-        method=run.config.method,
+        method=run.method,
         grid=str(run.config.grid),
         azimuth=run.config.azimuth,
         scenario=mission.scenario if mission else ABSENT,
@@ -69,6 +69,7 @@ def run_document(run: RunResult, outputs: dict[str, str]) -> model.RunDocument:
         tracking=_tracking(run.slam, run.log, run.config),
         loop_closure=_loop_closure(run),
         localisation=run.localisation or ABSENT,
+        external=run.external or ABSENT,
         continued=run.continued or ABSENT,
         search=_search(run.slam),
         wall_thickness=run.walls,
@@ -99,6 +100,7 @@ def run_verdict(run: RunResult) -> Verdict:
         continued=run.continued,
         partial=run.stopped is not None,
         mission=run.mission is not None,
+        method=run.method,
     )
 
 

@@ -113,7 +113,8 @@ def _subtitle(run: RunResult) -> str:
     config, slam = run.config, run.slam
     scans = f"{len(slam.trajectory)} of {len(slam.steps)} scans accepted ({100 * slam.tracked_share:.0f} %)"
     cell_mm = run.slam.grid.cell_m / MM
-    how = f"method {config.method}, {config.azimuth} yaw samples, search grid {config.grid}, cell {cell_mm:g} mm"
+    search = f"method {config.method}, {config.azimuth} yaw samples, search grid {config.grid}"
+    how = f"{f'poses of {run.external.name}' if run.external else search}, cell {cell_mm:g} mm"
     walls = "" if run.measured.cuts is None else f", {thickness_text(run.walls.spread)}"
     return f"{how}\n{scans}{walls}"
 

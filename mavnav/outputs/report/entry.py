@@ -94,8 +94,8 @@ def file_in(folder: Path, name: str) -> Path:
 
 
 def name_of(cell: dict[str, Any]) -> str:
-    """Return the name of a run within its log: its method, and what `setting_of` says."""
-    return f"{cell.get('method')} {setting_of(cell)}"
+    """Return the name of a run within its log: that of the given poses, else its method, and what `setting_of` says."""
+    return str(cell.get("trajectory") or f"{cell.get('method')} {setting_of(cell)}")
 
 
 def setting_of(cell: dict[str, Any]) -> str:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 from mavnav.outputs.documents import quantities
 from mavnav.outputs.documents.quantities import number
 from mavnav.outputs.report import tables
+from mavnav.slam.findings import EXTERNAL
 from mavnav.units import pluralize
 
 if TYPE_CHECKING:
@@ -166,5 +167,7 @@ def _cost(sound: Sequence[NamedRun], best: NamedRun) -> str:
 
 
 def _fewest_evaluations(sound: Sequence[NamedRun]) -> str:
+    if any(e.document.get("method") == EXTERNAL for e in sound):
+        return ""
     cheapest = min(sound, key=lambda e: number(e.document, "search.evaluations_per_scan.mean") or float("inf"))
     return f"; {cheapest.name} needs the fewest evaluations"

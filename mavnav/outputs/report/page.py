@@ -49,6 +49,7 @@ def single(document: dict[str, Any], directory: str = ".") -> dict[str, Any]:
     """Return a comparison document with one run, whose files are in ``directory``."""
     cell = {key: document[key] for key in ("method", "grid", "azimuth", "exit_code")}
     cell |= {"log": document["input"]["path"], "status": "done", "directory": directory}
+    cell |= {"trajectory": document["external"]["name"]} if "external" in document else {}
     return {"schema_version": 1, "mavnav_version": document["mavnav_version"], "cells": [cell]}
 
 

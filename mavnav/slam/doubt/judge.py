@@ -42,7 +42,7 @@ RESAMPLED = "resampled track"
 
 def judge_track(track: Track, refiner: Refiner) -> Track:
     """Add the probability that a track is wrong; not in a given map, or if nothing was tracked."""
-    return _judge(track, refiner, WORTH_A_TRACK) if refiner.builds_map else track
+    return judge(track, refiner, WORTH_A_TRACK) if refiner.builds_map else track
 
 
 def judge_flown(track: Track, refiner: Refiner) -> Track:
@@ -50,7 +50,7 @@ def judge_flown(track: Track, refiner: Refiner) -> Track:
 
     Its commands, which the prediction follows, tell nothing of where the vehicle is; so nothing else contradicts it.
     """
-    return _judge(track, refiner, 0.0)
+    return judge(track, refiner, 0.0)
 
 
 def judge_redrawn(track: Track) -> Track:
@@ -59,6 +59,13 @@ def judge_redrawn(track: Track) -> Track:
     So are judged a causal track, one in a given map, and that of another method, which is always compared with a track
     of the default one.
     """
+    alone, drawn = redraw(track)
+    least = WORTH_A_TRACK if track.config.method == alone.config.method else 0.0
+    return track.with_findings(doubt=judge(alone, drawn, least).findings.doubt)
+
+
+def redraw(track: Track) -> tuple[Track, Refiner]:
+    """Return the track with a new map, of its scans at their poses, every scan matched against it, and its refiner."""
     config = replace(track.config, method="robust", final_pass=True)
     drawn = Robust(config)
     for step, scan, motion in track.placed_scans("doubt"):
@@ -66,13 +73,11 @@ def judge_redrawn(track: Track) -> Track:
     drawn.remove_dynamic_cells()
     motion = track.motion._replace(expects_rest=False)
     alone = replace(track, config=config, method=drawn, motion=motion, steps=Steps(track.steps), prior_map=None)
-    alone = refine_against_final_map(alone, drawn)
-    least = WORTH_A_TRACK if track.config.method == config.method else 0.0
-    return track.with_findings(doubt=_judge(alone, drawn, least).findings.doubt)
+    return refine_against_final_map(alone, drawn), drawn
 
 
 @timed("doubt")
-def _judge(track: Track, refiner: Refiner, worth_a_track: float) -> Track:
+def judge(track: Track, refiner: Refiner, worth_a_track: float) -> Track:
     """Judge a track by its features; from a doubt of ``worth_a_track`` on, compare it with a resampled track."""
     if len(track.findings.observed) < len(track.steps) or track.steps.column("tracked").sum() < FEWEST:
         return track

@@ -21,7 +21,7 @@ from mavnav.outputs.documents.schema import number_schema, run_keys, run_schema
 from mavnav.outputs.files.document import plain, run_document, to_json
 from mavnav.slam.matching.steps import LostInterval, Steps
 
-OPTIONAL = {"slices", "scenario", "localisation", "continued", "reference", "mission", "truth"}
+OPTIONAL = {"slices", "scenario", "localisation", "external", "continued", "reference", "mission", "truth"}
 TYPES = {
     "object": dict, "array": list, "string": str, "boolean": bool, "null": type(None), "integer": int,
     "number": (int, float),
@@ -63,6 +63,13 @@ def check(document: dict[str, Any], *optional: str) -> None:
 def made(folder: Path, *args: object) -> dict[str, Any]:
     command([*map(str, args), "-o", str(folder), "-q"])
     return json.loads((folder / "run.json").read_text())
+
+
+def test_a_scored_run(tmp_path: Path, repo_root: Path) -> None:
+    log, first = str(repo_root / "sample_logs" / "corridor.mcap"), tmp_path / "first"
+    made(first, "replay", log, "--end", 2)
+    command(["score", log, "--end", "2", "--trajectory", f"own={first}", "-o", str(tmp_path / "scores"), "-q"])
+    check(json.loads((tmp_path / "scores" / "own" / "run.json").read_text()), "external")
 
 
 def test_a_replay_with_references_and_its_localisation(tmp_path: Path, repo_root: Path) -> None:

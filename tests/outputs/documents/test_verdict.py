@@ -35,6 +35,11 @@ def doubtful(probability: float | None, *reasons: tuple[str, float, float, float
     return run(doubt={"probability": probability, "reasons": listed})
 
 
+def external(pairs: int, revisits_mm: float | None, neighbors_mm: float | None) -> dict[str, Any]:
+    known = {"pairs": pairs, "nn_l_mm": revisits_mm, "nn_s_mm": neighbors_mm}
+    return GOOD | {"method": "external", "map_quality": GOOD["map_quality"] | {"revisits": known}}
+
+
 def lost(share: float = 0.3, **more: Any) -> dict[str, Any]:
     return run(lost=True, tracked_share=share, **more)
 
@@ -50,6 +55,27 @@ def test_a_run_without_a_sign_of_an_error_is_good_and_needs_no_advice() -> None:
 )
 def test_the_doubt_decides(probability: float, word: str) -> None:
     assert verdict_of(doubtful(probability, ("slip", 3.0, 3.0, 2.0))).word == word
+
+
+@pytest.mark.parametrize(
+    "sections",
+    [
+        external(100, 21.9, 10.0),
+        external(99, 90.0, 10.0),
+        external(100, None, 10.0),
+        external(100, 90.0, 10.0) | {"method": "robust"},
+    ],
+)
+def test_revisits_that_fit_as_well_as_those_of_good_tracks_do_no_harm(sections: dict[str, Any]) -> None:
+    assert verdict_of(sections).word == "good"
+
+
+def test_given_poses_are_doubted_and_lost_without_advice_for_a_search() -> None:
+    doubted = doubtful(0.8, ("slip", 3.0, 3.1, 2.0)) | {"method": "external"}
+    assert verdict_of(doubted).advice == "compare map.png with the place"
+    few = lost(0.4) | {"method": "external"}
+    assert verdict_of(few).reason == "only 40 % of the scans have a pose"
+    assert "the clock of its scans" in verdict_of(few).advice
 
 
 def test_the_cause_is_the_strongest_stretch_of_the_first_reason_that_is_no_symptom() -> None:
@@ -107,6 +133,11 @@ def test_every_reason_of_the_doubt_has_a_meaning() -> None:
                 }
             },
             "the map cannot be measured: 0.3 m of its occupied cells lie on straight lines, 2 m are needed",
+            "compare map.png with the place",
+        ),
+        (
+            external(100, 22.1, 10.0),
+            "places that are seen again are drawn 22 mm apart, scans in a row 10 mm",
             "compare map.png with the place",
         ),
         (doubtful(None), "too few scans to check the path", "compare map.png with the place"),

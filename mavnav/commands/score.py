@@ -1,0 +1,105 @@
+"""``mavnav score LOG --trajectory ...``: trajectories of other programs, judged by the scans of the log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mavnav.commands import shared
+from mavnav.commands.comparison_table import print_comparison
+from mavnav.commands.progress import loading_modules, reporting
+from mavnav.commands.sources import local_log
+from mavnav.commands.terminal import emit, emit_json, note
+from mavnav.config.options import REFERENCES, read_options, settings_of
+from mavnav.errors import worst
+
+EPILOG = """
+[bold]Examples[/bold]
+mavnav score drive.mcap --trajectory toolbox=toolbox.tum --trajectory hector=hector.csv
+mavnav score drive.mcap --trajectory slam=tf:map,base_link --trajectory ekf=topic:/odometry/filtered@first
+mavnav score drive.mcap --trajectory mavnav=runs/drive --trajectory other=base_poses.tum,base
+mavnav score drive.mcap --trajectory mavnav=runs/drive --external kiss='python kiss.py {log} {out}' --time-limit 600
+"""
+
+
+@shared.with_options("topic", "start_s", "end_s", "attitude", "extrinsic", "strict", *REFERENCES)
+def score(
+    context: typer.Context,
+    logs: shared.LogParts,
+    *,
+    trajectories: Annotated[
+        list[str] | None,
+        shared.input_option(
+            "--trajectory",
+            metavar="[NAME=]SOURCE",
+            help="FILE[,FRAME] (TUM, CSV, EuRoC, or a run), topic:/T or tf:MAP,FRAME; @first, @middle or @last: where "
+            "in the sweep a pose holds (default middle). Repeatable.",
+        ),
+    ] = None,
+    programs: Annotated[
+        list[str] | None,
+        shared.input_option(
+            "--external",
+            metavar="NAME=COMMAND",
+            help="Run a program that reads the log, {log}, and writes a trajectory, {out}. Repeatable.",
+        ),
+    ] = None,
+    limit_s: Annotated[
+        float, shared.resource_option("--time-limit", min=0.0, metavar="SECONDS", help="Longest time of a program.")
+    ] = 3600.0,
+    config: shared.ConfigFile = None,
+    sets: shared.Sets = None,
+    directory: Annotated[
+        Path | None, shared.directory_option(help="Output directory, with a run for each (default runs/score-LOG).")
+    ] = None,
+    force: shared.Force = False,
+    json: shared.Json = False,
+    quiet: shared.Quiet = False,
+    gates: shared.Gates = None,
+    **given: object,
+) -> None:
+    """Draw the map at given poses, and judge these by the scans: any program's trajectory, by the same measures."""
+    options = read_options(given)
+    bounds = shared.gates_of(gates)
+    shared.check_gates(bounds, *(["reference"] if {*REFERENCES} & options.keys() else []))
+    with local_log(logs) as source, reporting(quiet=quiet) as report:
+        with loading_modules():
+            from mavnav.comparison.document import problems, remarks, write_comparison
+            from mavnav.comparison.scores import score_document
+            from mavnav.config.loading import load_config
+            from mavnav.logs.formats.detect import log_name
+            from mavnav.outputs.documents.provenance import Typed
+            from mavnav.outputs.writers import REPORT_FILE, write_page
+            from mavnav.pipelines.programs import read_program
+            from mavnav.pipelines.score import ScoreRequest, read_source, score_log
+        target = directory or Path("runs") / f"score-{log_name(source.path)}"
+        request = ScoreRequest(
+            source.path,
+            target,
+            load_config(config, sets or [], settings_of(options)),
+            tuple(map(read_source, trajectories or ())),
+            options,
+            force,
+            Typed(context.obj, config, tuple(sets or ())),
+            source.more,
+            tuple(map(read_program, programs or ())),
+            limit_s,
+        )
+        scored = score_log(request, report)
+        document = score_document(source.name, scored)
+        write_comparison(document, target)
+        report("drawing the report", 0, None)
+        write_page(document, target)
+    if json:
+        emit_json(document)
+    else:
+        print_comparison(document)
+        emit(f"\nreport  {target / REPORT_FILE}")
+    for problem in problems(document):
+        note(f"mavnav: error: {problem}")
+    for remark in remarks(document):
+        note(f"mavnav: warning: {remark}")
+    gated = [shared.gated_code(each.document, bounds) for each in scored if each.document]
+    raise typer.Exit(worst([document["exit_code"], *gated]))

@@ -1,0 +1,125 @@
+"""Poses of a frame by the transforms of a log, as tf2 looks them up: static ones, and moving ones interpolated."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+from msgspec import Struct, field
+
+from mavnav.errors import TopicError
+from mavnav.logs.transforms import frame_name, planar
+from mavnav.pose import Pose, Trajectory, between
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from mavnav.logs.log import Log
+    from mavnav.logs.pose_track import PoseTrack
+    from mavnav.logs.transforms import FrameTree
+
+    Edge = tuple[str, str]
+
+TF_PREFIX: Final = "tf:"
+"""Begins the name of poses that are those of a frame: ``tf:MAP,FRAME``, or ``tf:MAP`` for the frame of the scans."""
+
+
+_ANY_GAP_NS: Final = 1 << 62
+"""Transforms are interpolated over gaps of any length, as by tf2: those of a SLAM system may be sent at each update."""
+
+
+class FramePoses(Struct):
+    """The poses of ``base_frame`` in another frame; ``moving`` are all transforms that were met, by parent and child.
+
+    ``topic`` is the name as it was given. It stands in for a `PoseTrack`.
+    """
+
+    topic: str
+    base_frame: str
+    frames: FrameTree
+    moving: dict[Edge, PoseTrack] = field(default_factory=dict)
+
+    @property
+    def _still(self) -> dict[Edge, NDArray[np.float64]]:
+        """The transforms that do not move."""
+        constant = {edge: m for edge, m in self.frames.moving.items() if edge not in self.frames.changed}
+        return constant | self.frames.static
+
+    @property
+    def names(self) -> set[str]:
+        """The frames of the log."""
+        return {frame for edge in (*self.moving, *self._still) for frame in edge}
+
+    @property
+    def fixed(self) -> str:
+        """The frame of the poses: without a name that from which all others above the body hang."""
+        if name := frame_name(self.topic.removeprefix(TF_PREFIX).partition(",")[0]):
+            return name
+        parents, root = {child: parent for parent, child in (*self._still, *self.moving)}, self.base_frame
+        while root in parents:
+            root = parents.pop(root)
+        return root
+
+    def paths(self, log: Log, warn: Callable[[str], None]) -> list[Step]:
+        """Return the transforms on the way from the fixed frame to the body; raises TopicError without one."""
+        still, fixed = self._still, self.fixed
+        steps = _steps([*self.moving, *still], fixed, self.base_frame)
+        if steps is None:
+            known = ", ".join(sorted(self.names)) or "none"
+            raise TopicError(f"no transforms lead from {fixed!r} to {self.base_frame!r}; frames of the log: {known}")
+        return [
+            Step(planar(still[edge]) if edge in still else self.moving[edge].trajectory(log, warn)[0], upwards)
+            for edge, upwards in steps
+        ]
+
+    def trajectory(self, log: Log, warn: Callable[[str], None]) -> tuple[Trajectory, float]:
+        """Return ``fixed_T_base`` at the stamps of the fastest of the transforms between; raises TopicError."""
+        steps = self.paths(log, warn)
+        moving = (step.path.stamps_ns for step in steps if isinstance(step.path, Trajectory))
+        stamps_ns = max(moving, key=len, default=np.zeros(0, np.int64))
+        poses = followed(steps, stamps_ns)
+        known = np.isfinite(poses[:, 0])
+        return Trajectory(stamps_ns[known], poses[known]), 0.0
+
+
+class Step(NamedTuple):
+    """A transform from a frame to the next, over time or constant; ``upwards`` from a child to its parent."""
+
+    path: Trajectory | Pose
+    upwards: bool
+
+
+def followed(steps: list[Step], stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the poses (n, 3) at the end of transforms at times (n,); NaN where one of them is not known."""
+    poses = np.zeros((len(stamps_ns), 3))
+    for path, upwards in steps:
+        if isinstance(path, Trajectory):
+            step = path.poses_at(stamps_ns, _ANY_GAP_NS)
+        else:
+            step = np.tile(path.as_array(), (len(stamps_ns), 1))
+        poses = between(_inverse(poses), _inverse(step) if upwards else step)
+    return poses
+
+
+def _inverse(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    return between(poses, np.zeros_like(poses))
+
+
+def _steps(edges: list[Edge], start: str, end: str) -> list[tuple[Edge, bool]] | None:
+    """Return the shortest way between two frames, each step with whether it leads to the parent; None without one."""
+    neighbours: dict[str, list[tuple[str, Edge, bool]]] = {}
+    for parent, child in edges:
+        neighbours.setdefault(parent, []).append((child, (parent, child), False))
+        neighbours.setdefault(child, []).append((parent, (parent, child), True))
+    way: dict[str, list[tuple[Edge, bool]]] = {start: []}
+    queue = deque([start])
+    while queue and end not in way:
+        frame = queue.popleft()
+        for other, edge, upwards in neighbours.get(frame, []):
+            if other not in way:
+                way[other] = [*way[frame], (edge, upwards)]
+                queue.append(other)
+    return way.get(end)

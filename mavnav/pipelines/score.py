@@ -1,0 +1,275 @@
+"""The pipeline of ``mavnav score``: a log and trajectories of other programs -> a run directory for each of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from time import perf_counter, process_time
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+from msgspec import Struct, field
+from msgspec.structs import replace
+
+from mavnav.config.loading import to_scalar
+from mavnav.config.models import Config
+from mavnav.config.option_kinds import recorded_topic
+from mavnav.config.options import ReplayOptions, paths_of, reference_files, words_of
+from mavnav.errors import UsageError
+from mavnav.ground_truth.references import SWEEPS, compare_to, in_time_of_truth, load_references
+from mavnav.ground_truth.tables import read_trajectory
+from mavnav.logs import open_log
+from mavnav.mapping.occupancy_grid import occupied_xy_m
+from mavnav.metrics.reference import position_errors
+from mavnav.outputs.directory import check_directory
+from mavnav.outputs.documents.provenance import Typed, provenance, utc_now
+from mavnav.outputs.documents.run_json import External, StartPose
+from mavnav.outputs.run import RunResult, Timing, half_sweep_s
+from mavnav.outputs.writers import write_run
+from mavnav.pipelines.again import changed_values
+from mavnav.pipelines.maps import check_references, measured_map, references_in_map
+from mavnav.pipelines.programs import run_program
+from mavnav.pipelines.reach import with_reach
+from mavnav.pose import Pose
+from mavnav.profiling import new_profile
+from mavnav.slam.given_poses import draw_at_poses
+from mavnav.slam.methods.registry import load_kernels
+from mavnav.units import DEG, NS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mavnav.ground_truth.references import References
+    from mavnav.logs import Log
+    from mavnav.pipelines.programs import Program, ProgramCost
+    from mavnav.pose import Trajectory
+    from mavnav.profiling import Progress
+
+LASER: Final = "laser"
+BASE: Final = "base"
+RUN_POSES: Final = "trajectory.tum"
+PROGRAMS: Final = "programs"
+"""Folder of what programs write and print."""
+
+
+class Source(Struct, frozen=True):
+    """Where a trajectory comes from: ``recorded`` is a topic or ``tf:MAP,FRAME`` of the log, else ``path`` is a file.
+
+    Poses of a file are those of ``frame``. With the stamp of a scan they hold at its beam ``pose_at``.
+    """
+
+    name: str
+    text: str
+    frame: str = ""
+    pose_at: str = "middle"
+
+    @property
+    def recorded(self) -> str | None:
+        """The topic or the frames of the log; None for a file."""
+        return recorded_topic(self.text)
+
+    @property
+    def path(self) -> Path:
+        """The file; that of the poses in a run directory."""
+        path = Path(self.text)
+        return path / RUN_POSES if path.is_dir() else path
+
+
+def read_source(text: str) -> Source:
+    """Read ``[NAME=]FILE[,FRAME]``, ``[NAME=]topic:/T`` or ``[NAME=]tf:MAP,FRAME``, each with ``@first|middle|last``.
+
+    Raises UsageError for a name that cannot be that of a directory.
+    """
+    name, has_name, source = text.partition("=")
+    source = source if has_name else text
+    before, _, at = source.rpartition("@")
+    source, at = (before, at) if at in SWEEPS else (source, "middle")
+    if recorded_topic(source) is not None:
+        frame = ""
+        name = name if has_name else source.rpartition("/")[2].replace(":", "_")
+    else:
+        file, _, after = source.rpartition(",")
+        source, frame = (file, after) if file and not Path(source).exists() else (source, LASER)
+        name = name if has_name else Path(source).stem
+    if not name or Path(name).name != name:
+        raise UsageError(f"--trajectory {text!r}: {name!r} names no directory; write NAME=FILE with a plain name")
+    return Source(name, source, frame, at)
+
+
+class ScoreRequest(Struct, frozen=True):
+    """A log, the trajectories to score on it, how maps are drawn, and the directory of their runs."""
+
+    log: Path
+    directory: Path
+    config: Config
+    sources: tuple[Source, ...]
+    options: ReplayOptions[Path] = field(default_factory=ReplayOptions[Path])
+    force: bool = False
+    typed: Typed = field(default_factory=Typed)
+    more: tuple[Path, ...] = ()
+    programs: tuple[Program, ...] = ()
+    limit_s: float = 3600.0
+
+
+class Scored(NamedTuple):
+    """A trajectory that was scored: its name, which is that of its directory, and its run.json, or why it has none."""
+
+    name: str
+    document: dict[str, Any] | None
+    error: str = ""
+
+
+class _Poses(Struct, frozen=True):
+    """A trajectory of the laser, what its poses were of, and what a program took to write it."""
+
+    source: Source
+    world_T_laser: Trajectory
+    frame: str
+    program: dict[str, Any] = {}
+
+
+def score_log(request: ScoreRequest, progress: Progress) -> list[Scored]:
+    """Draw and judge the scans at the poses of every trajectory and every program.
+
+    What can be wrong with log, files and directories is found before the first program is run. Raises UsageError,
+    TopicError, NoScansError and OutputError; a program that fails is a result without a document.
+    """
+    names = [*(source.name for source in request.sources), *(program.name for program in request.programs)]
+    if not names:
+        raise UsageError("no trajectory; name one with --trajectory, or a program with --external")
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise UsageError(f"two trajectories are named {twice[0]}; write NAME=FILE with another name for one of them")
+    inputs = (request.log, *request.more, *paths_of(request.options))
+    files = [source.path for source in request.sources if source.recorded is None]
+    for name in names:
+        check_directory(request.directory / name, force=request.force, inputs=(*inputs, *files))
+    references = load_references(**reference_files(request.options))
+    progress("reading", 0, None)
+    truth = request.options.get("truth")
+    log = _open(request, recorded_topic(truth) if isinstance(truth, str) else None)
+    check_references(references, log, request.options.get("truth_map"), request.options.get("start_s"), own_frame=True)
+    poses = [_read(source, request, log) for source in request.sources]
+    config, warnings = with_reach(request.config, log)
+    load_kernels(config, progress)
+    log = replace(log, warnings=(*warnings, *log.warnings))
+    request = replace(request, config=config)
+    scored = [Scored(each.source.name, _score(each, request, log, references, progress)) for each in poses]
+    for program in request.programs:
+        progress(program.name, 0, None)
+        cost = run_program(program, request.log, _written(program, request), request.limit_s)
+        poses_or_error = _written_poses(program, cost, request, log)
+        if isinstance(poses_or_error, str):
+            scored.append(Scored(program.name, None, poses_or_error))
+        else:
+            scored.append(Scored(program.name, _score(poses_or_error, request, log, references, progress)))
+    return scored
+
+
+def _written(program: Program, request: ScoreRequest) -> Path:
+    return request.directory / PROGRAMS / f"{program.name}.tum"
+
+
+def _written_poses(program: Program, cost: ProgramCost, request: ScoreRequest, log: Log) -> _Poses | str:
+    """Return what a program wrote, or why it cannot be used."""
+    if cost.problem:
+        return cost.problem
+    try:
+        poses = _read(Source(program.name, str(_written(program, request)), LASER), request, log)
+    except UsageError as error:
+        return str(error)
+    measured = {"wall_s": cost.wall_s, "cpu_s": cost.cpu_s, "peak_memory_mb": cost.peak_memory_mb}
+    return replace(poses, program={"command": program.command, **measured})
+
+
+def _open(request: ScoreRequest, recorded: str | None) -> Log:
+    """Survey the log, with the poses of a topic or a frame as its truth; odometry is not used."""
+    options = request.options
+    extrinsic = options.get("extrinsic")
+    return open_log(
+        request.log,
+        topic=options.get("topic"),
+        odom="off",
+        start_s=options.get("start_s"),
+        end_s=options.get("end_s"),
+        extrinsic=Pose(*extrinsic) if extrinsic else None,
+        strict=options.get("strict", False),
+        truth=recorded,
+        attitude=request.config.attitude,
+        upside_down=request.config.upside_down,
+        more=request.more,
+    )
+
+
+def _read(source: Source, request: ScoreRequest, log: Log) -> _Poses:
+    """Read the poses of the laser; raises UsageError for those of another time, and for a frame without a mounting."""
+    if source.recorded is not None:
+        truth = _open(request, source.recorded).truth
+        path, frame = (truth.world_T_laser, truth.body_frame or BASE) if truth else (None, "")
+    else:
+        path, frame = read_trajectory(source.path).compose(_mounting(source, log)), source.frame
+    if path is None or not log.shares_time(path.stamps_ns):
+        ends = "no poses" if not path else "{:.1f} to {:.1f} s".format(*(path.stamps_ns[[0, -1]] * NS))
+        span = f"{log.first_ns * NS:.1f} to {log.last_ns * NS:.1f} s"
+        advice = "give poses with the clock of the scans"
+        raise UsageError(f"{source.text}: its poses ({ends}) and the scans ({span}) share no time; {advice}")
+    return _Poses(source, path, frame)
+
+
+def _mounting(source: Source, log: Log) -> Pose:
+    """Return the pose of the laser on the body of a file's poses."""
+    if source.frame in {LASER, log.frame_id.lstrip("/")}:
+        return Pose()
+    if source.frame not in {BASE, log.base_frame}:
+        known = ", ".join(filter(None, (LASER, BASE, log.frame_id.lstrip("/"), log.base_frame)))
+        raise UsageError(f"{source.text},{source.frame}: no frame of the laser or its base; known are {known}")
+    if log.base_T_laser is None:
+        raise UsageError(
+            f"{source.text},{source.frame}: the log has no mounting of the laser; give it with --extrinsic x,y,yaw"
+        )
+    return log.base_T_laser
+
+
+def _score(
+    poses: _Poses, request: ScoreRequest, log: Log, references: References, progress: Progress
+) -> dict[str, Any]:
+    """Draw, judge, measure and write one trajectory; return its run.json."""
+    wall_s, cpu_s, stages = perf_counter(), process_time(), new_profile(loading=0.0, starting=0.0)
+    source, config = poses.source, request.config
+    outcome, world_T_map = draw_at_poses(
+        log.scans,
+        config,
+        log.period_s,
+        poses.world_T_laser,
+        log.stamps_ns,
+        round(SWEEPS[source.pose_at] * log.mid_sweep_s / NS),
+        lambda _, done: progress(source.name, done, log.counts.usable),
+    )
+    held = in_time_of_truth(outcome.trajectory, half_sweep_s(log, outcome), config.truth_at)
+    references, warnings = references_in_map(references, log, int(held.stamps_ns[0]) if len(held) else None)
+    outcome = replace(outcome, warnings=(*outcome.warnings, *warnings))
+    origin = StartPose(world_T_map.x_m, world_T_map.y_m, world_T_map.yaw_rad / DEG)
+    measured = measured_map(outcome, log)
+    run = RunResult(
+        log=log,
+        config=config,
+        slam=outcome,
+        measured=measured,
+        timing=Timing(perf_counter() - wall_s, process_time() - cpu_s, 0.0, stages),
+        provenance=provenance(utc_now(), request.typed, [*_again(request, source)]),
+        external=External(
+            source.name, source.text, poses.frame, source.pose_at, len(poses.world_T_laser), origin, **poses.program
+        ),
+        reference=compare_to(references, held, occupied_xy_m(outcome.grid)),
+        true_map=references.true_map,
+        position_errors_m=position_errors(held, references.truth, aligned=True) if references.truth else None,
+    )
+    return write_run(run, request.directory / source.name, force=request.force)
+
+
+def _again(request: ScoreRequest, source: Source) -> Iterator[str]:
+    """Yield the words of a command line that scores a trajectory once more."""
+    yield from ("mavnav", "score", *(str(path.absolute()) for path in (request.log, *request.more)))
+    text = source.text if source.recorded is not None else str(Path(source.text).absolute())
+    frame = f",{source.frame}" if source.frame else ""
+    yield f"--trajectory={source.name}={text}{frame}@{source.pose_at}"
+    yield from words_of(request.options)
+    changed = changed_values(request.config, Config())
+    yield from (f"--set={key}={to_scalar(value)}" for key, value in changed.items() if key != "method")

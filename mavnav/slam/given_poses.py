@@ -1,0 +1,84 @@
+"""The scans of a log at the poses of another program: drawn and judged, never moved."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from msgspec.structs import replace
+
+from mavnav.pose import Pose
+from mavnav.slam.doubt.judge import WORTH_A_TRACK, judge, redraw
+from mavnav.slam.matching.motion_model import Motion
+from mavnav.slam.matching.scan_matching import first_match, no_match
+from mavnav.slam.matching.steps import Step, Steps
+from mavnav.slam.methods.robust import Robust
+from mavnav.slam.result import summarize
+from mavnav.slam.track import Track
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from mavnav.config.models import Config
+    from mavnav.pose import Trajectory
+    from mavnav.slam.result import SlamResult
+    from mavnav.slam.track import LogScans, OnStep
+
+LONGEST_GAP_NS: Final = 1_000_000_000
+"""Longest time between two poses of a trajectory over which they are interpolated, as that of truths."""
+
+ROUNDED_NS: Final = 1_000_000
+"""Largest time of a scan before the first pose or after the last that rounding in a text file explains."""
+
+
+def draw_at_poses(
+    log_scans: LogScans,
+    config: Config,
+    period_s: float,
+    world_T_laser: Trajectory,
+    scans_ns: NDArray[np.int64],
+    holds_ns: int = 0,
+    on_step: OnStep | None = None,
+) -> tuple[SlamResult, Pose]:
+    """Draw the map of scans at the poses of a trajectory, judge it, and return the pose of its frame in the world.
+
+    The map frame is the laser at the first scan with a pose. Neither odometry nor an inertial sensor is evidence.
+
+    Parameters
+    ----------
+    log_scans : returns the scans; every call starts at the first scan
+    config : how the map is drawn: the cells, ranges and de-skewing of the robust method
+    period_s : time between scans
+    world_T_laser : the poses, interpolated between the stamps
+    scans_ns : stamps (n,) of all scans
+    holds_ns : time from the stamp of a scan to that of its pose
+    on_step : called with the name of the pass and the number of scans done
+    """
+    xyyaw = world_T_laser.poses_at(_within_rounding(scans_ns + holds_ns, world_T_laser), LONGEST_GAP_NS)
+    known = np.flatnonzero(np.isfinite(xyyaw[:, 0]))
+    world_T_map = Pose(*xyyaw[known[0]].tolist()) if len(known) else Pose()
+    steps = Steps(_steps(scans_ns, xyyaw, world_T_map.inverse()))
+    causal = replace(config, final_pass=False)  # what warns of a log that mavnav tracked does not apply
+    track = Track(log_scans, causal, Motion(period_s), Robust(config), steps=steps, on_step=on_step)
+    drawn, refiner = redraw(track)
+    judged = judge(drawn, refiner, WORTH_A_TRACK)
+    unmoved = (
+        step._replace(match=best.match._replace(map_T_laser=step.match.map_T_laser, evaluations=0, iterations=0))
+        for step, best in zip(steps, drawn.steps, strict=True)
+    )
+    return summarize(replace(judged, steps=Steps(unmoved))), world_T_map
+
+
+def _steps(scans_ns: NDArray[np.int64], xyyaw: NDArray[np.float64], map_T_world: Pose) -> Iterator[Step]:
+    for k, (stamp_ns, pose) in enumerate(zip(scans_ns.tolist(), xyyaw.tolist(), strict=True)):
+        tracked = bool(np.isfinite(pose[0]))
+        match = first_match(0)._replace(map_T_laser=map_T_world @ Pose(*pose)) if tracked else no_match(Pose())
+        yield Step(k, stamp_ns, match, tracked)
+
+
+def _within_rounding(stamps_ns: NDArray[np.int64], path: Trajectory) -> NDArray[np.int64]:
+    """Return stamps (n,) of which those just outside of a path, by rounding, are moved to its ends."""
+    inside = np.clip(stamps_ns, *path.stamps_ns[[0, -1]]) if len(path) else stamps_ns
+    return np.where(np.abs(stamps_ns - inside) <= ROUNDED_NS, inside, stamps_ns)

@@ -1,0 +1,116 @@
+"""Poses of other programs are judged by the scans: the truth is best, every error shows, and no pose is moved."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mavnav.config.loading import load_config
+from mavnav.errors import UsageError
+from mavnav.logs import Log, open_log
+from mavnav.metrics.wall_spread import wall_report
+from mavnav.outputs.files.document import track_verdict
+from mavnav.pipelines.maps import measured_map
+from mavnav.pipelines.score import Source, read_source
+from mavnav.pose import Pose, Trajectory
+from mavnav.slam.given_poses import draw_at_poses
+from mavnav.slam.result import SlamResult
+from support.field_logs import START_S, drive_log
+from support.log_files import write_mcap
+from support.synthetic import along
+
+CORNERS = [(1.0, 0.8), (4.9, 0.8), (4.6, 2.9), (1.2, 2.6), (1.0, 0.8), (4.9, 0.8)]
+PATH = along(CORNERS, 0.02, 0.8, 1.5, START_S * 10**9)
+
+
+def planted(xyyaw: np.ndarray, error: str) -> Trajectory:
+    """Return the true path with an error in its second half."""
+    stamps_ns, poses, half = PATH.stamps_ns, xyyaw.copy(), len(xyyaw) // 2
+    if error == "slip of 0.1 m":
+        poses[half:, 0] += 0.1
+    elif error == "bend of 2 deg":
+        bend = Pose(*poses[half]) @ Pose(yaw_rad=np.radians(2.0)) @ Pose(*poses[half]).inverse()
+        poses[half:] = [bend @ Pose(*pose) for pose in poses[half:]]
+    elif error == "scale of 1.02":
+        poses[:, :2] *= 1.02
+    elif error == "0.2 s late":
+        stamps_ns = stamps_ns + 200_000_000
+    return Trajectory(stamps_ns, poses)
+
+
+ERRORS = ("slip of 0.1 m", "bend of 2 deg", "scale of 1.02", "0.2 s late")
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Log:
+    messages = drive_log(path=PATH, beams=180, noise_m=0.005)
+    return open_log(write_mcap(tmp_path_factory.mktemp("log") / "log.mcap", messages))
+
+
+def drawn(log: Log, path: Trajectory) -> tuple[SlamResult, Pose]:
+    """Return what comes of poses that hold at their stamps."""
+    config, mid_sweep_ns = load_config(None, [], {}), round(log.mid_sweep_s * 1e9)
+    return draw_at_poses(log.scans, config, log.period_s, path, log.stamps_ns, mid_sweep_ns)
+
+
+def quality(log: Log, outcome: SlamResult) -> tuple[float, float]:
+    """Return the distance at revisits and the 95 % quantile of the wall thickness, mm."""
+    measured = measured_map(outcome, log)
+    walls = wall_report(measured.sections, measured.published, measured.cuts, outcome.grid.cell_m)
+    return measured.quality.revisits.nn_l_mm, walls.spread.p95_mm
+
+
+@pytest.fixture(scope="module")
+def true(log: Log) -> tuple[SlamResult, Pose]:
+    return drawn(log, PATH)
+
+
+@pytest.mark.parametrize("error", ERRORS)
+def test_every_planted_error_shows(log: Log, true: tuple[SlamResult, Pose], error: str) -> None:
+    outcome, _ = drawn(log, planted(PATH.xyyaw, error))
+    (best_mm, thin_mm), (revisits_mm, thick_mm) = quality(log, true[0]), quality(log, outcome)
+    assert thick_mm > 1.25 * thin_mm
+    assert revisits_mm > best_mm
+
+
+def test_the_truth_is_good_and_stays_where_it_is(log: Log, true: tuple[SlamResult, Pose]) -> None:
+    outcome, world_T_map = true
+    assert track_verdict(outcome, log, load_config(None, [], {})).word == "good"
+    expected = PATH.poses_at(outcome.trajectory.stamps_ns + round(log.mid_sweep_s * 1e9), 10**9)
+    np.testing.assert_allclose(outcome.trajectory.seen_from(world_T_map).xyyaw, expected, atol=1e-9)
+    assert outcome.tracked_share == 1.0
+
+
+def test_stamps_that_a_text_file_has_rounded_are_those_of_the_scans(log: Log) -> None:
+    at_scans = log.stamps_ns + np.where(np.arange(len(log.stamps_ns)) < 5, 400, -400)  # just inside
+    path = Trajectory(at_scans, PATH.poses_at(log.stamps_ns, 10**9))
+    config = load_config(None, [], {})
+    outcome, _ = draw_at_poses(log.scans, config, log.period_s, path, log.stamps_ns)
+    assert outcome.tracked_share == 1.0
+    early = Trajectory(at_scans[:-3], path.xyyaw[:-3])
+    outcome, _ = draw_at_poses(log.scans, config, log.period_s, early, log.stamps_ns)
+    assert len(outcome.steps) - len(outcome.trajectory) == 3
+
+
+def test_poses_of_another_time_give_no_map(log: Log) -> None:
+    outcome, _ = drawn(log, Trajectory(PATH.stamps_ns - 10**12, PATH.xyyaw))
+    assert len(outcome.trajectory) == 0
+    assert outcome.lost_for_good
+
+
+def test_names_frames_and_instants_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a,b.tum").touch()
+    for text, source in {
+        "x=poses.tum": Source("x", "poses.tum", "laser", "middle"),
+        "poses.tum,base@first": Source("poses", "poses.tum", "base", "first"),
+        "a,b.tum": Source("a,b", "a,b.tum", "laser", "middle"),
+        "me@home=poses.tum@last": Source("me@home", "poses.tum", "laser", "last"),
+        "slam=tf:map,base_link": Source("slam", "tf:map,base_link", "", "middle"),
+        "topic:/a/odom@first": Source("odom", "topic:/a/odom", "", "first"),
+    }.items():
+        assert read_source(text) == source
+    with pytest.raises(UsageError, match="names no directory"):
+        read_source("a/b=poses.tum")
