@@ -150,9 +150,9 @@ def _reading(directory: Path, command: str) -> Iterator[None]:
 
 def _merge(run: FinishedRun) -> Subject:
     """Read a merge, whose frame is that of one of its sessions."""
+    files = [(poses_of(run, each.trajectory), run.file(each.recording)) for each in run.record.stored_sessions]
     with _reading(run.directory, "merge"):
-        stored = run.record.stored_sessions
-        tracks = [(poses_of(run, e.trajectory), open_log(run.file(e.recording), odom="off").scans) for e in stored]
+        tracks = [(poses, open_log(recording, odom="off").scans) for poses, recording in files]
         journey = one_after_another(tracks, mapped_share(run.document["sessions"]))
         grid = read_npz(run.file(HITS_FILE))
     return Subject("merge", grid, Pose(), journey, begins_late=True, verdict=stored_verdict(run.document))

@@ -113,14 +113,15 @@ def _check(request: MergeRequest) -> None:
         raise UsageError("there is nothing to merge with one log; name two or more logs or runs")
     if request.config.method != "robust":
         raise UsageError(f"merge: method {request.config.method} cannot search whole maps; use the robust method")
+    inputs = *request.inputs, request.config_file
+    check_directory(request.directory, force=True, marker=MERGE_FILE, inputs=inputs)
     for path in request.inputs:
         if _is_run(path):
             _run(path)
         else:
             with suppress(NoScansError):
                 check_log(path, None, None)
-    inputs = *request.inputs, request.config_file
-    check_directory(request.directory, force=request.force, marker=MERGE_FILE, inputs=inputs)
+    check_directory(request.directory, force=request.force, marker=MERGE_FILE)  # that it exists is said last
 
 
 def _is_run(path: Path) -> bool:

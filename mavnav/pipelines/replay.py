@@ -146,6 +146,7 @@ def replay_log(
     options = request.options
     check_log(request.log, options.get("start_s"), options.get("end_s"), request.more)
     check_groups(request.outputs or ())
+    check_directory(request.directory, force=True, inputs=request.inputs)
     given = Given(
         load_references(**reference_files(options)),
         known_map(options.get("map"), _pose(options.get("start_pose")), request.config.method),
@@ -157,7 +158,7 @@ def replay_log(
     if request.log_sha256 not in {None, log.sha256}:
         raise UsageError(f"{request.log}: changed since it was first read; run again once it is complete")
     check_references(given.references, log, options.get("truth_map"), options.get("start_s"), own_frame=given.own_frame)
-    check_directory(request.directory, force=request.force, inputs=request.inputs)
+    check_directory(request.directory, force=request.force)  # that it exists is said last
     compiled_s, compiled_cpu_s = _compile(request.config, progress, rare=not given.own_frame)
     began = Timing(wall_s + compiled_s, cpu_s + compiled_cpu_s, compile_s + compiled_s, stages, scans_s())
     with stoppable() as stop:

@@ -67,7 +67,7 @@ def test_a_log_of_the_longest_name_is_replayed_merged_and_compared(
     monkeypatch.chdir(tmp_path)
     log = written(cut(tour("hall"), 3)[0], Path(letter * (250 // len(letter.encode())) + ".mcap"))
     assert mavnav("replay", log, *FEW)[0] == 0
-    (run,) = Path("runs").iterdir()
+    (run,) = (path for path in Path("runs").iterdir() if not path.is_symlink())
     assert (run / "run.json").is_file()
     assert mavnav("batch", log, *FEW[:-2], "-o", "b", "--summary", "s" * 250)[0] == 0
     assert json.loads(Path("b/batch.json").read_text())["cells"][0]["status"] == "done"

@@ -153,7 +153,7 @@ def test_a_run_without_its_other_files_is_checked(mavnav, run) -> None:
     assert mavnav("check", run)[0] == 0
 
 
-def test_the_run_of_a_merge_is_not_measured(mavnav, run) -> None:
+def test_a_merge_without_its_sessions_is_not_measured(mavnav, run) -> None:
     document = {"sessions": [{"name": "a", "joined": True}], "outputs": {}, "config": {}, "mavnav_version": "1"}
     (run / "merge.json").write_text(json.dumps(document))
-    assert "is a merge; measure its map.yaml" in mavnav("metrics", run, "-q")[2]
+    assert "is no whole run: it has no session_a.tum" in mavnav("metrics", run, "-q")[2]
