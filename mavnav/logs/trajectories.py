@@ -11,12 +11,13 @@ from msgspec import Struct, field
 
 from mavnav.errors import TopicError
 from mavnav.logs.clocks import clock_of, shift_s
+from mavnav.logs.messages.columns import merge, merge_by
 from mavnav.logs.messages.definitions import ODOMETRY, POSE, TRANSFORM
 from mavnav.logs.namespaces import laser_topics, of_same_robot
 from mavnav.logs.odometry_chains import without_jumps
 from mavnav.logs.records import Odometry, RecordedTruth
 from mavnav.logs.stamps import Stamps, in_order
-from mavnav.logs.transforms import frame_name, mounting, planar_pose
+from mavnav.logs.transforms import frame_name, mounting, planar_poses
 from mavnav.pose import Pose, Trajectory
 from mavnav.units import NS
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from mavnav.logs.log import Log
-    from mavnav.logs.messages.records import TransformMessage
+    from mavnav.logs.messages.records import Poses
     from mavnav.logs.records import Channel, Topic
     from mavnav.logs.transforms import FrameTree
 
@@ -47,13 +48,12 @@ class PoseTrack(Struct):
     xyyaw: array[float] = field(default_factory=lambda: array("d"))
     unusable: int = 0
 
-    def add(self, message: TransformMessage, log_ns: int) -> None:
-        """Take in one pose; one that is not finite, or has no orientation, is only counted."""
-        pose = planar_pose(message)
-        self.unusable += pose is None
-        if pose is not None:
-            self.stamps.add(message.stamp_ns, log_ns)
-            self.xyyaw.extend((pose.x_m, pose.y_m, pose.yaw_rad))
+    def add(self, poses: Poses) -> None:
+        """Take in poses; those that are not finite, or have no orientation, are only counted."""
+        xyyaw, usable = planar_poses(poses)
+        self.unusable += int((~usable).sum())
+        self.stamps.extend(poses.stamps_ns[usable], poses.log_ns[usable])
+        self.xyyaw.frombytes(xyyaw[usable].tobytes())
 
     def trajectory(self, log: Log, warn: Callable[[str], None]) -> tuple[Trajectory, float]:
         """Return ``fixed_T_base`` by the clock of the scans, and the time that was added to its stamps for it, s.
@@ -98,23 +98,17 @@ class OdometryTracks(Struct):
         named = self.wanted not in ("auto", "off") and frame_name(channel.topic) == frame_name(self.wanted)
         return named and channel.type in (POSE, TRANSFORM)
 
-    def add_odometry(self, topic: str, messages: list[TransformMessage], log_ns: int) -> None:
-        """Take in a nav_msgs/Odometry message, or a pose of the wanted topic."""
-        message = messages[0]
-        track = self.topics.get(topic)
-        if track is None:
-            track = self.topics[topic] = OdometryTrack(topic, frame_name(message.child))
-        track.add(message, log_ns)
+    def add_odometry(self, topic: str, parts: list[Poses]) -> None:
+        """Take in nav_msgs/Odometry messages, or poses of the wanted topic."""
+        poses = merge(parts)
+        self.topics.setdefault(topic, OdometryTrack(topic, frame_name(poses.child))).add(poses)
 
-    def add_transforms(self, topic: str, messages: list[TransformMessage], log_ns: int) -> None:
-        """Take in the transforms of a /tf message."""
-        for message in messages:
-            if frame_name(message.parent).rsplit("/", 1)[-1] == _ODOM_FRAME:
-                key = topic, frame_name(message.child)
-                track = self.transforms.get(key)
-                if track is None:
-                    track = self.transforms[key] = OdometryTrack(*key, source="tf")
-                track.add(message, log_ns)
+    def add_transforms(self, topic: str, parts: list[Poses]) -> None:
+        """Take in the transforms of /tf messages."""
+        of_odom = (part for part in parts if frame_name(part.parent).rsplit("/", 1)[-1] == _ODOM_FRAME)
+        for child, poses in merge_by(of_odom, lambda part: frame_name(part.child)).items():
+            key = topic, child
+            self.transforms.setdefault(key, OdometryTrack(*key, source="tf")).add(poses)
 
     def choose(
         self,
@@ -218,13 +212,10 @@ class TruthTracks(Struct):
             return TRUTH_NAMES.search(channel.topic) is not None
         return frame_name(channel.topic) == frame_name(self.wanted)
 
-    def add(self, topic: str, messages: list[TransformMessage], log_ns: int) -> None:
-        """Take in a message of one pose."""
-        message = messages[0]
-        track = self.topics.get(topic)
-        if track is None:
-            track = self.topics[topic] = PoseTrack(topic, frame_name(message.child))
-        track.add(message, log_ns)
+    def add(self, topic: str, parts: list[Poses]) -> None:
+        """Take in messages of one pose each."""
+        poses = merge(parts)
+        self.topics.setdefault(topic, PoseTrack(topic, frame_name(poses.child))).add(poses)
 
     def choose(self, topics: Iterable[Topic], topic: str = "") -> PoseTrack | None:
         """Return the wanted track, None if none is wanted; of all ``topics``, for the scans on ``topic``.

@@ -8,10 +8,21 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from mavnav.logs.formats.decompress import DecompressError, unpack_message
 from mavnav.logs.messages import carmen
+from mavnav.logs.messages.columns import columns_of, read_blocks
 from mavnav.logs.messages.definitions import FOXGLOVE_SCAN, IMU, ODOMETRY, POSE, SCAN, TF, TF_ROS1, TRANSFORM
-from mavnav.logs.messages.fast_cdr import imu_of, laser_of, odometry_of, pose_of, transform_of, transforms_of
+from mavnav.logs.messages.fast_cdr import (
+    exactly,
+    laser_of,
+    read_imu,
+    read_odometry,
+    read_pose,
+    read_transform,
+    read_transforms,
+)
 from mavnav.logs.messages.other_scans import other_scan, suffix_of
 from mavnav.logs.messages.records import DecodeError
 from mavnav.logs.namespaces import topic_and_frame
@@ -19,6 +30,9 @@ from mavnav.logs.namespaces import topic_and_frame
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from numpy.typing import NDArray
+
+    from mavnav.logs.messages.fast_cdr import CdrFields
     from mavnav.logs.messages.records import LaserMessage
     from mavnav.logs.records import Channel
 
@@ -38,6 +52,28 @@ def decoder(channel: Channel, *, poses: bool = False, topic: str | None = None) 
         return _unpack_first(_other_scans(channel, part))
     make = DECODERS.get(kind) or (POSE_DECODERS.get(kind) if poses else None)
     return None if make is None else _unpack_first(make(channel))
+
+
+def decode_together(
+    channel: Channel, messages: list[bytes], log_ns: NDArray[np.int64], decode: Callable[[bytes], Any]
+) -> tuple[list[Any], dict[int, DecodeError]]:
+    """Decode messages of poses, or of an inertial sensor, in columns; those of other layouts one by one.
+
+    Returns the `Poses` or `Measurements`, and what is wrong with a message by its number. ``log_ns`` (n,) are the times
+    of recording.
+    """
+    blocks, errors, left = [], dict[int, DecodeError](), np.ones(len(messages), np.bool_)
+    if channel.encoding in ROS_ENCODINGS:
+        blocks = [*read_blocks(messages, channel.encoding, _FIELD_READERS[channel.type])]
+    for rows, _ in blocks:
+        left[rows] = False
+    singles = dict[int, Any]()
+    for row in np.flatnonzero(left).tolist():
+        try:
+            singles[row] = decode(messages[row])
+        except DecodeError as error:
+            errors[row] = error
+    return [*columns_of(blocks, singles, log_ns)], errors
 
 
 def _unpack_first(decode: Callable[[bytes], Any]) -> Callable[[bytes], Any]:
@@ -118,12 +154,17 @@ def _foxglove(channel: Channel) -> Callable[[bytes], LaserMessage]:
     return decode_json if channel.encoding == "json" else protobuf_decoder(channel)
 
 
+_FIELD_READERS: dict[str, Callable[[CdrFields], Any]] = {
+    ODOMETRY: read_odometry,
+    IMU: read_imu,
+    TF: read_transforms,
+    TF_ROS1: read_transforms,
+    POSE: read_pose,
+    TRANSFORM: read_transform,
+}
 _ROS_READERS: dict[str, Callable[[bytes, str], Any]] = {
     SCAN: partial(laser_of, any_stamp=True),
-    ODOMETRY: odometry_of,
-    IMU: imu_of,
-    TF: transforms_of,
-    TF_ROS1: transforms_of,
+    **{name: exactly(read) for name, read in _FIELD_READERS.items()},
 }
 DECODERS: dict[tuple[str, str], Callable[[Channel], Callable[[bytes], Any]]] = {
     ("json", FOXGLOVE_SCAN): _foxglove,
@@ -132,6 +173,7 @@ DECODERS: dict[tuple[str, str], Callable[[Channel], Callable[[bytes], Any]]] = {
         (encoding, name): partial(_ros_decoder, read)
         for name, read in _ROS_READERS.items()
         for encoding in ROS_ENCODINGS
+        if name not in (POSE, TRANSFORM)
     },
     (carmen.ENCODING, SCAN): carmen.scan_decoder,
     (carmen.ENCODING, ODOMETRY): carmen.pose_decoder,
@@ -139,6 +181,9 @@ DECODERS: dict[tuple[str, str], Callable[[Channel], Callable[[bytes], Any]]] = {
 }
 POSE_DECODERS: dict[tuple[str, str], Callable[[Channel], Callable[[bytes], Any]]] = {
     (carmen.ENCODING, TRANSFORM): carmen.pose_decoder,
-    **{(encoding, POSE): partial(_ros_decoder, pose_of) for encoding in ROS_ENCODINGS},
-    **{(encoding, TRANSFORM): partial(_ros_decoder, transform_of) for encoding in ROS_ENCODINGS},
+    **{
+        (encoding, name): partial(_ros_decoder, _ROS_READERS[name])
+        for name in (POSE, TRANSFORM)
+        for encoding in ROS_ENCODINGS
+    },
 }
