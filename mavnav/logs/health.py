@@ -195,7 +195,8 @@ def _missing_returns(
             else "keep the view of the laser free, and check its power and cable",
         )
     if sectors:
-        where = ", ".join(f"{a:.0f} to {b:.0f} deg" for a, b in sectors[:4]) + ", ..." * (len(sectors) > 4)
+        named = [f"{a:.0f} to {b if b <= 360.0 else b - 360.0:.0f} deg" for a, b in sectors[:4]]
+        where = ", ".join(named) + ", ..." * (len(sectors) > 4)
         yield Finding(
             "dead_sectors",
             f"no valid return in any scan at {where}",

@@ -116,6 +116,15 @@ def test_a_sector_is_given_in_degrees(tmp_path: Path) -> None:
     assert abs(high - 80.0) <= 4.0
 
 
+def test_a_sector_across_the_x_axis_is_named_within_a_turn(tmp_path: Path) -> None:
+    messages = spoilt(spoilt(scans(), range(40), slice(0, 5)), range(40), slice(85, None))
+    for message in messages:
+        message.fields["angle_min"] = 0.01
+    health = examined(messages, tmp_path / "a")
+    assert health.dead_sectors_deg == [(340.0, 380.0)]
+    assert [finding.what for finding in health.findings] == ["no valid return in any scan at 340 to 20 deg"]
+
+
 def test_far_returns_are_counted_with_the_setting_that_uses_them(tmp_path: Path) -> None:
     (finding,) = examined(far(), tmp_path / "a").findings
     assert finding.what == "10 % of the returns are farther than 30 m, up to 46 m, and not used"
