@@ -95,7 +95,7 @@ def examined(messages: list[Message], path: Path) -> SensorHealth:
         (sparse, ["sparse"]),
         (partial, ["partial"]),
         (hidden, ["dead_sectors"]),
-        (repeated, ["repeated"]),
+        (repeated, []),
         (saturated, ["saturated"]),
         (far, ["far"]),
         (gap, ["gaps"]),

@@ -50,7 +50,7 @@ def decoder(channel: Channel, *, poses: bool = False, topic: str | None = None) 
     kind, part = (channel.encoding, channel.type), suffix_of(channel, topic)
     if part is not None and channel.encoding in ROS_ENCODINGS:
         return _unpack_first(_other_scans(channel, part))
-    make = DECODERS.get(kind) or (POSE_DECODERS.get(kind) if poses else None)
+    make = DECODERS.get(kind) if poses or channel.type not in (POSE, TRANSFORM) else None
     return None if make is None else _unpack_first(make(channel))
 
 
@@ -169,21 +169,7 @@ _ROS_READERS: dict[str, Callable[[bytes, str], Any]] = {
 DECODERS: dict[tuple[str, str], Callable[[Channel], Callable[[bytes], Any]]] = {
     ("json", FOXGLOVE_SCAN): _foxglove,
     ("protobuf", FOXGLOVE_SCAN): _foxglove,
-    **{
-        (encoding, name): partial(_ros_decoder, read)
-        for name, read in _ROS_READERS.items()
-        for encoding in ROS_ENCODINGS
-        if name not in (POSE, TRANSFORM)
-    },
+    **{(each, name): partial(_ros_decoder, read) for name, read in _ROS_READERS.items() for each in ROS_ENCODINGS},
     (carmen.ENCODING, SCAN): carmen.scan_decoder,
-    (carmen.ENCODING, ODOMETRY): carmen.pose_decoder,
-    (carmen.ENCODING, TF): carmen.pose_decoder,
-}
-POSE_DECODERS: dict[tuple[str, str], Callable[[Channel], Callable[[bytes], Any]]] = {
-    (carmen.ENCODING, TRANSFORM): carmen.pose_decoder,
-    **{
-        (encoding, name): partial(_ros_decoder, _ROS_READERS[name])
-        for name in (POSE, TRANSFORM)
-        for encoding in ROS_ENCODINGS
-    },
+    **{(carmen.ENCODING, name): carmen.pose_decoder for name in (ODOMETRY, TF, TRANSFORM)},
 }
