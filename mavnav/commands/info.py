@@ -136,4 +136,4 @@ def _mounting_text(mounting: dict[str, Any] | None) -> str:
     if mounting is None:
         return "unknown"
     place = f"x {mounting['x_m']:z.3f} m, y {mounting['y_m']:z.3f} m, yaw {mounting['yaw_rad'] / DEG:z.2f} deg"
-    return f"{place} on {mounting['base_frame']} ({mounting['source']})"
+    return f"{place} on {mounting['base_frame']}, by the transforms"

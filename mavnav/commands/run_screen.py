@@ -119,7 +119,7 @@ def _odometry_text(document: dict[str, Any]) -> str:
         changes += [f"{kind}s x {scale:.3g}"] if round(scale, 2) != 1.0 else []
     noise = odometry["noise"]["m_per_m"]
     text = f"{name} corrected by {', '.join(changes)}" if changes else f"{name} as recorded"
-    return text + (f", wrong by {100 * noise:.0f} % of the distance" if noise is not None else "")
+    return text + (f", off the track by {100 * noise:.0f} % of the distance" if noise is not None else "")
 
 
 def map_rows(document: dict[str, Any]) -> Rows:

@@ -10,8 +10,9 @@ import numpy as np
 from msgspec import Struct, field
 
 from mavnav.errors import TopicError
-from mavnav.logs.imu import usual_topic
+from mavnav.logs.imu import single_precision, usual_topic
 from mavnav.logs.levelling import MOST_RAD, RecordedAttitude
+from mavnav.logs.messages.columns import merge
 from mavnav.logs.messages.definitions import IMU, ODOMETRY, POSE
 from mavnav.logs.namespaces import laser_topics, of_same_robot
 from mavnav.logs.stamps import Stamps, in_order
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 
     from mavnav.logs.imu import ImuTrack
     from mavnav.logs.log import Log
-    from mavnav.logs.messages.records import TransformMessage
+    from mavnav.logs.messages.records import Poses
     from mavnav.logs.records import Channel, Topic
     from mavnav.logs.transforms import FrameTree
 
@@ -79,14 +80,12 @@ class AttitudeTracks(Struct):
         named = frame_name(channel.topic) == frame_name(self.wanted) if self.is_named else is_usual(channel.topic)
         return named or (channel.type == ODOMETRY and not self.is_named)
 
-    def add(self, topic: str, messages: list[TransformMessage], log_ns: int) -> None:
-        """Take in a message of one pose."""
-        message = messages[0]
-        track = self.topics.get(topic)
-        if track is None:
-            track = self.topics[topic] = AttitudeTrack(topic, frame_name(message.child))
-        track.stamps.add(message.stamp_ns, log_ns)
-        track.numbers.extend((*message.xyzw, message.xyz[2]))
+    def add(self, topic: str, parts: list[Poses]) -> None:
+        """Take in messages of one pose each."""
+        poses = merge(parts)
+        track = self.topics.setdefault(topic, AttitudeTrack(topic, frame_name(poses.child)))
+        track.stamps.extend(poses.stamps_ns, poses.log_ns)
+        track.numbers.frombytes(single_precision(np.vstack((poses.xyzw, poses.xyz[2:])).T))
 
     def sources(self, imus: dict[str, ImuTrack], log: Log) -> list[TopicAttitude]:
         """Return what can be used, the best first; raises TopicError where the named topic holds no attitude."""

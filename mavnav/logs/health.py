@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from msgspec import Struct
 
-from mavnav.logs.topic_scans import REPEATED_SHARE
 from mavnav.units import DEG, NS, pluralize
 
 if TYPE_CHECKING:
@@ -84,7 +83,7 @@ def sensor_health(log: Log, far_m: float = inf) -> SensorHealth:
     usual = float(np.median(seen.valid)) if len(seen.valid) else 0.0
     findings = [
         *_missing_returns(share, usual, partial, sectors, seen.stamps_ns),
-        *_odd_returns(log, seen, far_m),
+        *_odd_returns(seen, far_m),
         *_times(log, jitter),
     ]
     return SensorHealth(
@@ -195,7 +194,8 @@ def _missing_returns(
             else "keep the view of the laser free, and check its power and cable",
         )
     if sectors:
-        where = ", ".join(f"{a:.0f} to {b:.0f} deg" for a, b in sectors[:4]) + ", ..." * (len(sectors) > 4)
+        named = [f"{a:.0f} to {b if b <= 360.0 else b - 360.0:.0f} deg" for a, b in sectors[:4]]
+        where = ", ".join(named) + ", ..." * (len(sectors) > 4)
         yield Finding(
             "dead_sectors",
             f"no valid return in any scan at {where}",
@@ -203,15 +203,8 @@ def _missing_returns(
         )
 
 
-def _odd_returns(log: Log, seen: _Seen, far_m: float) -> Iterator[Finding]:
-    repeated, usable, scans = log.counts.repeated, log.counts.usable, len(seen.valid)
-    if repeated > REPEATED_SHARE * usable:
-        yield Finding(
-            "repeated",
-            f"{repeated} of {usable} scans equal the one before",
-            "right at rest in a simulation without noise; else check the driver: it publishes old scans, or faster "
-            "than the laser turns",
-        )
+def _odd_returns(seen: _Seen, far_m: float) -> Iterator[Finding]:
+    scans = len(seen.valid)
     range_m, count = next(iter(seen.largest_m.most_common(1)), (0.0, 0))
     if scans >= SECTOR_SCANS and count > SAME_SCANS * scans:
         yield Finding(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from msgspec import Struct, field
 
+from mavnav.logs.messages.columns import merge
 from mavnav.logs.namespaces import laser_topics, of_same_robot
 from mavnav.logs.records import Imu
 from mavnav.logs.stamps import Stamps, in_order
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.logs.log import Log
-    from mavnav.logs.messages.records import ImuMessage
+    from mavnav.logs.messages.records import Measurements
     from mavnav.logs.stamps import StampSource
 
     Floats = NDArray[np.float64]
@@ -47,14 +48,14 @@ class ImuTrack(Struct):
     stamps: Stamps = field(default_factory=Stamps)
     numbers: array[float] = field(default_factory=lambda: array("f"))
 
-    def add(self, message: ImuMessage, log_ns: int) -> None:
-        """Take in one message; one with rates or accelerations that are not finite, or impossible, is dropped."""
-        rates, accelerations = message.angular_velocity_rad_s, message.acceleration_m_s2
-        self.frame_id = self.frame_id or message.frame_id
-        possible = all(abs(a) <= MOST_M_S2 for a in accelerations)  # False for NaN, too
-        if possible and all(abs(rate) <= MOST_RAD_S for rate in rates):
-            self.stamps.add(message.stamp_ns, log_ns)
-            self.numbers.extend((*rates, *accelerations, *(message.xyzw or (np.nan,) * 4)))
+    def add(self, parts: list[Measurements]) -> None:
+        """Take in messages; those with rates or accelerations that are not finite, or impossible, are dropped."""
+        part = merge(parts)
+        rates, accelerations = part.angular_velocity_rad_s, part.acceleration_m_s2
+        self.frame_id = self.frame_id or next((each.frame_id for each in parts if each.frame_id), "")
+        possible = (np.abs(accelerations) <= MOST_M_S2).all(axis=0) & (np.abs(rates) <= MOST_RAD_S).all(axis=0)
+        self.stamps.extend(part.stamps_ns[possible], part.log_ns[possible])
+        self.numbers.frombytes(single_precision(np.vstack((rates, accelerations, part.xyzw)).T[possible]))
 
     def rotation(self, stamp_source: StampSource, half_sweep_ns: int, warn: Callable[[str], None]) -> Rotation | None:
         """Return the rotation at mid-sweep by the stamps of scans; None of too few messages."""
@@ -72,6 +73,12 @@ class ImuTrack(Struct):
         turns: Floats = 0.5 * (about[1:] + about[:-1]) * np.diff(stamps) * NS
         tilt_rad = np.arccos(np.clip(ups @ usual, -1.0, 1.0))
         return Rotation(stamps - half_sweep_ns, np.concatenate(([0.0], np.cumsum(turns))), tilt_rad)
+
+
+def single_precision(values: Floats) -> bytes:
+    """Return numbers, row by row, as an array of single floats keeps them."""
+    with np.errstate(over="ignore"):
+        return values.astype(np.float32).tobytes()
 
 
 def _ups(stamps_ns: NDArray[np.int64], accelerations: Floats, xyzw: Floats) -> Floats:

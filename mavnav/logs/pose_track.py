@@ -10,7 +10,7 @@ from msgspec import Struct, field
 
 from mavnav.logs.clocks import clock_of, shift_s
 from mavnav.logs.stamps import Stamps, in_order
-from mavnav.logs.transforms import planar_pose
+from mavnav.logs.transforms import planar_poses
 from mavnav.pose import Trajectory
 from mavnav.units import NS
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from mavnav.logs.log import Log
-    from mavnav.logs.messages.records import TransformMessage
+    from mavnav.logs.messages.records import Poses
 
 
 class PoseTrack(Struct):
@@ -34,13 +34,12 @@ class PoseTrack(Struct):
     unusable: int = 0
     is_path: bool = False
 
-    def add(self, message: TransformMessage, log_ns: int) -> None:
-        """Take in one pose; one that is not finite, or has no orientation, is only counted."""
-        pose = planar_pose(message)
-        self.unusable += pose is None
-        if pose is not None:
-            self.stamps.add(message.stamp_ns, log_ns)
-            self.xyyaw.extend((pose.x_m, pose.y_m, pose.yaw_rad))
+    def add(self, poses: Poses) -> None:
+        """Take in poses; those that are not finite, or have no orientation, are only counted."""
+        xyyaw, usable = planar_poses(poses)
+        self.unusable += int((~usable).sum())
+        self.stamps.extend(poses.stamps_ns[usable], poses.log_ns[usable])
+        self.xyyaw.frombytes(xyyaw[usable].tobytes())
 
     def trajectory(self, log: Log, warn: Callable[[str], None]) -> tuple[Trajectory, float]:
         """Return ``fixed_T_base`` by the clock of the scans, and the time that was added to its stamps for it, s.

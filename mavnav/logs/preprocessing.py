@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from mavnav.logs.range_units import FARTHEST_M, RangeUnits
+from mavnav.logs.range_units import FARTHEST_M, RangeUnits, decimeters
 from mavnav.scan import LaserSpec
 
 if TYPE_CHECKING:
@@ -191,6 +191,8 @@ class ScanFilter:
         if message.has_limits and _limits(message) == (0.0, np.inf):
             text = f"{message.range_min_m:g} to {message.range_max_m:g} m"
             self._warn(f"{self._topic}: the range limits ({text}) are unusable; every positive range is used")
+        elif message.has_limits and (text := decimeters(*_limits(message))):
+            self._warn(f"{self._topic}: {text}")
         if message.has_pose:
             self._warn(f"{self._topic}: the scans carry a pose of their own, which is not used")
         last = message.angle_min_rad + message.angle_step_rad * (len(message.ranges_m) - 1)

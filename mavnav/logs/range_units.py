@@ -23,6 +23,9 @@ REACHES_M: Final = (2.5, 130.0)
 BLIND_M: Final = 0.6
 """Maximum ranges that planar lasers have, and largest minimum range, m."""
 
+FARTHEST_BLIND_M: Final = 1.0
+"""Lasers with a minimum range of so much, m, are as good as unknown; those of 0.1 m in decimeters are not."""
+
 FAR_SHARE: Final = 0.5
 """Share of the ranges beyond ``FARTHEST_M`` above which they are in no meters."""
 
@@ -80,6 +83,16 @@ class RangeUnits:
         if _is_a_laser(low, high):  # the limits are in meters: the ranges alone are not
             fit = [unit for unit, count in UNITS.items() if reach / count <= high][:1]
         return fit or [*UNITS]
+
+
+def decimeters(low: float, high: float) -> str:
+    """Return what limits say that may be in decimeters, where hardly a laser is blind so far; else empty."""
+    if not (low >= FARTHEST_BLIND_M and _is_a_laser(low / 10, high / 10)):
+        return ""
+    return (
+        f"range_min and range_max are {low:g} and {high:g}, and hardly a laser is blind so far: if the walls come out "
+        "ten times too far, these and the ranges are in decimeters; divide them by 10"
+    )
 
 
 def _is_a_laser(low_m: float, high_m: float) -> bool:

@@ -62,7 +62,7 @@ class SweepJoiner:
     """The scans of one laser on a topic: segments of a turn are joined to sweeps, others pass as they are.
 
     The first messages wait until they show which they are. A sweep begins at the angle of the first of them, or after a
-    sector that none covers. Beams of segments that are lost are NaN.
+    sector that none covers. Beams of segments that are lost are NaN; such sweeps are counted and reported.
     """
 
     def __init__(self, topic: str, warn: Callable[[str], None]) -> None:
@@ -71,6 +71,7 @@ class SweepJoiner:
         self._joins: bool | None = None
         self._angle_rad, self._step_rad, self._beams, self._increment_s = 0.0, 0.0, 0, 0.0
         self._scans, self._elsewhere = 0, 0
+        self._sweeps, self._incomplete = 0, 0
         self._last_rad: float | None = None
 
     def push(self, scan: Recorded) -> Iterator[Recorded]:
@@ -91,6 +92,11 @@ class SweepJoiner:
             yield from self._decide()
         if self._joins and self._waiting:
             yield self._sweep()
+        if self._incomplete:
+            text = (
+                f"segments are missing in {self._incomplete} of {self._sweeps} sweeps, whose beams there have no return"
+            )
+            self._warn(f"{self._topic}: {text}: see whether the recorder or the network drops messages")
         elif self._elsewhere > max(FEWEST_SHARE * self._scans, LOOKED_AT // 2):
             text = "the angles of the scans change from one to the next, as of segments that do not follow each other"
             self._warn(f"{self._topic}: {text}; they are used one by one: record the full frame of the laser")
@@ -142,10 +148,14 @@ class SweepJoiner:
         """Return the sweep of the segments that wait."""
         segments, self._waiting = self._waiting, []
         ranges_m, first = np.full(self._beams, np.nan), segments[0]
+        end, missing = self._beams, False
         for scan in segments:
             place = self._place(scan)
+            missing |= place > end + len(scan.message.ranges_m) // 2
+            end = place + len(scan.message.ranges_m)
             part = scan.message.ranges_m[: self._beams - place]
             ranges_m[place : place + len(part)] = part
+        self._sweeps, self._incomplete = self._sweeps + 1, self._incomplete + missing
         begin_ns = first.message.stamp_ns - round(self._place(first) * abs(self._increment_s) / NS)
         message = first.message._replace(
             stamp_ns=begin_ns,

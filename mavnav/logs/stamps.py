@@ -22,7 +22,7 @@ _CALENDAR_NS: Final = 1_000_000_000_000_000_000
 """September 2001: stamps of a clock with a date are later, those that count from a start before."""
 
 
-def _storable(stamp_ns: int) -> int:
+def storable(stamp_ns: int) -> int:
     """Return a stamp within the range of 64 bits; an impossible one stays impossible."""
     return min(max(stamp_ns, -1), _LATEST_NS)
 
@@ -39,8 +39,13 @@ class Stamps(Struct):
 
     def add(self, header_ns: int, log_ns: int) -> None:
         """Take in the stamps of one message."""
-        self.header_ns.append(header_ns if 0 <= header_ns < _LATEST_NS else _storable(header_ns))
-        self.log_ns.append(log_ns if 0 <= log_ns < _LATEST_NS else _storable(log_ns))
+        self.header_ns.append(header_ns if 0 <= header_ns < _LATEST_NS else storable(header_ns))
+        self.log_ns.append(log_ns if 0 <= log_ns < _LATEST_NS else storable(log_ns))
+
+    def extend(self, header_ns: NDArray[np.int64], log_ns: NDArray[np.int64]) -> None:
+        """Take in the stamps of several messages, (n,) each."""
+        for column, values in ((self.header_ns, header_ns), (self.log_ns, log_ns)):
+            column.frombytes(values.clip(-1, _LATEST_NS).tobytes())
 
     def by(self, source: StampSource) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the stamps of a source, and those of recording, (n,) each."""

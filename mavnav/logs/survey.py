@@ -8,6 +8,7 @@ from functools import partial
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
 
@@ -16,7 +17,7 @@ from mavnav.logs.attitude import AttitudeTracks
 from mavnav.logs.content import check_file, check_files, check_window, size_and_sha256, unreadable
 from mavnav.logs.formats import detect
 from mavnav.logs.imu import ImuTrack
-from mavnav.logs.messages.decode import decoder, is_laser, scan_topic, scan_topics
+from mavnav.logs.messages.decode import decode_together, decoder, is_laser, scan_topic, scan_topics
 from mavnav.logs.messages.definitions import IMU, ODOMETRY, PATH, POSE
 from mavnav.logs.messages.other_scans import OTHER_TYPES
 from mavnav.logs.messages.records import DecodeError
@@ -25,6 +26,7 @@ from mavnav.logs.preprocessing import ScanFilter
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel, Damage, RawMessage, Topic
 from mavnav.logs.segments import Recorded, SweepJoiners
+from mavnav.logs.stamps import storable
 from mavnav.logs.topic_scans import TopicScans
 from mavnav.logs.trajectories import OdometryTracks, TruthTracks
 from mavnav.logs.transforms import FrameTree
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _PROGRESS_STEPS = 200
+_MOST_WAITING_BYTES, _OVERHEAD_BYTES = 4 << 20, 100
 MOST_SCAN_TOPICS = 100
 """Number of scan topics that are read unless one is named; no log has lasers of so many robots."""
 
@@ -72,8 +75,8 @@ class Motion(Struct):
         """Return whether single poses of a channel are wanted."""
         return any(tracks.takes(channel) for tracks in (self.truth, self.odometry, self.attitudes))
 
-    def takers(self, channel: Channel) -> Iterator[Callable[[Any, int], None]]:
-        """Yield what takes in the messages of a channel that are no scans, decoded and with the time of recording."""
+    def takers(self, channel: Channel) -> Iterator[Callable[[list[Any]], None]]:
+        """Yield what takes in the messages of a channel that are no scans, in columns."""
         if self.attitudes.takes(channel):
             yield partial(self.attitudes.add, channel.topic)
         if self.truth.takes(channel):
@@ -91,15 +94,36 @@ class Motion(Struct):
                 yield partial(self.truth.add_transforms, channel.topic)
 
 
+class _Waiting(Struct):
+    """Messages of a topic that are no scans, until they are decoded together and go to the ``takers``."""
+
+    channel: Channel
+    decode: Callable[[bytes], Any]
+    takers: tuple[Callable[[list[Any]], None], ...]
+    messages: list[bytes] = field(default_factory=list)
+    log_ns: list[int] = field(default_factory=list)
+
+    def pass_on(self, report: ReadReport) -> None:
+        """Decode what waits; a message that does not decode is noted."""
+        log_ns = np.array([*map(storable, self.log_ns)], np.int64)
+        parts, errors = decode_together(self.channel, self.messages, log_ns, self.decode)
+        for row, error in errors.items():
+            where = f"{self.channel.topic}, {self.log_ns[row]} ns"
+            report.damage(f"a message does not decode ({error})", where)
+        for take in self.takers if parts else ():
+            take(parts)
+        self.messages, self.log_ns = [], []
+
+
 class _MessageKind(Struct):
     """What there is to know of a channel's messages; ``decode`` is None where there is no use for them.
 
-    ``scans`` are those of the topic whose scans they are, None where they are none; others go to ``takers``.
+    ``scans`` are those of the topic whose scans they are, None where they are none; others are ``waiting``.
     """
 
     decode: Callable[[bytes], Any] | None = None
     scans: TopicScans | None = None
-    takers: tuple[Callable[[Any, int], None], ...] = ()
+    waiting: _Waiting | None = None
     count: int = 0
     joiners: SweepJoiners | None = None
 
@@ -113,6 +137,8 @@ class _Pass(Struct):
     report: ReadReport = field(default_factory=ReadReport)
     kinds: dict[Channel, _MessageKind] = field(default_factory=dict)
     scans: dict[str, TopicScans] = field(default_factory=dict)
+    waiting: dict[tuple[str, str, str], _Waiting] = field(default_factory=dict)
+    waiting_bytes: int = 0
 
     def take(self, message: RawMessage) -> None:
         """Take in one message; one that does not decode is noted and counted."""
@@ -125,6 +151,13 @@ class _Pass(Struct):
             if kind.scans:
                 kind.scans.refuse("suspect")
             return
+        if kind.waiting:
+            kind.waiting.messages.append(message.data)
+            kind.waiting.log_ns.append(message.log_ns)
+            self.waiting_bytes += len(message.data) + _OVERHEAD_BYTES
+            if self.waiting_bytes > _MOST_WAITING_BYTES:
+                self.pass_on()
+            return
         try:
             decoded = kind.decode(message.data)
         except DecodeError as error:
@@ -135,11 +168,16 @@ class _Pass(Struct):
         if kind.scans and kind.joiners:
             for scan in kind.joiners.push(Recorded(decoded, message.log_ns, message.suspect)):
                 kind.scans.take(*scan)
-        for take in kind.takers:
-            take(decoded, message.log_ns)
+
+    def pass_on(self) -> None:
+        """Decode the messages that wait, in the order in which their topics came."""
+        for waiting in self.waiting.values():
+            waiting.pass_on(self.report)
+        self.waiting_bytes = 0
 
     def finish(self) -> None:
-        """Take in the scans that wait for others."""
+        """Take in what waits."""
+        self.pass_on()
         for kind in self.kinds.values():
             if kind.scans and kind.joiners:
                 for scan in kind.joiners.finish():
@@ -163,7 +201,9 @@ class _Pass(Struct):
             kind.scans = self.scans.setdefault(topic, TopicScans(ScanFilter(topic, self.report.warn)))
             kind.joiners = SweepJoiners(topic, self.report.warn)
         elif kind.decode:
-            kind.takers = tuple(self.motion.takers(channel))
+            key = channel.topic, channel.type, channel.encoding
+            waiting = _Waiting(channel, kind.decode, tuple(self.motion.takers(channel)))
+            kind.waiting = self.waiting.setdefault(key, waiting)
         return kind
 
 

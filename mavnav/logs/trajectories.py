@@ -9,6 +9,7 @@ from msgspec import Struct, field
 
 from mavnav.errors import TopicError
 from mavnav.logs.frame_poses import TF_PREFIX, FramePoses
+from mavnav.logs.messages.columns import merge, merge_by
 from mavnav.logs.messages.definitions import ODOMETRY, PATH, POSE, POSE_COVARIANCE, TRANSFORM
 from mavnav.logs.namespaces import laser_topics, of_same_robot
 from mavnav.logs.odometry_chains import without_jumps
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from mavnav.logs.log import Log
-    from mavnav.logs.messages.records import TransformMessage
+    from mavnav.logs.messages.records import Poses
     from mavnav.logs.records import Channel, Topic
     from mavnav.logs.transforms import FrameTree
 
@@ -59,23 +60,17 @@ class OdometryTracks(Struct):
         named = self.wanted not in ("auto", "off") and frame_name(channel.topic) == frame_name(self.wanted)
         return named and channel.type in (POSE, TRANSFORM)
 
-    def add_odometry(self, topic: str, messages: list[TransformMessage], log_ns: int) -> None:
-        """Take in a nav_msgs/Odometry message, or a pose of the wanted topic."""
-        message = messages[0]
-        track = self.topics.get(topic)
-        if track is None:
-            track = self.topics[topic] = OdometryTrack(topic, frame_name(message.child))
-        track.add(message, log_ns)
+    def add_odometry(self, topic: str, parts: list[Poses]) -> None:
+        """Take in nav_msgs/Odometry messages, or poses of the wanted topic."""
+        poses = merge(parts)
+        self.topics.setdefault(topic, OdometryTrack(topic, frame_name(poses.child))).add(poses)
 
-    def add_transforms(self, topic: str, messages: list[TransformMessage], log_ns: int) -> None:
-        """Take in the transforms of a /tf message."""
-        for message in messages:
-            if frame_name(message.parent).rsplit("/", 1)[-1] == _ODOM_FRAME:
-                key = topic, frame_name(message.child)
-                track = self.transforms.get(key)
-                if track is None:
-                    track = self.transforms[key] = OdometryTrack(*key, source="tf")
-                track.add(message, log_ns)
+    def add_transforms(self, topic: str, parts: list[Poses]) -> None:
+        """Take in the transforms of /tf messages."""
+        of_odom = (part for part in parts if frame_name(part.parent).rsplit("/", 1)[-1] == _ODOM_FRAME)
+        for child, poses in merge_by(of_odom, lambda part: frame_name(part.child)).items():
+            key = topic, child
+            self.transforms.setdefault(key, OdometryTrack(*key, source="tf")).add(poses)
 
     def choose(
         self,
@@ -188,27 +183,21 @@ class TruthTracks(Struct):
             return channel.type in TRUTH_TYPES and TRUTH_NAMES.search(channel.topic) is not None
         return frame_name(channel.topic) == frame_name(self.wanted)
 
-    def add(self, topic: str, messages: list[TransformMessage], log_ns: int) -> None:
-        """Take in a message of one pose."""
-        message = messages[0]
-        track = self.topics.get(topic)
-        if track is None:
-            track = self.topics[topic] = PoseTrack(topic, frame_name(message.child))
-        track.add(message, log_ns)
+    def add(self, topic: str, parts: list[Poses]) -> None:
+        """Take in messages of one pose each."""
+        poses = merge(parts)
+        self.topics.setdefault(topic, PoseTrack(topic, frame_name(poses.child))).add(poses)
 
-    def add_path(self, topic: str, messages: list[TransformMessage], log_ns: int) -> None:
-        """Take in a path, which replaces the one before."""
-        track = self.topics[topic] = PoseTrack(topic, "", is_path=True)
-        for message in messages:
-            track.add(message, log_ns)
+    def add_path(self, topic: str, parts: list[Poses]) -> None:
+        """Take in paths, each of which replaces the one before."""
+        poses = merge(parts)
+        self.topics[topic] = PoseTrack(topic, "", is_path=True)
+        self.topics[topic].add(poses.of_message(int(poses.rows[-1])))
 
-    def add_transforms(self, topic: str, messages: list[TransformMessage], log_ns: int) -> None:
-        """Take in the transforms of a /tf message."""
-        for message in messages:
-            edge = frame_name(message.parent), frame_name(message.child)
-            if edge not in self.moving:
-                self.moving[edge] = PoseTrack(topic, edge[1])
-            self.moving[edge].add(message, log_ns)
+    def add_transforms(self, topic: str, parts: list[Poses]) -> None:
+        """Take in the transforms of /tf messages."""
+        for edge, poses in merge_by(parts, lambda part: (frame_name(part.parent), frame_name(part.child))).items():
+            self.moving.setdefault(edge, PoseTrack(topic, edge[1])).add(poses)
 
     def choose(
         self, topics: Iterable[Topic], topic: str = "", frames: FrameTree | None = None, laser: str = ""

@@ -9,16 +9,17 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from msgspec import Struct, field
 
+from mavnav.logs.messages.columns import merge_by
 from mavnav.logs.namespaces import is_of_another_robot, namespace
 from mavnav.pose import Pose, yaw_of_quaternion
 from mavnav.units import LARGEST_COORDINATE_M
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Iterator
 
     from numpy.typing import NDArray
 
-    from mavnav.logs.messages.records import TransformMessage
+    from mavnav.logs.messages.records import Poses, TransformMessage
 
 BASE_FRAMES = ("base_link", "base_footprint")
 
@@ -35,11 +36,10 @@ def frame_name(name: str) -> str:
     return name.lstrip("/")
 
 
-def matrix_of(message: TransformMessage) -> NDArray[np.float64] | None:
+def matrix_of(xyz: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float64] | None:
     """Return ``parent_T_child`` as (4, 4); None where it is not finite, too far, or its quaternion is zero."""
-    q = np.array(message.xyzw, dtype=np.float64)
     norm = float(np.linalg.norm(q))
-    if not (np.abs(message.xyz).max() <= LARGEST_COORDINATE_M and np.isfinite(norm) and norm > _SAME):
+    if not (np.abs(xyz).max() <= LARGEST_COORDINATE_M and np.isfinite(norm) and norm > _SAME):
         return None
     x, y, z, w = q / norm
     matrix = np.eye(4)
@@ -48,7 +48,7 @@ def matrix_of(message: TransformMessage) -> NDArray[np.float64] | None:
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
-    matrix[:3, 3] = message.xyz
+    matrix[:3, 3] = xyz
     return matrix
 
 
@@ -60,32 +60,45 @@ def planar_pose(message: TransformMessage) -> Pose | None:
     return Pose(x, y, yaw) if near and isfinite(yaw) and any(message.xyzw) else None
 
 
+def planar_poses(poses: Poses) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return what `planar_pose` does of many, (n, 3), and which have one, (n,)."""
+    (px, py, _), (x, y, z, w) = poses.xyz, poses.xyzw
+    with np.errstate(invalid="ignore", over="ignore"):
+        sines, cosines = 2.0 * (w * z + x * y), w * w + x * x - y * y - z * z
+    yaw_rad = np.fromiter(map(atan2, sines.tolist(), cosines.tolist()), np.float64, len(px))  # np.arctan2 rounds else
+    near = (np.abs(px) <= LARGEST_COORDINATE_M) & (np.abs(py) <= LARGEST_COORDINATE_M)
+    return np.column_stack((px, py, yaw_rad)), near & np.isfinite(yaw_rad) & poses.xyzw.any(axis=0)
+
+
+def _matrices(poses: Poses) -> Iterator[NDArray[np.float64]]:
+    """Yield the matrices of poses that differ from the one before."""
+    rows = np.vstack((poses.xyz, poses.xyzw)).T.copy()
+    new = np.concatenate(([True], (rows[1:] != rows[:-1]).any(axis=1)))
+    matrices = (matrix_of(row[:3], row[3:]) for row in rows[new])
+    return (matrix for matrix in matrices if matrix is not None)
+
+
 class FrameTree(Struct):
     """Transforms met in a log: ``static`` ones (the last counts), and those of /tf, noted if they ``changed``.
 
-    ``first_static`` are the static ones as they were first, ``latest`` those last met as they were written.
+    ``first_static`` are the static ones as they were first.
     """
 
     static: dict[tuple[str, str], NDArray[np.float64]] = field(default_factory=dict)
     first_static: dict[tuple[str, str], NDArray[np.float64]] = field(default_factory=dict)
     moving: dict[tuple[str, str], NDArray[np.float64]] = field(default_factory=dict)
     changed: set[tuple[str, str]] = field(default_factory=set)
-    latest: dict[tuple[str, str], tuple[object, object]] = field(default_factory=dict)
 
-    def add(self, messages: Iterable[TransformMessage], _log_ns: int = 0, *, static: bool) -> None:
-        """Take in the transforms of one message."""
-        for message in messages:
-            edge = frame_name(message.parent), frame_name(message.child)
-            if not static and (edge in self.changed or self.latest.get(edge) == (message.xyz, message.xyzw)):
-                continue
-            self.latest[edge] = message.xyz, message.xyzw
-            matrix = matrix_of(message)
-            if matrix is None:
-                continue
+    def add(self, parts: Iterable[Poses], *, static: bool) -> None:
+        """Take in transforms."""
+        for edge, poses in merge_by(parts, lambda part: (frame_name(part.parent), frame_name(part.child))).items():
             if static:
-                self.static[edge] = matrix
-                self.first_static.setdefault(edge, matrix)
-            elif (np.abs(self.moving.setdefault(edge, matrix) - matrix) > _LIMITS).any():
+                for matrix in _matrices(poses):
+                    self.static[edge] = matrix
+                    self.first_static.setdefault(edge, matrix)
+            elif edge not in self.changed and any(
+                (np.abs(self.moving.setdefault(edge, matrix) - matrix) > _LIMITS).any() for matrix in _matrices(poses)
+            ):
                 self.changed.add(edge)
 
     def find(self, base: str, laser: str) -> NDArray[np.floating] | None:

@@ -54,6 +54,8 @@ TRIED = {
     "commands/test_replay.py": {
         "leave the rest out with --end": "test_a_log_of_which_the_end_is_lost_is_suspect",
         "if it is wrong, correct --start-pose": "test_a_start_pose_far_from_the_pose_found_is_told",
+        "compare both maps with mavnav diff": "test_a_run_in_a_given_map_is_compared_with_it_by_diff",
+        "see both with mavnav diff": "test_a_run_in_a_given_map_is_compared_with_it_by_diff",
     },
     "commands/test_advice_on_tracks.py": {
         "look at the ranges with mavnav info, and at near_mm": "test_too_few_beams_are_told_by_info",
@@ -72,12 +74,6 @@ TRIED = {
         "See them with 'mavnav info'": "test_spoilt_scans_are_explained_by_info",
     },
     "logs/test_carmen.py": {"--truth auto compares with them": "test_corrected_poses_are_truth_and_no_odometry"},
-    "slam/refinement/test_contradicted.py": {
-        "compare both maps with mavnav diff": "test_where_the_map_contradicts_all_scans_a_warning_says_so"
-    },
-    "slam/methods/test_localization.py": {
-        "see both with mavnav diff": "test_a_laser_lost_in_the_map_is_mapped_by_itself_and_placed_as_a_whole"
-    },
     "logs/test_choice.py": {
         "turned over (not with --extrinsic": "test_scans_of_a_laser_upside_down_are_turned_over",
         "used as recorded, as --extrinsic knows": "test_scans_of_a_laser_upside_down_are_turned_over",

@@ -26,7 +26,7 @@ def test_odometry_that_fits_is_used_as_recorded(tmp_path: Path, capsys: pytest.C
     assert used["used"]
     assert (used["offset_s"], used["distance_scale"], used["turn_scale"], used["left_out"]) == (0.0, 1.0, 1.0, [])
     assert 0.0 < used["noise"]["m_per_m"] < 0.2
-    assert "odometry /odom as recorded, wrong by" in capsys.readouterr().out
+    assert "odometry /odom as recorded, off the track by" in capsys.readouterr().out
 
 
 def test_what_corrects_odometry_is_stated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

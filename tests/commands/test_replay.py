@@ -538,6 +538,17 @@ def test_a_start_pose_far_from_the_pose_found_is_told(
         assert "; check the pose found; if it is wrong, correct --start-pose" in warnings[0]
 
 
+def test_a_run_in_a_given_map_is_compared_with_it_by_diff(
+    mavnav: Callable, sample: Path, finished: Path, tmp_path: Path
+) -> None:
+    code, _, _ = mavnav("replay", sample, "-o", tmp_path / "r", "--end", 1.0, "-q", "--odom", "off", "--map", finished)
+    assert code == 0
+    code, out, _ = mavnav("diff", finished, tmp_path / "r", "-q", "--json")
+    document = json.loads(out)
+    assert (code, document["changed_m2"]) == (0, 0.0)
+    assert document["alignment"]["agreeing"] > 0
+
+
 def test_a_laser_that_is_nowhere_in_the_map_is_told(
     mavnav: Callable, make_log: Callable, finished: Path, tmp_path: Path
 ) -> None:

@@ -124,7 +124,7 @@ def test_a_jump_is_no_stretch_without_a_pose() -> None:
 
 def test_odometry_is_shown_with_what_corrects_it() -> None:
     used = {"used": True, "offset_s": 0.28, "distance_scale": 1.004, "turn_scale": 0.9, "noise": {"m_per_m": 0.04}}
-    corrected = "odometry /odom corrected by +0.28 s, turns x 0.9, wrong by 4 % of the distance"
+    corrected = "odometry /odom corrected by +0.28 s, turns x 0.9, off the track by 4 % of the distance"
     assert corrected in tracked(odometry=used)
     assert "odometry /odom not used, it contradicts the scans" in tracked(odometry=used | {"used": False})
 

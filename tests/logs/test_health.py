@@ -95,7 +95,7 @@ def examined(messages: list[Message], path: Path) -> SensorHealth:
         (sparse, ["sparse"]),
         (partial, ["partial"]),
         (hidden, ["dead_sectors"]),
-        (repeated, ["repeated"]),
+        (repeated, []),
         (saturated, ["saturated"]),
         (far, ["far"]),
         (gap, ["gaps"]),
@@ -114,6 +114,15 @@ def test_a_sector_is_given_in_degrees(tmp_path: Path) -> None:
     ((low, high),) = examined(hidden(), tmp_path / "a").dead_sectors_deg
     assert abs(low - 40.0) <= 4.0
     assert abs(high - 80.0) <= 4.0
+
+
+def test_a_sector_across_the_x_axis_is_named_within_a_turn(tmp_path: Path) -> None:
+    messages = spoilt(spoilt(scans(), range(40), slice(0, 5)), range(40), slice(85, None))
+    for message in messages:
+        message.fields["angle_min"] = 0.01
+    health = examined(messages, tmp_path / "a")
+    assert health.dead_sectors_deg == [(340.0, 380.0)]
+    assert [finding.what for finding in health.findings] == ["no valid return in any scan at 340 to 20 deg"]
 
 
 def test_far_returns_are_counted_with_the_setting_that_uses_them(tmp_path: Path) -> None:

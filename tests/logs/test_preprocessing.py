@@ -197,6 +197,17 @@ def test_the_unit_of_ranges_is_that_of_a_possible_laser(factor: int, limits: tup
     assert f"they look like {units}, not meters" in scan_filter.doubt if units else scan_filter.doubt == ""
 
 
+@pytest.mark.parametrize(
+    ("limits", "warned"),
+    [((1.0, 120.0), True), ((1.5, 56.0), True), ((0.9, 120.0), False), ((0.1, 12.0), False), ((10.0, 1200.0), False)],
+)
+def test_limits_that_may_be_in_decimeters_are_named(limits: tuple[float, float], warned: bool) -> None:
+    warnings: list[str] = []
+    turn = message(ranges_m=np.linspace(6.0, 30.0, 50), angle_step_rad=0.1, last_angle_rad=3.9)
+    ScanFilter("/scan", warnings.append).admit(turn._replace(range_min_m=limits[0], range_max_m=limits[1]))
+    assert any("are in decimeters; divide them by 10" in text for text in warnings) is warned
+
+
 def test_a_topic_in_degrees_is_doubted_until_a_scan_is_sound() -> None:
     scan_filter, degrees = (
         ScanFilter("/scan", [].append),

@@ -52,6 +52,8 @@ def test_lost_segments_are_beams_without_a_return(sweeps: list[Message], tmp_pat
     for k in lost:
         expected[k // 12, k % 12 * 10 : k % 12 * 10 + 10] = np.nan
     assert np.array_equal(ranges_of(log), expected, equal_nan=True)
+    assert sum(f"segments are missing in 3 of {len(sweeps)} sweeps" in text for text in log.warnings) == 1
+    assert not any("missing" in text for text in original.warnings)
 
 
 def test_segments_of_less_than_a_turn_begin_behind_the_sector_that_is_not_covered(
@@ -61,6 +63,7 @@ def test_segments_of_less_than_a_turn_begin_behind_the_sector_that_is_not_covere
     log = open_log(write_mcap(tmp_path / "a", cut))
     assert len(log) == len(sweeps)
     assert log.sensor.angle_min_rad == pytest.approx(-np.pi)
+    assert not any("missing" in text for text in log.warnings)
     assert np.isfinite(ranges_of(log)[1:, :90]).all()
     assert np.isnan(ranges_of(log)[:, 90:]).all()
 

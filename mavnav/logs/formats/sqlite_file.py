@@ -34,8 +34,6 @@ _TABLES = """SELECT name FROM sqlite_master WHERE type = 'table' AND sql NOT LIK
 AND name IN ('topics', 'messages', 'message_definitions')"""
 _TOPICS = "SELECT id, name, type, serialization_format, {} FROM topics"
 _HAS_QOS = "SELECT count(*) FROM pragma_table_info('topics') WHERE name = 'offered_qos_profiles'"
-_DEFINITIONS = """SELECT count(*) FROM sqlite_master
-WHERE type = 'table' AND name = 'message_definitions' AND sql NOT LIKE '%VIRTUAL%'"""
 _DEFINITIONS = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
 _COMPUTED = """SELECT m.name, c.name FROM sqlite_master AS m, pragma_table_xinfo(m.name) AS c
 WHERE m.name IN ('topics', 'messages', 'message_definitions') AND c.hidden > 1"""

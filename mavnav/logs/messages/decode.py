@@ -8,8 +8,11 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from mavnav.logs.formats.decompress import DecompressError, unpack_message
 from mavnav.logs.messages import carmen
+from mavnav.logs.messages.columns import columns_of, read_blocks
 from mavnav.logs.messages.definitions import (
     FOXGLOVE_SCAN,
     IMU,
@@ -23,14 +26,15 @@ from mavnav.logs.messages.definitions import (
     TRANSFORM,
 )
 from mavnav.logs.messages.fast_cdr import (
-    covariance_pose_of,
-    imu_of,
+    exactly,
     laser_of,
-    odometry_of,
-    path_of,
-    pose_of,
-    transform_of,
-    transforms_of,
+    read_covariance_pose,
+    read_imu,
+    read_odometry,
+    read_path,
+    read_pose,
+    read_transform,
+    read_transforms,
 )
 from mavnav.logs.messages.other_scans import other_scan, suffix_of
 from mavnav.logs.messages.records import DecodeError
@@ -39,11 +43,16 @@ from mavnav.logs.namespaces import topic_and_frame
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from numpy.typing import NDArray
+
+    from mavnav.logs.messages.fast_cdr import CdrFields
     from mavnav.logs.messages.records import LaserMessage
     from mavnav.logs.records import Channel
 
 LASER_TYPES = frozenset({SCAN, FOXGLOVE_SCAN})
 ROS_ENCODINGS = ("cdr", "ros1")
+SINGLE_POSES = frozenset({POSE, POSE_COVARIANCE, PATH, TRANSFORM})
+"""Types that are of use only on a topic that is named, or is named like a ground truth."""
 
 
 def decoder(channel: Channel, *, poses: bool = False, topic: str | None = None) -> Callable[[bytes], Any] | None:
@@ -56,8 +65,30 @@ def decoder(channel: Channel, *, poses: bool = False, topic: str | None = None) 
     kind, part = (channel.encoding, channel.type), suffix_of(channel, topic)
     if part is not None and channel.encoding in ROS_ENCODINGS:
         return _unpack_first(_other_scans(channel, part))
-    make = DECODERS.get(kind) or (POSE_DECODERS.get(kind) if poses else None)
+    make = DECODERS.get(kind) if poses or channel.type not in SINGLE_POSES else None
     return None if make is None else _unpack_first(make(channel))
+
+
+def decode_together(
+    channel: Channel, messages: list[bytes], log_ns: NDArray[np.int64], decode: Callable[[bytes], Any]
+) -> tuple[list[Any], dict[int, DecodeError]]:
+    """Decode messages of poses, or of an inertial sensor, in columns; those of other layouts one by one.
+
+    Returns the `Poses` or `Measurements`, and what is wrong with a message by its number. ``log_ns`` (n,) are the times
+    of recording.
+    """
+    blocks, errors, left = [], dict[int, DecodeError](), np.ones(len(messages), np.bool_)
+    if channel.encoding in ROS_ENCODINGS:
+        blocks = [*read_blocks(messages, channel.encoding, _FIELD_READERS[channel.type])]
+    for rows, _ in blocks:
+        left[rows] = False
+    singles = dict[int, Any]()
+    for row in np.flatnonzero(left).tolist():
+        try:
+            singles[row] = decode(messages[row])
+        except DecodeError as error:
+            errors[row] = error
+    return [*columns_of(blocks, singles, log_ns)], errors
 
 
 def _unpack_first(decode: Callable[[bytes], Any]) -> Callable[[bytes], Any]:
@@ -138,36 +169,24 @@ def _foxglove(channel: Channel) -> Callable[[bytes], LaserMessage]:
     return decode_json if channel.encoding == "json" else protobuf_decoder(channel)
 
 
+_FIELD_READERS: dict[str, Callable[[CdrFields], Any]] = {
+    ODOMETRY: read_odometry,
+    IMU: read_imu,
+    TF: read_transforms,
+    TF_ROS1: read_transforms,
+    POSE: read_pose,
+    POSE_COVARIANCE: read_covariance_pose,
+    PATH: read_path,
+    TRANSFORM: read_transform,
+}
 _ROS_READERS: dict[str, Callable[[bytes, str], Any]] = {
     SCAN: partial(laser_of, any_stamp=True),
-    ODOMETRY: odometry_of,
-    IMU: imu_of,
-    TF: transforms_of,
-    TF_ROS1: transforms_of,
+    **{name: exactly(read) for name, read in _FIELD_READERS.items()},
 }
 DECODERS: dict[tuple[str, str], Callable[[Channel], Callable[[bytes], Any]]] = {
     ("json", FOXGLOVE_SCAN): _foxglove,
     ("protobuf", FOXGLOVE_SCAN): _foxglove,
-    **{
-        (encoding, name): partial(_ros_decoder, read)
-        for name, read in _ROS_READERS.items()
-        for encoding in ROS_ENCODINGS
-    },
+    **{(each, name): partial(_ros_decoder, read) for name, read in _ROS_READERS.items() for each in ROS_ENCODINGS},
     (carmen.ENCODING, SCAN): carmen.scan_decoder,
-    (carmen.ENCODING, ODOMETRY): carmen.pose_decoder,
-    (carmen.ENCODING, TF): carmen.pose_decoder,
-}
-_POSE_READERS: dict[str, Callable[[bytes, str], Any]] = {
-    POSE: pose_of,
-    POSE_COVARIANCE: covariance_pose_of,
-    PATH: path_of,
-    TRANSFORM: transform_of,
-}
-POSE_DECODERS: dict[tuple[str, str], Callable[[Channel], Callable[[bytes], Any]]] = {
-    (carmen.ENCODING, TRANSFORM): carmen.pose_decoder,
-    **{
-        (encoding, name): partial(_ros_decoder, read)
-        for name, read in _POSE_READERS.items()
-        for encoding in ROS_ENCODINGS
-    },
+    **{(carmen.ENCODING, name): carmen.pose_decoder for name in (ODOMETRY, TF, TRANSFORM)},
 }

@@ -60,13 +60,13 @@ def _laser(body: bytes, start: int, align: int, order: str, any_stamp: bool) -> 
     return LaserMessage(stamp_ns, frame, first, step, last, low, high, increment_s, scan_s, ranges_m)
 
 
-def _exactly(read: Callable[[_CdrFields], Any]) -> Callable[[bytes, str], Any]:
+def exactly(read: Callable[[CdrFields], Any]) -> Callable[[bytes, str], Any]:
     """Return the function that decodes a message in ``cdr`` or ``ros1``; None if the bytes are not exactly one."""
 
     @wraps(read)
     def decode(data: bytes, encoding: str) -> Any:  # noqa: ANN401
         try:
-            fields = _CdrFields.of(data, encoding)
+            fields = CdrFields.of(data, encoding)
             message = read(fields)
         except (struct.error, ValueError):
             return None
@@ -75,60 +75,52 @@ def _exactly(read: Callable[[_CdrFields], Any]) -> Callable[[bytes, str], Any]:
     return decode
 
 
-@_exactly
-def transforms_of(fields: _CdrFields) -> list[TransformMessage]:
-    """Decode a tf2_msgs/TFMessage; None if the bytes are not exactly one."""
+def read_transforms(fields: CdrFields) -> list[TransformMessage]:
+    """Read the fields of a tf2_msgs/TFMessage."""
     return [fields.transform() for _ in range(fields.count())]
 
 
-@_exactly
-def transform_of(fields: _CdrFields) -> list[TransformMessage]:
-    """Decode a geometry_msgs/TransformStamped; None if the bytes are not exactly one."""
+def read_transform(fields: CdrFields) -> list[TransformMessage]:
+    """Read the fields of a geometry_msgs/TransformStamped."""
     return [fields.transform()]
 
 
-@_exactly
-def pose_of(fields: _CdrFields) -> list[TransformMessage]:
-    """Decode a geometry_msgs/PoseStamped; None if the bytes are not exactly one."""
+def read_pose(fields: CdrFields) -> list[TransformMessage]:
+    """Read the fields of a geometry_msgs/PoseStamped."""
     return [fields.transform(child=False)]
 
 
-@_exactly
-def covariance_pose_of(fields: _CdrFields) -> list[TransformMessage]:
-    """Decode the pose of a geometry_msgs/PoseWithCovarianceStamped; None if the bytes are not exactly one."""
+def read_covariance_pose(fields: CdrFields) -> list[TransformMessage]:
+    """Read the fields of a geometry_msgs/PoseWithCovarianceStamped, and return its pose."""
     pose = fields.transform(child=False)
     fields.doubles(_COVARIANCE)
     return [pose]
 
 
-@_exactly
-def path_of(fields: _CdrFields) -> list[TransformMessage]:
-    """Decode the poses of a nav_msgs/Path; None if the bytes are not exactly one."""
+def read_path(fields: CdrFields) -> list[TransformMessage]:
+    """Read the fields of a nav_msgs/Path, and return its poses."""
     fields.stamp_ns(), fields.text()
     return [fields.transform(child=False) for _ in range(fields.count())]
 
 
-@_exactly
-def odometry_of(fields: _CdrFields) -> list[TransformMessage]:
-    """Decode the pose of a nav_msgs/Odometry; None if the bytes are not exactly one."""
+def read_odometry(fields: CdrFields) -> list[TransformMessage]:
+    """Read the fields of a nav_msgs/Odometry, and return its pose."""
     pose = fields.transform()
     fields.doubles(_COVARIANCE + _TWIST + _COVARIANCE)
     return [pose]
 
 
-@_exactly
-def imu_of(fields: _CdrFields) -> ImuMessage:
-    """Decode a sensor_msgs/Imu; None if the bytes are not exactly one.
+def read_imu(fields: CdrFields) -> ImuMessage:
+    """Read the fields of a sensor_msgs/Imu.
 
     Quaternion, angular velocity and acceleration are each followed by a covariance of 9 values. A first covariance of
     -1 means that there is no orientation.
     """
     stamp_ns, frame_id, values = fields.stamp_ns(), fields.text(), fields.doubles(37)
-    orientation = None if values[4] == -1.0 else values[:4]
-    return ImuMessage(stamp_ns, orientation, values[13:16], values[25:28], frame_id)  # type: ignore[arg-type]
+    return ImuMessage(stamp_ns, fields.orientation(values), values[13:16], values[25:28], frame_id)  # type: ignore[arg-type]
 
 
-class _CdrFields(Struct):
+class CdrFields(Struct):
     """Sequential reader of the fields of a message; raises struct.error or ValueError if a field is missing."""
 
     body: bytes
@@ -137,7 +129,7 @@ class _CdrFields(Struct):
     offset: int = 0
 
     @classmethod
-    def of(cls, data: bytes, encoding: str) -> _CdrFields:
+    def of(cls, data: bytes, encoding: str) -> CdrFields:
         """Return a reader at the first field of a message; raises ValueError for other kinds of CDR."""
         if encoding == "ros1":
             return cls(data, "<", aligned=False)
@@ -168,8 +160,12 @@ class _CdrFields(Struct):
         """Read a header, the child frame if there is one, and the pose of the child."""
         stamp_ns = self.stamp_ns()
         parent, name = self.text(), self.text() if child else ""
-        x, y, z, qx, qy, qz, qw = self.doubles(7)
-        return TransformMessage(stamp_ns, parent, name, (x, y, z), (qx, qy, qz, qw))
+        numbers = self.doubles(7)
+        return TransformMessage(stamp_ns, parent, name, numbers[:3], numbers[3:])  # type: ignore[arg-type]
+
+    def orientation(self, values: tuple[float, ...]) -> tuple[float, ...] | None:
+        """Return the quaternion of an Imu by its numbers."""
+        return None if values[4] == -1.0 else values[:4]
 
     def stamp_ns(self) -> int:
         """Read the stamp of a header, in ns."""
@@ -191,3 +187,7 @@ class _CdrFields(Struct):
     def _align(self, size: int) -> None:
         if self.aligned:
             self.offset += -self.offset % size
+
+
+transforms_of, transform_of = exactly(read_transforms), exactly(read_transform)
+pose_of, odometry_of, imu_of = exactly(read_pose), exactly(read_odometry), exactly(read_imu)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import NDArray
 
 
@@ -44,6 +45,42 @@ class ImuMessage(NamedTuple):
     angular_velocity_rad_s: tuple[float, float, float]
     acceleration_m_s2: tuple[float, float, float]
     frame_id: str = ""
+
+
+class Measurements(NamedTuple):
+    """Measurements of an inertial sensor, in columns: those of `ImuMessage`, ``xyzw`` NaN where there is none.
+
+    ``rows`` (n,) are the numbers of the messages among those read together, ``log_ns`` the times of recording.
+    """
+
+    rows: NDArray[np.int64]
+    stamps_ns: NDArray[np.int64]
+    log_ns: NDArray[np.int64]
+    xyzw: NDArray[np.float64]
+    angular_velocity_rad_s: NDArray[np.float64]
+    acceleration_m_s2: NDArray[np.float64]
+    frame_id: str
+
+
+class Poses(NamedTuple):
+    """Poses of frame ``child`` in frame ``parent``, in columns: ``xyz`` (3, n) in m, quaternions ``xyzw`` (4, n).
+
+    ``rows`` (n,) are the numbers of the messages among those read together, ``log_ns`` the times of recording.
+    """
+
+    rows: NDArray[np.int64]
+    stamps_ns: NDArray[np.int64]
+    log_ns: NDArray[np.int64]
+    parent: str
+    child: str
+    xyz: NDArray[np.float64]
+    xyzw: NDArray[np.float64]
+
+    def of_message(self, row: int) -> Poses:
+        """Return the poses of one message."""
+        own = self.rows == row
+        xyz, xyzw = self.xyz[:, own], self.xyzw[:, own]
+        return Poses(self.rows[own], self.stamps_ns[own], self.log_ns[own], self.parent, self.child, xyz, xyzw)
 
 
 class TransformMessage(NamedTuple):
