@@ -1,8 +1,8 @@
-"""Pauses in the scans: how far the laser can have moved meanwhile."""
+"""Pauses in the scans: how far the laser can have moved meanwhile, and whether it was found late after one."""
 
 from __future__ import annotations
 
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from math import hypot
 from typing import TYPE_CHECKING
 
@@ -26,6 +26,9 @@ PAUSE_S, PAUSE_PERIODS = 2.5, 2.5
 
 LEAST_SPEED_M_S, FASTER, SLACK_M = 0.3, 1.2, 0.5
 """Speed that every vehicle reaches, largest ratio of the mean speed in a pause to the highest before, and slack."""
+
+LATE_SCANS = 32
+"""Number of scans after a pause without a pose from which the next pose is doubtful: the laser moved on to new area."""
 
 
 class Pauses:
@@ -88,6 +91,16 @@ def pauses(steps: Steps, period_s: float) -> list[int]:
     """Return the numbers of the scans before the pauses of a log."""
     before: list[int] = np.flatnonzero(np.diff(steps.column("stamp_ns")) * NS > shortest_pause_s(period_s)).tolist()
     return before
+
+
+def first_found_late(steps: Steps, period_s: float) -> int | None:
+    """Return the number of the first scan after the first pause after which the laser was found late; None without."""
+    accepted = np.flatnonzero(steps.column("tracked")).tolist()
+    for pause in pauses(steps, period_s):
+        later = bisect_right(accepted, pause)
+        if 0 < later < len(accepted) and accepted[later] - pause > LATE_SCANS:
+            return pause + 1
+    return None
 
 
 def pause_warnings(steps: Steps, motion: Motion) -> Iterator[str]:

@@ -21,7 +21,7 @@ from mavnav.slam.matching.budget import LONG_LOST_SCANS
 from mavnav.slam.matching.relocalization import AGREEING_SCANS, apart
 from mavnav.slam.matching.scan_matching import no_match
 from mavnav.slam.matching.steps import LOST_SCANS, Step, Steps, evenly, lost_intervals, runs_of
-from mavnav.slam.methods.pauses import highest_speeds, pauses
+from mavnav.slam.methods.pauses import first_found_late, highest_speeds, pauses
 from mavnav.slam.recovery.across_gap import LOCAL_SCANS, pose_across_gap, reach_across
 from mavnav.slam.recovery.part_by_odometry import neighbours, placed_warning, pose_by_odometry
 from mavnav.slam.retries.beginning import LEAST_TRACKED_SHARE, count_accepted, until_missing
@@ -86,6 +86,22 @@ def join_lost_parts(track: Track, refiner: Refiner) -> Track:
     others += [part for part in track.findings.parts if not taken.intersection(step.index for step in part)]
     whole = with_all_scans(replace(largest, findings=replace(track.findings, parts=())), track.steps)
     return join_parts(whole, [part for part in others if part])
+
+
+def drop_late_poses(track: Track, refiner: Refiner) -> Track:
+    """Give up the poses after a pause in the scans after which the laser was found late: one scan is weak evidence.
+
+    Only the scans before it are tracked again; `join_lost_parts` tracks the others, and joins them if several agree. A
+    log that is lost for good is left as it is: that is said anyway.
+    """
+    if not refiner.builds_map or track.motion.odometry is not None:
+        return track
+    lost = lost_for_good(track.steps, list(lost_intervals(track.steps)))
+    first = None if lost else first_found_late(track.steps, track.motion.period_s)
+    if first is None:
+        return track
+    before = track.over(islice(track.log_scans(), first), "track again")
+    return with_all_scans(before, track.steps)
 
 
 def lost_parts(track: Track) -> list[Track]:

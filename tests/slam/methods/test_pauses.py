@@ -14,7 +14,7 @@ from mavnav.scan import LaserSpec
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.scan_matching import first_match, no_match
 from mavnav.slam.matching.steps import Step, Steps
-from mavnav.slam.methods.pauses import Pauses, pause_warnings
+from mavnav.slam.methods.pauses import LATE_SCANS, Pauses, first_found_late, pause_warnings
 from mavnav.slam.methods.registry import make_method
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.recovery.parts import join_parts
@@ -104,6 +104,19 @@ def test_missed_scans_are_no_pause() -> None:
     for k in range(1, 200):
         pauses.note(k * S // 10, motion_at(S // 10, 0.5))
     assert not pauses.exclude(Pose(30.0, 0.0), motion_at(S // 10, 0.5), 20 * S)
+
+
+@pytest.mark.parametrize(
+    ("missed", "pause_s", "late"), [(LATE_SCANS, 3.0, True), (LATE_SCANS - 1, 3.0, False), (40, 2.0, False)]
+)
+def test_a_laser_is_found_late(missed: int, pause_s: float, *, late: bool) -> None:
+    def step(k: int, *, tracked: bool) -> Step:
+        stamp_ns = k * S // 10 + (round(pause_s * S) if k >= 10 else 0)
+        return Step(k, stamp_ns, first_match(100) if tracked else no_match(Pose()), tracked)
+
+    steps = Steps(step(k, tracked=not 10 <= k < 10 + missed) for k in range(100))
+    assert first_found_late(steps, 0.1) == (10 if late else None)
+    assert first_found_late(Steps(step(k, tracked=k < 10) for k in range(100)), 0.1) is None
 
 
 def test_a_pause_between_two_poses_is_reported() -> None:
