@@ -39,6 +39,7 @@ def folder(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", range(3))
 def test_the_examples_run(number: int, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert len(EXAMPLES) == 3
@@ -47,6 +48,7 @@ def test_the_examples_run(number: int, folder: Path, capsys: pytest.CaptureFixtu
     assert (folder / "runs/first/run.json").is_file() == (number == 0)
 
 
+@pytest.mark.slow
 def test_the_notebook_runs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pyplot = pytest.importorskip("matplotlib.pyplot")
     pyplot.switch_backend("agg")
@@ -190,10 +192,12 @@ def test_a_run_is_given_where_a_path_can_be(log: Path, run: mavnav.Run, tmp_path
     assert mavnav.diff(run, run)["alignment"] is not None
     continued = mavnav.replay(log, start_s=2, end_s=3, continue_from=run)
     assert continued.metrics["continued"]["joined"]
-    assert len(mavnav.merge([run, log], tmp_path / "merged")["sessions"]) == 2
+    later = mavnav.replay(log, start_s=2, end_s=3, directory=tmp_path / "later").directory
+    assert len(mavnav.merge([run, later], tmp_path / "merged")["sessions"]) == 2
     assert mavnav.replay(log, end_s=0.5, map=run).metrics["scans"]["total"] > 0
 
 
+@pytest.mark.slow
 def test_one_grid_need_not_be_a_list(tmp_path: Path) -> None:
     log = written(cut(tour("hall"), 6)[0], tmp_path / "drive.mcap")
     single, listed = (

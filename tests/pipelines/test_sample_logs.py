@@ -80,7 +80,7 @@ def replace_sample(made: Path) -> None:
     README.write_text(text)
 
 
-@pytest.mark.parametrize("name", LOGS)
+@pytest.mark.parametrize("name", [*(pytest.param(name, marks=pytest.mark.slow) for name in LOGS[:2]), LOGS[2]])
 def test_the_command_in_the_readme_makes_it_again(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert run([*COMMANDS[name], "--quiet"]) == 0

@@ -227,7 +227,14 @@ def test_the_tilt_of_an_inertial_sensor_is_a_reason() -> None:
 
 
 @pytest.mark.real_logs
-@pytest.mark.parametrize("log", ["kev_urg/kev_urg.bag", "ccny_demo/ccny_demo.mcap", "lego_robot4/lego_robot4.mcap"])
+@pytest.mark.parametrize(
+    "log",
+    [
+        pytest.param("kev_urg/kev_urg.bag", marks=pytest.mark.slow),
+        "ccny_demo/ccny_demo.mcap",
+        pytest.param("lego_robot4/lego_robot4.mcap", marks=pytest.mark.slow),
+    ],
+)
 def test_the_doubt_of_recorded_logs(real_logs: Path, log: str) -> None:
     opened = open_log(real_logs / log)
     scans = list(opened.scans())

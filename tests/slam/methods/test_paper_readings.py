@@ -183,6 +183,7 @@ def test_the_literal_reading_does_not() -> None:
     assert flight.slam.steps.share("tracked") < 0.2
 
 
+@pytest.mark.slow
 @pytest.mark.real_logs
 def test_the_recording_of_the_paper_s_own_sensor_is_tracked_to_its_end(real_logs: Path) -> None:
     log, config = open_log(real_logs / "ccny_demo" / "ccny_demo.mcap", odom="off"), load_config("paper")

@@ -53,8 +53,15 @@ def length_without(first: int) -> float:
     return tracked(list(tour()[first:])).trajectory.length_m
 
 
-@pytest.mark.parametrize("first", [1, 10])
-@pytest.mark.parametrize("spoil", [partial, blocked, blank])
+@pytest.mark.parametrize(
+    ("spoil", "first"),
+    [
+        (partial, 10),
+        (blocked, 1),
+        (blank, 10),
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in ((partial, 1), (blocked, 10), (blank, 1))),
+    ],
+)
 def test_spoilt_scans_at_the_beginning_cost_no_more_than_themselves(spoil, first: int) -> None:
     rng = np.random.default_rng(1)
     scans = [spoil(scan, rng) if k < first else scan for k, scan in enumerate(tour())]
