@@ -21,9 +21,12 @@ gc.disable()
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Compile all kernels before several processes would compile the same ones at the same time."""
+    """Compile all kernels, also those of tests, before several processes would compile the same ones at once."""
     if session.config.getoption("numprocesses", None):
-        subprocess.run([sys.executable, "-m", "mavnav", "warmup"], cwd=ROOT, stdout=subprocess.DEVNULL, check=False)
+        paths = os.pathsep.join((str(ROOT), str(ROOT / "tests"), os.environ.get("PYTHONPATH", "")))
+        code = "import support.kernel_parts; from mavnav.cli import run; run(['warmup'])"
+        environment = os.environ | {"PYTHONPATH": paths}
+        subprocess.run([sys.executable, "-c", code], env=environment, stdout=subprocess.DEVNULL, check=False)
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -47,6 +50,16 @@ settings.load_profile("untimed")
 @pytest.fixture(scope="session")
 def repo_root() -> Path:
     return ROOT
+
+
+@pytest.fixture(scope="session")
+def sample(repo_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the first 42 scans of a sample log, of which the rest would take longer to read than most replays take."""
+    from support.log_files import copy_messages
+
+    path = tmp_path_factory.mktemp("sample") / "corridor.mcap"
+    copy_messages(repo_root / "sample_logs" / "corridor.mcap", path, lambda topic, scans: [topic] * (scans <= 42))
+    return path
 
 
 SHORT_COMPARISON = ("--end", "0.5", "--online", "--set", "azimuth=6", "--grid", "5x5", "--grid", "12x12")

@@ -12,6 +12,7 @@ from msgspec.structs import replace
 from mavnav.cli import run
 from support.field_logs import drive_log
 from support.log_files import ODOM, write_mcap
+from support.marks import slow
 
 LOG = Path(__file__).parents[2] / "sample_logs" / "complex.bag"
 
@@ -29,6 +30,7 @@ def test_odometry_that_fits_is_used_as_recorded(tmp_path: Path, capsys: pytest.C
     assert "odometry /odom as recorded, wrong by" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_what_corrects_odometry_is_stated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     wrong = replayed(tmp_path / "a", "--set", "odometry.distance_scale=100")["odometry"]
     assert wrong["used"]
@@ -50,7 +52,7 @@ def test_the_odometry_of_a_mission_is_its_commands(tmp_path: Path) -> None:
     assert used["noise"] == {"m_per_m": None, "rad_per_rad": None}
 
 
-@pytest.mark.parametrize("off_s", [-40.0, pytest.param(20.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("off_s", [-40.0, slow(20.0)])
 def test_odometry_of_another_clock_is_used_and_its_offset_stated(off_s: float, tmp_path: Path) -> None:
     off_ns = round(off_s * 1e9)
     messages = [

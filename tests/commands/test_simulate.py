@@ -161,6 +161,7 @@ def test_recordings_replay_to_the_same_map(
         assert b == pytest.approx(a, abs=flown["map"]["cell_mm"])
 
 
+@pytest.mark.slow
 def test_a_recorded_truth_measures_as_the_truth_file(
     corner: tuple[Path, subprocess.CompletedProcess[str]], mavnav: Callable, tmp_path: Path
 ) -> None:

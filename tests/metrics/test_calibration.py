@@ -70,6 +70,7 @@ def test_noise_of_the_odometry_does_not_pull_the_laser_to_the_axle() -> None:
     assert (np.abs(mean[[0, 1, 4]]) < (3e-3, 3e-3, 4e-3)).all()
 
 
+@pytest.mark.slow
 def test_slips_do_not_spoil_it() -> None:
     """In one step of a hundred the wheels slip by up to 0.1 m and 11 deg."""
     found = calibrated(replace(CROOKED, slips=0.01))

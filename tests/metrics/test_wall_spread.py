@@ -16,6 +16,7 @@ from mavnav.metrics.wall_spread import WallCuts, WallSpread, cut_walls, wall_spr
 from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.scan import Scan
 from mavnav.slam.pipeline import run_slam
+from support.marks import slow
 from support.synthetic import TOUR, URG_04LX, along, box, cast, furnished_rooms, polyline, record, room, scan_at
 from support.walls import planted_wall, walking_people
 
@@ -77,7 +78,7 @@ def test_noisy_walls_at_forty_angles(sigma_mm: float) -> None:
     assert found.std() < 2.5
 
 
-@pytest.mark.parametrize("people", [pytest.param(0, marks=pytest.mark.slow), 2])
+@pytest.mark.parametrize("people", [slow(0), 2])
 def test_a_laser_at_rest_reads_the_same_however_long_it_looks(people: int) -> None:
     rng, at = np.random.default_rng(people), Pose(2.9, 1.0, 1.2)
     walls = np.vstack((room(), box(1.9, 2.0, 0.7, 0.5, 0.3), box(4.2, 1.9, 0.4, 0.6, -0.2)))

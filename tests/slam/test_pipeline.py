@@ -24,6 +24,7 @@ from mavnav.slam.methods.registry import METHODS, RARE_KERNELS
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.result import SlamResult, jump_warnings
 from mavnav.slam.retries import odometry
+from support.marks import slow
 from support.synthetic import LDS_01, TOUR, Recording, along, drifting_odometry, furnished_rooms, record, room, scan_at
 
 PERIOD_S = 0.1
@@ -52,7 +53,7 @@ def errors_m(outcome: SlamResult, recording: Recording) -> np.ndarray:
     return np.array([np.hypot(*(here.xyyaw[k, :2] - truth[int(t)])) for k, t in enumerate(here.stamps_ns)])
 
 
-@pytest.mark.parametrize("grid", ["10x10", pytest.param("5x7", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("grid", ["10x10", slow("5x7")])
 def test_robust_follows_the_tour(tour: Recording, grid: str) -> None:
     tour = every_other(tour)
     outcome = run_slam(lambda: tour.scans, load_config(overrides={"grid": grid}), 2 * PERIOD_S)

@@ -9,6 +9,7 @@ from mavnav.config.models import Config
 from mavnav.pose import Pose, Trajectory, rigid_fit, transform_points
 from mavnav.scan import LaserSpec
 from mavnav.slam.pipeline import run_slam
+from support.marks import slow
 from support.synthetic import box, room, scan_at
 
 PERIOD_S = 0.1
@@ -33,8 +34,6 @@ def worst_error_m(beams: int, *, with_odometry: bool) -> float:
     return float(np.hypot(*(placed - truth).T).max())
 
 
-@pytest.mark.parametrize(
-    ("beams", "with_odometry"), [(48, False), (48, True), pytest.param(72, False, marks=pytest.mark.slow), (360, False)]
-)
+@pytest.mark.parametrize(("beams", "with_odometry"), [(48, False), (360, False), slow(48, True), slow(72, False)])
 def test_few_beams_are_tracked_like_many(beams: int, *, with_odometry: bool) -> None:
     assert worst_error_m(beams, with_odometry=with_odometry) < 0.1
