@@ -46,7 +46,7 @@ $(VENV)-oldest/.dev: pyproject.toml
 	@touch $@
 
 oldest: $(VENV)-oldest/.dev
-	$(VENV)-oldest/bin/python -m pytest -n 2 $(OLDEST)
+	$(VENV)-oldest/bin/python -m pytest -n 2 -m "$(SELECT)" $(OLDEST)
 
 fuzz: $(VENV)/.dev
 	$(BIN)/python benchmarks/fuzz_logs.py --seed $(FUZZ_SEED) --count $(FUZZ_COUNT) --attacks $(FUZZ_COUNT) \

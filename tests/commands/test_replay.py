@@ -409,7 +409,7 @@ def test_an_unwritable_output_is_told_before_the_work(mavnav: Callable, sample: 
     file = tmp_path / "file"
     file.touch()
     expect_error(mavnav("replay", sample, "-o", file / "run", "-q"), ExitCode.OUTPUT, str(file), "choose another place")
-    expect_error(mavnav("replay", sample, "-o", "/proc/run", "-q"), ExitCode.OUTPUT, "/proc/run")
+    expect_error(mavnav("replay", sample, "-o", "/proc/run", "-q", "--end", 0.1), ExitCode.OUTPUT, "/proc/run")
 
 
 def test_unknown_configuration_key(mavnav: Callable, sample: Path, tmp_path: Path) -> None:
