@@ -11,6 +11,7 @@ FUZZ_COUNT ?= 1000000
 FUZZ_FAULTS ?= 1000
 BOUNDS := tests/kernels tests/mapping
 OLDEST := tests
+SELECT := not slow
 
 .PHONY: help demo test oldest fuzz bounds check format-check lint types bench bench-peers figures docs samples golden clean
 
@@ -35,7 +36,7 @@ demo: $(VENV)/.run
 	@echo "Pictures: $(DEMO)/map.png and $(DEMO)/wall_thickness.png; $(DEMO)/result.mcap opens in Foxglove."
 
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 -m "$(SELECT)"
 
 $(VENV)-oldest/.dev: pyproject.toml
 	$(PYTHON) -m venv $(VENV)-oldest
@@ -45,7 +46,7 @@ $(VENV)-oldest/.dev: pyproject.toml
 	@touch $@
 
 oldest: $(VENV)-oldest/.dev
-	$(VENV)-oldest/bin/python -m pytest -n 2 $(OLDEST)
+	$(VENV)-oldest/bin/python -m pytest -n 2 -m "$(SELECT)" $(OLDEST)
 
 fuzz: $(VENV)/.dev
 	$(BIN)/python benchmarks/fuzz_logs.py --seed $(FUZZ_SEED) --count $(FUZZ_COUNT) --attacks $(FUZZ_COUNT) \
@@ -91,7 +92,7 @@ docs: $(VENV)/.run
 	@echo "The site is in site/: open site/index.html"
 
 samples: $(VENV)/.dev
-	MAVNAV_UPDATE_SAMPLES=1 $(BIN)/python -m pytest tests/pipelines/test_sample_logs.py -k makes_it_again
+	MAVNAV_UPDATE_SAMPLES=1 $(BIN)/python -m pytest tests/pipelines/test_sample_logs.py -m "" -k makes_it_again
 
 golden: $(VENV)/.dev
 	MAVNAV_UPDATE_GOLDEN=1 $(BIN)/python -m pytest tests/pipelines/test_golden.py

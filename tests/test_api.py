@@ -44,6 +44,7 @@ def folder(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", range(3))
 def test_the_examples_run(number: int, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert len(EXAMPLES) == 3
@@ -52,6 +53,7 @@ def test_the_examples_run(number: int, folder: Path, capsys: pytest.CaptureFixtu
     assert (folder / "runs/first/run.json").is_file() == (number == 0)
 
 
+@pytest.mark.slow
 def test_the_notebook_prints_what_is_in_it(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -285,10 +287,12 @@ def test_a_run_is_given_where_a_path_can_be(log: Path, run: mavnav.Run, tmp_path
     assert mavnav.diff(run, run)["alignment"] is not None
     continued = mavnav.replay(log, start_s=2, end_s=3, continue_from=run)
     assert continued.metrics["continued"]["joined"]
-    assert len(mavnav.merge([run, log], tmp_path / "merged")["sessions"]) == 2
+    later = mavnav.replay(log, start_s=2, end_s=3, directory=tmp_path / "later").directory
+    assert len(mavnav.merge([run, later], tmp_path / "merged")["sessions"]) == 2
     assert mavnav.replay(log, end_s=0.5, map=run).metrics["scans"]["total"] > 0
 
 
+@pytest.mark.slow
 def test_one_grid_need_not_be_a_list(tmp_path: Path) -> None:
     log = written(cut(tour("hall"), 6)[0], tmp_path / "drive.mcap")
     single, listed = (

@@ -101,8 +101,12 @@ def names_in(path: Path) -> tuple[frozenset[str], frozenset[str]]:
             assert node.level == 0, f"{path}: relative import"
             names |= {f"{node.module}.{alias.name}" for alias in node.names}
         elif isinstance(node, ast.Call):
-            calls.add(ast.unparse(node.func))
+            calls.add(dotted(node.func))
     return frozenset(names), frozenset(calls)
+
+
+def dotted(node: ast.expr) -> str:
+    return f"{dotted(node.value)}.{node.attr}" if isinstance(node, ast.Attribute) else getattr(node, "id", "")
 
 
 def imports(path: Path) -> frozenset[str]:

@@ -39,6 +39,7 @@ TUTORIAL = [
 ]
 
 
+@pytest.mark.slow
 def test_the_commands_of_the_tutorial_run_in_their_order(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -161,6 +162,7 @@ def commands() -> list[Any]:
     return [*top, *program().commands["config"].commands.values()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [0, 1])
 def test_the_scenarios_of_their_page_run(number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

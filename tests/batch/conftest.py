@@ -14,12 +14,11 @@ from support.small_batch import batch
 
 
 @pytest.fixture(scope="session")
-def finished(tmp_path_factory: pytest.TempPathFactory, repo_root: Path) -> Path:
+def finished(tmp_path_factory: pytest.TempPathFactory, sample: Path) -> Path:
     """Return a folder with logs (good, cut, empty) and the batch over them in ``runs/batch``."""
     home = tmp_path_factory.mktemp("batches")
     logs = home / "logs"
     logs.mkdir()
-    sample = repo_root / "sample_logs" / "corridor.mcap"
     shutil.copy(sample, logs / "good.mcap")
     content = sample.read_bytes()
     (logs / "cut.mcap").write_bytes(content[: len(content) // 2])

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mcap.writer import Writer
 
 from mavnav.cli import run
+from support.log_files import copy_messages
 
 Mavnav = Callable[..., "tuple[int, str, str]"]
 
@@ -46,42 +46,28 @@ def spawn() -> Callable[..., subprocess.Popen[str]]:
 
 
 @pytest.fixture(scope="session")
-def sample(repo_root: Path) -> Path:
-    return repo_root / "sample_logs" / "corridor.mcap"
-
-
-@pytest.fixture(scope="session")
-def make_log(tmp_path_factory: pytest.TempPathFactory, sample: Path) -> Callable[..., Path]:
-    """Copy messages of the sample log into new ones: topics renamed, left out, or repeated; in many chunks.
+def make_log(tmp_path_factory: pytest.TempPathFactory, repo_root: Path) -> Callable[..., Path]:
+    """Copy messages of the sample log, up to a last scan, into new ones: topics renamed, left out, or repeated.
 
     After ``blind_after`` scans the ranges are random, as if the laser saw nothing it knows.
     """
-    from mcap.reader import NonSeekingReader
 
     def blind(data: bytes, rng: np.random.Generator) -> bytes:
         """Replace the ranges of a LaserScan in CDR; they lie before its empty intensities."""
         beams = 681
         return data[: -4 * beams - 4] + rng.uniform(0.3, 5.0, beams).astype("<f4").tobytes() + data[-4:]
 
-    def make(name: str, blind_after: int | None = None, **renamed: list[str]) -> Path:
-        path = tmp_path_factory.mktemp("logs") / name
-        with sample.open("rb") as source, path.open("wb") as sink:
-            writer = Writer(sink, chunk_size=64 * 1024)
-            writer.start(profile="ros2")
-            channels: dict[str, int] = {}
-            reader = NonSeekingReader(source)
-            rng, scans = np.random.default_rng(1), 0
-            for schema, channel, message in reader.iter_messages(log_time_order=False):
-                scans += channel.topic == "/scan"
-                data = message.data
-                if blind_after is not None and channel.topic == "/scan" and scans > blind_after:
-                    data = blind(data, rng)
-                for topic in renamed.get(channel.topic.strip("/"), [channel.topic]):
-                    if topic not in channels:
-                        schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
-                        channels[topic] = writer.register_channel(topic, channel.message_encoding, schema_id)
-                    writer.add_message(channels[topic], message.log_time, data, message.publish_time)
-            writer.finish()
+    def make(name: str, blind_after: int | None = None, last: int = 42, **renamed: list[str]) -> Path:
+        path, rng = tmp_path_factory.mktemp("logs") / name, np.random.default_rng(1)
+
+        def change(topic: str, scans: int, data: bytes) -> bytes:
+            seen = blind_after is None or topic != "/scan" or scans <= blind_after
+            return data if seen else blind(data, rng)
+
+        def topics(topic: str, scans: int) -> list[str]:
+            return renamed.get(topic.strip("/"), [topic]) if scans <= last else []
+
+        copy_messages(repo_root / "sample_logs" / "corridor.mcap", path, topics, change)
         return path
 
     return make

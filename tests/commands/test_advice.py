@@ -46,6 +46,7 @@ def warning_with(document: dict[str, Any], part: str) -> str:
     return text
 
 
+@pytest.mark.slow
 def test_mirrored_scans_are_named_where_odometry_turns_the_other_way(tmp_path: Path) -> None:
     messages = drive_log(path=TURNING, odometry=True, beams=120)
     mirrored = [m for m in messages if m.type != LASER] + with_fields(
@@ -67,6 +68,7 @@ def yard(reach_m: float = 80.0) -> list[Message]:
     return drive_log(path=path, walls=walls, beams=240, range_max_m=reach_m)
 
 
+@pytest.mark.slow
 def test_returns_beyond_the_default_are_used_where_most_are(tmp_path: Path) -> None:
     log = write_mcap(tmp_path / "log.mcap", yard())
     code, document = replayed(log, tmp_path / "a", "--end", "2")
@@ -150,6 +152,7 @@ def test_an_increment_set_as_the_warning_says_is_no_news(wrong: float, tmp_path:
     assert not [text for text in again.warnings if "angle" in text]
 
 
+@pytest.mark.slow
 def test_a_time_increment_set_as_the_warning_says_is_kept(tmp_path: Path) -> None:
     messages = drive_log(path=TURNING, beams=120)
     log = write_mcap(tmp_path / "a.mcap", with_fields(messages, time_increment=0.0))
@@ -204,6 +207,7 @@ def test_no_advice_leads_back_to_fewer_returns() -> None:
     assert "leave out robust.far_mm=5000" in lost(["robust.far_mm=5000"])[1]
 
 
+@pytest.mark.slow
 def test_a_log_of_calibrated_odometry_is_replayed_as_the_calibration_says(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -215,7 +219,7 @@ def test_a_log_of_calibrated_odometry_is_replayed_as_the_calibration_says(
     assert run(["calibrate", str(log), "-q"]) == 0
     (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("mavnav replay")]
     _, *words = split(line)
-    assert run([*words, "-o", str(tmp_path / "run"), "-q", "--outputs", "trajectory"]) == 0
+    assert run([*words, "-o", str(tmp_path / "run"), "-q", "--outputs", "trajectory", "--end", "12"]) == 0
     used = json.loads((tmp_path / "run" / "run.json").read_text())["tracking"]["odometry"]
     assert (used["used"], used["offset_s"]) == (True, pytest.approx(-0.5, abs=0.06))
 
@@ -244,6 +248,7 @@ def test_scans_that_repeat_are_cut_off(tmp_path: Path) -> None:
     assert open_log(path, end_s=1.9).warnings == ()
 
 
+@pytest.mark.slow
 def test_the_returns_that_info_names_are_used_or_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Some of the walls lie beyond the default; a driver writes the largest range where there is no return."""
 

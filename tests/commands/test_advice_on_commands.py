@@ -15,6 +15,7 @@ from msgspec.structs import replace
 from mavnav.cli import run
 from mavnav.errors import ExitCode
 from support.advice_trials import SHORT, TRIALS
+from support.faults import run_here
 from support.field_logs import drive_log
 from support.log_files import LASER, ODOM, TF, Message, write_mcap
 
@@ -65,6 +66,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, repo_root: Path) -> Path:
     shutil.copy(repo_root / "configs/corner.yaml", folder)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
+        patch.setattr("mavnav.batch.runner.run_jobs", run_here)
         for line in (
             "replay log.mcap -o run -q",
             "simulate short.yaml -o mission -q",
@@ -99,6 +101,7 @@ def worked() -> set[str]:
     return set()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("trial", TRIALS, ids=lambda trial: trial[1].replace(" ", "_"))
 def test_what_a_refusal_advises_works(
     trial: tuple[str, ...],
@@ -109,6 +112,7 @@ def test_what_a_refusal_advises_works(
 ) -> None:
     message, wrong, *right = trial
     monkeypatch.chdir(folder)
+    monkeypatch.setattr("mavnav.batch.runner.run_jobs", run_here)
     for name in ("new", "wrong"):
         shutil.rmtree(name, ignore_errors=True)
     into = (

@@ -19,6 +19,8 @@ from support.log_files import IMU, LASER, TF, Message, write_mcap
 from support.synthetic import along, corridor_with_rooms, room
 from support.tilted import quaternion
 
+pytestmark = pytest.mark.slow
+
 
 def replayed(log: Path, directory: Path, *more: str) -> tuple[int, dict[str, Any]]:
     """Return the exit code of a replay and its run.json."""

@@ -109,6 +109,7 @@ def test_logs_that_show_nothing(mavnav, tmp_path) -> None:
         assert word in err, (args, err)
 
 
+@pytest.mark.slow
 def test_reversed_beams_are_found(mavnav, tmp_path) -> None:
     backwards = written(replace(ROBOT, mirrored=False, backwards=True), 3, tmp_path / "drive.mcap")
     code, _, _ = mavnav("calibrate", backwards, "-q", "-o", tmp_path / "found.json")
@@ -132,6 +133,7 @@ def test_a_lost_track_calibrates_nothing(mavnav, tmp_path) -> None:
     assert all(row["refused"] and row["value"] is None for row in found["quantities"])
 
 
+@pytest.mark.slow
 def test_a_doubtful_track_calibrates_nothing(mavnav, tmp_path) -> None:
     """Between two walls without ends nothing shows the motion along them."""
     robot, rng = replace(ROBOT, mirrored=False, moving=False), np.random.default_rng(0)

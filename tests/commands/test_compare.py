@@ -24,9 +24,10 @@ def directory(comparison: Path, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def again(mavnav: Callable, sample: Path, directory: Path) -> Callable[..., tuple[int, str, str]]:
+def again(mavnav: Callable, repo_root: Path, directory: Path) -> Callable[..., tuple[int, str, str]]:
     """Return the same comparison as a command: it only reads its runs again."""
-    return lambda *args: mavnav("compare", sample, "-o", directory, *SHORT_COMPARISON, *args)
+    log = repo_root / "sample_logs" / "corridor.mcap"
+    return lambda *args: mavnav("compare", log, "-o", directory, *SHORT_COMPARISON, *args)
 
 
 def test_a_line_for_every_run(again: Callable, directory: Path) -> None:
@@ -154,9 +155,10 @@ def test_a_log_without_scans(mavnav: Callable, tmp_path: Path) -> None:
     assert err.splitlines()[-1].startswith("mavnav: error: empty.mcap robust 20/10x10: ")
 
 
+@pytest.mark.slow
 def test_a_damaged_log_is_named(mavnav: Callable, sample: Path, tmp_path: Path) -> None:
     path = tmp_path / "cut.mcap"
-    path.write_bytes(sample.read_bytes()[:150_000])
+    path.write_bytes(sample.read_bytes()[:50_000])
     code, _, err = mavnav("compare", path, "-o", tmp_path / "out", "--grid", "5x5", "-q")
     assert code == ExitCode.DAMAGED_INPUT
     assert err.splitlines() == [

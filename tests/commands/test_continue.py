@@ -63,6 +63,7 @@ def test_three_parts_one_after_another(mavnav, parts, first, tmp_path) -> None:
     assert (code, err) == (0, f"mavnav: all {len(found['outputs']) - 2} files are the same as in {runs[1]}\n")
 
 
+@pytest.mark.slow
 def test_the_printed_command_repeats_a_continued_run(mavnav, parts, tmp_path) -> None:
     """It lists what differs from the run that was continued, even where that is a default."""
     coarse, run, again = (tmp_path / name for name in ("coarse", "run", "again"))
@@ -74,6 +75,7 @@ def test_the_printed_command_repeats_a_continued_run(mavnav, parts, tmp_path) ->
     assert document(again)["outputs"] == document(run)["outputs"]
 
 
+@pytest.mark.slow
 def test_a_merged_map_is_continued_with_another_sensor(mavnav, parts, first, tmp_path) -> None:
     api.merge([first, parts[1]], tmp_path / "merged")
     track = along([(5.2, 3.0), (5.0, 2.0), (3.2, 0.9)], speed_m_s=0.4, period_s=0.5, turn_rad_s=0.6)

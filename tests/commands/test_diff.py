@@ -66,6 +66,7 @@ def test_the_same_map_passes(mavnav, maps) -> None:
     assert "-0.000 m" not in out
 
 
+@pytest.mark.slow
 def test_maps_of_different_places(mavnav, maps, tmp_path) -> None:
     """A gate on a number that is not known fails."""
     other = saved(mapped(room(9.0, 2.2), TURNED, poses=[(1.0, 1.1), (4.0, 1.1), (8.0, 1.0)]), tmp_path / "other")

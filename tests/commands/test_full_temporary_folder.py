@@ -41,6 +41,7 @@ def run_full(mavnav: Callable, full: Path, *args: object) -> None:
     assert list(full.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_of_merge_and_simulate(mavnav: Callable, sample: Path, tmp_path: Path, full: Path) -> None:
     run_full(mavnav, full, "merge", sample, sample, "-o", tmp_path / "m")
     run_full(mavnav, full, "simulate", "corner", "--set", "max_steps=12", "-o", tmp_path / "s")

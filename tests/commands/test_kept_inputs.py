@@ -16,7 +16,7 @@ from support.changed_rooms import mapped, rooms, saved
 
 
 @pytest.fixture
-def folder(sample: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(sample: Path, repo_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Be in a folder with a log, and a run directory with files that commands read."""
     monkeypatch.chdir(tmp_path)
     Path("r").mkdir()
@@ -24,7 +24,7 @@ def folder(sample: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
         shutil.copy(sample, place / "log.mcap")
     Path("r/run.json").write_text("{}")
     Path("r/c.yaml").write_text("azimuth: 20\n")
-    Path("r/s.yaml").write_text((sample.parents[1] / "configs" / "corner.yaml").read_text())
+    Path("r/s.yaml").write_text((repo_root / "configs" / "corner.yaml").read_text())
     for name in ("map.yaml", "truth.tum", "pairs.relations", "plan.pgm"):
         Path("r", name).touch()
     Path("plan.yaml").write_text("image: r/plan.pgm\nresolution: 0.05\n")

@@ -60,6 +60,7 @@ def test_a_name_that_no_file_can_have_is_a_usage_error(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("letter", ["y", "é"])
 def test_a_log_of_the_longest_name_is_replayed_merged_and_compared(
     mavnav: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, letter: str

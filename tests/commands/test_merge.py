@@ -137,6 +137,7 @@ def test_a_log_without_any_pose_does_not_join(mavnav, logs, tmp_path) -> None:
     assert "cannot be continued: no scan was tracked" in err
 
 
+@pytest.mark.slow
 def test_what_became_of_each_log_is_stated(mavnav, logs, back, tmp_path) -> None:
     """A run that was lost for good outweighs a damaged log, and a log that is named twice counts once."""
     data = logs["back"].read_bytes()

@@ -12,6 +12,7 @@ from msgspec.structs import replace
 from mavnav.cli import run
 from support.field_logs import drive_log
 from support.log_files import ODOM, write_mcap
+from support.marks import slow
 
 LOG = Path(__file__).parents[2] / "sample_logs" / "complex.bag"
 
@@ -29,6 +30,7 @@ def test_odometry_that_fits_is_used_as_recorded(tmp_path: Path, capsys: pytest.C
     assert "odometry /odom as recorded, off the track by" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_what_corrects_odometry_is_stated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     wrong = replayed(tmp_path / "a", "--set", "odometry.distance_scale=100")["odometry"]
     assert wrong["used"]
@@ -50,12 +52,12 @@ def test_the_odometry_of_a_mission_is_its_commands(tmp_path: Path) -> None:
     assert used["noise"] == {"m_per_m": None, "rad_per_rad": None}
 
 
-@pytest.mark.parametrize("off_s", [-40.0, 20.0])
+@pytest.mark.parametrize("off_s", [-40.0, slow(20.0)])
 def test_odometry_of_another_clock_is_used_and_its_offset_stated(off_s: float, tmp_path: Path) -> None:
     off_ns = round(off_s * 1e9)
     messages = [
         replace(m, stamp_ns=m.stamp_ns + off_ns, log_ns=m.stamp_ns) if m.type == ODOM else m
-        for m in drive_log(8.0, odometry=True)
+        for m in drive_log(8.0, beams=120, odometry=True)
     ]
     log = write_mcap(tmp_path / "log.mcap", sorted(messages, key=lambda m: m.time_ns))
     words = ["replay", str(log), "-q", "--outputs", "trajectory"]

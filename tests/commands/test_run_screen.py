@@ -18,6 +18,7 @@ import pytest
 from mavnav.commands import run_screen, terminal
 from mavnav.commands.run_screen import log_rows, map_rows, note_run, note_warnings, refusal_rows
 from mavnav.commands.terminal import verdict_rows
+from support.marks import slow
 
 LOG = Path(__file__).parents[2] / "sample_logs" / "complex.bag"
 
@@ -51,9 +52,9 @@ def braille(text: str) -> int:
     return sum(any(0x2800 < ord(c) < 0x2900 for c in line) for line in text.splitlines())
 
 
-@pytest.mark.parametrize("columns", [80, 120])
+@pytest.mark.parametrize("columns", [80, slow(120)])
 def test_the_screen_on_a_terminal_has_the_map_and_fits(tmp_path: Path, columns: int) -> None:
-    code, shown = on_terminal("replay", LOG, "--end", 3, "-q", "-o", tmp_path / "r", columns=columns)
+    code, shown = on_terminal("replay", LOG, "--end", 1.5, "-q", "-o", tmp_path / "r", columns=columns)
     lines = plain(shown).rstrip().splitlines()
     assert code == 0
     assert lines[0].startswith("✓ good")

@@ -20,6 +20,8 @@ from support.error_lines import expect_error
 
 PICTURES = ("map.png", "true_map.png", "wall_thickness.png")
 
+FEW = ("--outputs", "trajectory", "--online")
+
 GOOD = """\
 walls:
   - polyline: {closed: true, points_m: [[0, 0], [3, 0], [3, 2], [0, 2]]}
@@ -159,6 +161,7 @@ def test_recordings_replay_to_the_same_map(
         assert b == pytest.approx(a, abs=flown["map"]["cell_mm"])
 
 
+@pytest.mark.slow
 def test_a_recorded_truth_measures_as_the_truth_file(
     corner: tuple[Path, subprocess.CompletedProcess[str]], mavnav: Callable, tmp_path: Path
 ) -> None:
@@ -166,7 +169,7 @@ def test_a_recorded_truth_measures_as_the_truth_file(
     given = {"auto": "auto", "named": "topic:/ground_truth", "file": folder / "out" / "truth.tum"}
     found = {}
     for name, truth in given.items():
-        words = ("replay", folder / "corner.mcap", "--truth", truth, "-o", tmp_path / name, "-q", "--json")
+        words = ("replay", folder / "corner.mcap", "--truth", truth, "-o", tmp_path / name, "-q", "--json", *FEW)
         code, out, err = mavnav(*words)
         assert (code, err) == (0, "")
         found[name] = json.loads(out)
@@ -182,9 +185,9 @@ def test_a_recorded_truth_measures_as_the_truth_file(
 @pytest.mark.parametrize("name", ["short.bag", "short_ros2"])
 def test_every_format_replays(mavnav: Callable, scenario: Path, tmp_path: Path, name: str) -> None:
     log = tmp_path / name
-    code, out, err = mavnav("simulate", scenario, "-o", tmp_path / "flown", "--record", log, "-q", "--json")
+    code, out, err = mavnav("simulate", scenario, "-o", tmp_path / "flown", "--record", log, "-q", "--json", *FEW[:2])
     assert code == 0, err
-    code, replay, _ = mavnav("replay", log, "-o", tmp_path / "replayed", "-q", "--json")
+    code, replay, _ = mavnav("replay", log, "-o", tmp_path / "replayed", "-q", "--json", *FEW)
     assert code == 0
     flown, replayed = json.loads(out), json.loads(replay)
     assert replayed["scans"]["total"] == flown["mission"]["steps"]
@@ -224,6 +227,7 @@ def test_a_failed_mission_without_pictures_names_none(mavnav: Callable, scenario
     assert (tmp_path / "r" / "map.png").is_file()
 
 
+@pytest.mark.slow
 def test_a_mission_without_a_wall_at_flight_height(mavnav: Callable, tmp_path: Path) -> None:
     """Walls end 5 mm below the slice, and begin 5 mm above it: the tilted laser sees them."""
     outline = "points_m: [[0, 0], [4, 0], [4, 2], [0, 2]], closed: true"

@@ -36,6 +36,7 @@ def rmse_m(log: Path, folder: Path, late_s: float, *more: str) -> float:
     return float(document["reference"]["ate"]["rmse_m"])
 
 
+@pytest.mark.slow
 def test_the_truth_at_any_beam_fits_when_it_is_named(log: Path, tmp_path: Path) -> None:
     errors_m = {
         beam: rmse_m(log, tmp_path, share * SWEEP_S, "--set", f"truth_at={beam}")

@@ -198,8 +198,8 @@ def test_warnings_are_capped_and_short() -> None:
     assert max(map(len, report.warnings)) <= MAX_TEXT
 
 
-def test_of_thousands_of_topics_the_first_hundred_are_read(tmp_path: Path) -> None:
-    scans = [laser(k % 50, topic=f"/scan{k}", angle_max=3.0) for k in range(2000)]
+def test_of_hundreds_of_topics_the_first_hundred_are_read(tmp_path: Path) -> None:
+    scans = [laser(k % 50, topic=f"/scan{k}", angle_max=3.0) for k in range(400)]
     path = write_mcap(tmp_path / "a.mcap", scans, chunk_size=1 << 20)
     began_s = time.process_time()
     found = survey(path)
@@ -207,8 +207,8 @@ def test_of_thousands_of_topics_the_first_hundred_are_read(tmp_path: Path) -> No
     assert len(logs) == 100
     assert "more than 100 topics have scans; others are left out, name one by --topic" in found.warnings
     assert sum(len(log.warnings) for log in logs) <= (MAX_WARNINGS + 3) * len(logs)
-    assert list(survey(path, topic="/scan1999").scans) == ["/scan1999"]
-    assert time.process_time() - began_s < 10.0
+    assert list(survey(path, topic="/scan399").scans) == ["/scan399"]
+    assert time.process_time() - began_s < 4.0
 
 
 @pytest.mark.parametrize("kind", ["reset", "one wrong pose"])
@@ -268,14 +268,14 @@ def test_a_file_of_holes_is_refused_at_once(suffix: str, tmp_path: Path) -> None
     assert time.process_time() - began_s < 1.0
 
 
-def test_a_million_tiny_records_are_passed_in_seconds(tmp_path: Path) -> None:
+def test_many_tiny_records_are_passed_in_seconds(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a.mcap", [laser(k) for k in range(5)])
     data = path.read_bytes()
     end = data.rindex(b"\x0f" + (4).to_bytes(8, "little"))
-    path.write_bytes(data[:end] + (b"\x90" + bytes(8)) * 200_000 + data[end:])
+    path.write_bytes(data[:end] + (b"\x90" + bytes(8)) * 100_000 + data[end:])
     began_s = time.process_time()
     assert survey(path).scans["/scan"].total == 5
-    assert time.process_time() - began_s < 4.0
+    assert time.process_time() - began_s < 2.0
 
 
 def with_chunks(log: bytes, content: bytes, count: int) -> bytes:
@@ -295,6 +295,7 @@ def test_blank_pictures_compress_ten_thousandfold_and_are_no_damage(tmp_path: Pa
     assert not log.damage
 
 
+@pytest.mark.slow
 def test_bombs_cost_no_scan_and_little_time(tmp_path: Path) -> None:
     """A MB of 200 bombs took `info` 31 CPU-s and 0.94 GB: what was left was decompressed again for each."""
     path = write_mcap(tmp_path / "a.mcap", [laser(k) for k in range(5)])

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 PAD = b"\x01\x02\x03"
 CODECS: dict[str, Callable[[bytes], bytes]] = {"": bytes, "lz4": lz4.frame.compress, "zstd": zstandard.compress}
+WAYS = (None, *CODECS)
 BETWEEN = ("padding", "index", "metadata", "attachment", "private", "two chunks")
 BEHIND = ("schemas", "channels", "statistics", "chunk index", "attachment index", "metadata index", "offsets")
 
@@ -98,14 +99,17 @@ def mcap(
     return data + summary + footer + struct.pack("<I", checksum) + MAGIC
 
 
-@pytest.mark.parametrize("chunk", [None, "", "lz4", "zstd"])
+@pytest.mark.parametrize("chunk", WAYS)
 def test_every_combination_of_parts_is_read_whole(chunk: str | None, tmp_path: Path) -> None:
-    """What stands between the messages, and what stands behind them; each alone, and with all of the other."""
+    """What stands between the messages, and what stands behind them; each alone, and with all of the other.
+
+    The ways to store chunks take turns.
+    """
     messages = [serialized(laser(k), 2) for k in range(3)]
     path = tmp_path / "a.mcap"
     chosen = [(set(p), set(q)) for p in subsets(BETWEEN) for q in ((), BEHIND)]
     chosen += [(set(p), set(q)) for p in subsets(BEHIND) for q in ((), BETWEEN)]
-    for number, (parts, more) in enumerate(chosen):
+    for number, (parts, more) in list(enumerate(chosen))[WAYS.index(chunk) :: len(WAYS)]:
         count = 0 if number % 7 == 0 else 3
         path.write_bytes(mcap(messages[:count], chunk, number % 3 > 0, parts | more))
         found = survey(path)

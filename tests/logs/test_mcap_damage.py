@@ -169,6 +169,7 @@ def test_no_sound_scan_makes_way_for_a_suspect_one_of_its_stamp(tmp_path: Path) 
     assert log.counts.skipped == {"duplicate_stamp": SCANS}
 
 
+@pytest.mark.slow
 def test_losses_without_number_are_passed_in_a_moment(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a.mcap", [laser(k) for k in range(5)], use_chunking=False)
     data = path.read_bytes()
@@ -179,6 +180,7 @@ def test_losses_without_number_are_passed_in_a_moment(tmp_path: Path) -> None:
     assert time.process_time() - began_s < 10.0
 
 
+@pytest.mark.slow
 def test_chunks_that_all_claim_the_same_bytes_are_read_in_a_moment(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a.mcap", [laser(k) for k in range(5)])
     size = 20_000_000

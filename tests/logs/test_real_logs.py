@@ -80,6 +80,7 @@ def test_files_behave_as_their_readme_says(
         assert len(err.strip().splitlines()) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row", [row for row in ROWS if "/L" in row.name], ids=lambda row: row.name)
 def test_lengths_that_lie_cost_neither_time_nor_memory(row: Row, real_logs: Path) -> None:
     command = [sys.executable, "-c", "from mavnav.cli import main; main()", "info", real_logs / row.name, "--json"]

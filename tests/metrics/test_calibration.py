@@ -61,6 +61,7 @@ def test_good_odometry_gives_the_truth() -> None:
     assert (np.abs(errors(found.fit.values, CROOKED)) < (2e-3, 2e-3, 2e-3, 3e-3, 2e-3, 1e-3, 1e-3)).all()
 
 
+@pytest.mark.slow
 def test_noise_of_the_odometry_does_not_pull_the_laser_to_the_axle() -> None:
     """Turns with errors of 4 deg pulled x by 14 mm and y by 4 mm, and made the distances 0.6 % too large."""
     far = Robot(Pose(0.3, -0.1, 0.5), turn_scale=0.95, yaw_noise=4 * DEG, speed_m_s=0.6)
@@ -69,6 +70,7 @@ def test_noise_of_the_odometry_does_not_pull_the_laser_to_the_axle() -> None:
     assert (np.abs(mean[[0, 1, 4]]) < (3e-3, 3e-3, 4e-3)).all()
 
 
+@pytest.mark.slow
 def test_slips_do_not_spoil_it() -> None:
     """In one step of a hundred the wheels slip by up to 0.1 m and 11 deg."""
     found = calibrated(replace(CROOKED, slips=0.01))
@@ -170,6 +172,7 @@ def test_short_and_empty_tracks_are_refused() -> None:
     assert "20 are needed" in calibration_of(motions_of(track, Trajectory.of([0], [Pose()]), 0.0)).refused
 
 
+@pytest.mark.slow
 def test_odometry_that_comes_rarely() -> None:
     """At 2 Hz the truth lies inside; at 1 Hz it did not for 13 of 18 turn scales."""
     slow = replace(CROOKED, speed_m_s=0.4)

@@ -12,6 +12,7 @@ from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import MapQuality, measure_map
 from mavnav.metrics.wall_thickness import summary, wall_sections
 from mavnav.pose import Pose, Trajectory, transform_points
+from support.marks import slow
 from support.synthetic import TOUR, along, furnished_rooms, record
 
 
@@ -153,7 +154,7 @@ def test_a_jump_of_the_poses_leaves_ghosts(tour) -> None:
     assert found.ghost_walls.worst_offset_mm == pytest.approx(120, abs=50)
 
 
-@pytest.mark.parametrize("changed_scans", [slice(0, 1), slice(0, None, 2), slice(0, 90)])
+@pytest.mark.parametrize("changed_scans", [slice(0, 1), *(slow(s) for s in (slice(0, None, 2), slice(0, 90)))])
 def test_scans_of_another_geometry_are_compared_as_well(tour, good, changed_scans) -> None:
     """Scans with every other beam, from one of the first three on, are as good as the others, and show a jump."""
     scans = list(tour.scans)

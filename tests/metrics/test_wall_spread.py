@@ -16,6 +16,7 @@ from mavnav.metrics.wall_spread import WallCuts, WallSpread, cut_walls, wall_spr
 from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.scan import Scan
 from mavnav.slam.pipeline import run_slam
+from support.marks import slow
 from support.synthetic import TOUR, URG_04LX, along, box, cast, furnished_rooms, polyline, record, room, scan_at
 from support.walls import planted_wall, walking_people
 
@@ -77,24 +78,23 @@ def test_noisy_walls_at_forty_angles(sigma_mm: float) -> None:
     assert found.std() < 2.5
 
 
-@pytest.mark.parametrize("people", [0, 2])
+@pytest.mark.parametrize("people", [slow(0), 2])
 def test_a_laser_at_rest_reads_the_same_however_long_it_looks(people: int) -> None:
     rng, at = np.random.default_rng(people), Pose(2.9, 1.0, 1.2)
     walls = np.vstack((room(), box(1.9, 2.0, 0.7, 0.5, 0.3), box(4.2, 1.9, 0.4, 0.6, -0.2)))
     bearings = URG_04LX.angles_rad + at.yaw_rad
     scans = [
         Scan(k * 200_000_000, cast(np.vstack((walls, outline)), (at.x_m, at.y_m), bearings) * fuzz, URG_04LX)
-        for k, outline in enumerate(walking_people(rng, people, 300))
+        for k, outline in enumerate(walking_people(rng, people, 200))
         for fuzz in [1.0 + 0.01 * rng.standard_normal(URG_04LX.beams)]
     ]
     found = {}
-    for seconds in (15, 30, 60):
+    for seconds in (10, 40):
         some = scans[: seconds * 5]
         outcome = run_slam(lambda some=some: iter(some), Config(), 0.2)
         found[seconds] = spread_of(outcome.grid, some, outcome.trajectory)
-    for seconds in (15, 30):
-        assert found[seconds].median_mm == pytest.approx(found[60].median_mm, rel=0.1)
-        assert found[seconds].p95_mm == pytest.approx(found[60].p95_mm, rel=0.1)
+    assert found[10].median_mm == pytest.approx(found[40].median_mm, rel=0.1)
+    assert found[10].p95_mm == pytest.approx(found[40].p95_mm, rel=0.1)
 
 
 def test_more_passes_read_the_same(tour, sharp) -> None:
@@ -123,7 +123,7 @@ def test_smeared_walls_are_measured_up_to_half_a_metre(tour, sharp) -> None:
     scans, poses = tour
     smear = np.random.default_rng(1).uniform(-0.5, 0.5, (len(poses), 2))
     found = [sharp]
-    for wide_m in (0.05, 0.1, 0.2, 0.3, 0.4, 0.5):
+    for wide_m in (0.05, 0.2, 0.5):
         wrong = moved(poses, wide_m * smear)
         found.append(spread_of(mapped(scans, wrong), scans, wrong))
         assert found[-1].median_mm == pytest.approx(0.95 * wide_m * 1e3, abs=0.05 * wide_m * 1e3 + 25)

@@ -21,6 +21,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from mavnav.cli import run
+from support.marks import slow
 
 SAMPLES = Path(__file__).parents[2] / "sample_logs"
 README = SAMPLES / "README.md"
@@ -80,7 +81,7 @@ def replace_sample(made: Path) -> None:
     README.write_text(text)
 
 
-@pytest.mark.parametrize("name", LOGS)
+@pytest.mark.parametrize("name", [*(slow(name) for name in LOGS[:2]), LOGS[2]])
 def test_the_command_in_the_readme_makes_it_again(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert run([*COMMANDS[name], "--quiet"]) == 0

@@ -14,6 +14,7 @@ from mavnav.pose import Pose, transform_points
 from mavnav.scan import LaserSpec
 from mavnav.sessions import map_alignment
 from mavnav.slam.matching.prior_map import PriorMap, prior_map_of
+from support.marks import slow
 from support.synthetic import DEG, TOUR, Segments, along, furnished_rooms, record, room
 
 LASER = LaserSpec(-135 * DEG, 1.5 * DEG, 181, 0.05, 8.0)
@@ -45,7 +46,7 @@ def no_place_fits_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(map_alignment, "consensus", lambda pairs: None)
 
 
-@pytest.mark.parametrize("swapped", [False, True])
+@pytest.mark.parametrize("swapped", [False, slow(True)])
 def test_a_fine_map_is_placed_in_a_coarse_one_whichever_comes_first(swapped: bool) -> None:
     maps = (fine(), thick()) if swapped else (thick(), fine())
     alignment = map_alignment.align(*maps, Config())

@@ -38,6 +38,7 @@ def flown(*settings: str) -> Flight:
     return fly(load_scenario("hover", settings))
 
 
+@pytest.mark.slow
 def test_the_attitude_makes_a_mission_as_exact_as_a_level_one() -> None:
     used, ignored = flown(*TILTED), flown(*TILTED, "slam.attitude=off")
     assert used.mission.reached

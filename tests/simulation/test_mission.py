@@ -174,6 +174,7 @@ def test_a_vehicle_that_goes_blind_flies_on_for_some_commands_then_hovers(monkey
     assert np.hypot(*np.diff(truth[16:], axis=0).T).max() < 1e-12
 
 
+@pytest.mark.slow
 def test_a_faster_laser_scans_several_times_a_command() -> None:
     """The vehicle is no faster for it: four scans of 25 ms a command of 100 ms, and no speed that is not accepted."""
     flight = flown("corner", {"laser.preset": "ust-10lx"})
@@ -361,6 +362,7 @@ def test_sweeps_lie_around_the_true_pose() -> None:
     assert first(0.0) == first(0.06) == Pose(2.0, 0.0, 1.0)
 
 
+@pytest.mark.slow
 def test_sweeps_are_straightened() -> None:
     """Without other errors: ATE 2 to 3 mm, and 10 to 12 mm where sweeps are taken as if at rest (three seeds)."""
     errors = {}

@@ -23,7 +23,8 @@ from mavnav.slam.methods import registry
 from mavnav.slam.methods.registry import METHODS, RARE_KERNELS
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.result import SlamResult, jump_warnings
-from mavnav.slam.retries.odometry import FIRST_CHECK
+from mavnav.slam.retries import odometry
+from support.marks import slow
 from support.synthetic import LDS_01, TOUR, Recording, along, drifting_odometry, furnished_rooms, record, room, scan_at
 
 PERIOD_S = 0.1
@@ -52,7 +53,7 @@ def errors_m(outcome: SlamResult, recording: Recording) -> np.ndarray:
     return np.array([np.hypot(*(here.xyyaw[k, :2] - truth[int(t)])) for k, t in enumerate(here.stamps_ns)])
 
 
-@pytest.mark.parametrize("grid", ["10x10", "5x7"])
+@pytest.mark.parametrize("grid", ["10x10", slow("5x7")])
 def test_robust_follows_the_tour(tour: Recording, grid: str) -> None:
     tour = every_other(tour)
     outcome = run_slam(lambda: tour.scans, load_config(overrides={"grid": grid}), 2 * PERIOD_S)
@@ -73,8 +74,7 @@ def test_on_line_leaves_the_final_pass_out(tour: Recording) -> None:
 
 def test_odometry_leads_where_the_laser_moves_too_far_to_be_followed(tour: Recording) -> None:
     sparse = Recording(tour.scans[::12], Trajectory(tour.world_T_laser.stamps_ns[::12], tour.world_T_laser.xyyaw[::12]))
-    odometry = drifting_odometry(tour.world_T_laser)
-    with_odometry = run_slam(lambda: sparse.scans, Config(), 1.2, odometry)
+    with_odometry = run_slam(lambda: sparse.scans, Config(), 1.2, drifting_odometry(tour.world_T_laser))
     assert len(with_odometry.trajectory) == len(sparse.scans)
     assert errors_m(with_odometry, sparse).max() < 0.15
 
@@ -222,6 +222,7 @@ def scored(judge: ModuleType, real_logs: Path, name: str, mask: int) -> tuple[ob
     return judged, views, coverage
 
 
+@pytest.mark.slow
 @pytest.mark.real_logs
 def test_ccny_demo_is_crisp_where_it_is_seen_again(judge: ModuleType, real_logs: Path) -> None:
     log, views, coverage = scored(judge, real_logs, "ccny_demo", 0)
@@ -231,6 +232,7 @@ def test_ccny_demo_is_crisp_where_it_is_seen_again(judge: ModuleType, real_logs:
     assert judge.pair_distance(log, views, long_pairs, revisit=True)[0] <= 14.0
 
 
+@pytest.mark.slow
 @pytest.mark.real_logs
 def test_urg_exp1_keeps_its_heading(judge: ModuleType, real_logs: Path) -> None:
     log, views, coverage = scored(judge, real_logs, "urg_exp1", 70)
@@ -242,6 +244,7 @@ def test_urg_exp1_keeps_its_heading(judge: ModuleType, real_logs: Path) -> None:
     assert np.abs(np.degrees(np.angle(fifths / fifths[0])) / 4).max() <= 3.5
 
 
+@pytest.mark.slow
 @pytest.mark.real_logs
 def test_lego_robot4_lies_on_the_camera_track(judge: ModuleType, real_logs: Path) -> None:
     log = open_log(real_logs / "lego_robot4" / "lego_robot4.mcap", odom="off")
@@ -256,14 +259,17 @@ def test_lego_robot4_lies_on_the_camera_track(judge: ModuleType, real_logs: Path
     assert np.sqrt((error**2).mean()) <= 0.017
 
 
-@pytest.mark.parametrize("after", [0, 1, 60, 200, 230, 390, 450])
-def test_a_run_that_is_stopped_keeps_the_longest_track(tour: Recording, after: int) -> None:
+@pytest.mark.parametrize("after", [0, 1, 20, 60, 75, 115, 150])
+def test_a_run_that_is_stopped_keeps_the_longest_track(
+    tour: Recording, after: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Wherever the scans run dry: in the first pass, or in a pass without the odometry that contradicts them.
 
     The first pass ends where that is plain.
     """
-    first = FIRST_CHECK
-    scans, odom = tour.scans[:220], tour.map_T_laser
+    first = 60
+    monkeypatch.setattr(odometry, "FIRST_CHECK", first)
+    scans, odom = tour.scans[75:145], tour.map_T_laser
     wrong = Trajectory(odom.stamps_ns, odom.xyyaw * [-1.0, -1.0, -1.0])
     given = 0
 

@@ -6,7 +6,8 @@ The lines are for the folder of `commands.test_advice_on_commands`: small logs, 
 from __future__ import annotations
 
 SHORT = "-q --end 0.6 --online"
-FAST = f"{SHORT} --outputs trajectory,metrics"
+FAST = f"{SHORT} --odom off --outputs trajectory"
+CALIBRATE = "calibrate long.mcap --topic /scan --odom /odom -q"
 
 TRIALS = [
     (
@@ -235,16 +236,12 @@ TRIALS = [
         "replay log.mcap --relations run/trajectory.tum",
         f"replay log.mcap --truth run/trajectory.tum -o new {FAST}",
     ),
-    ("leave --set and --config", "calibrate long.mcap --set method=paper", "calibrate long.mcap -q"),
-    (
-        "leave --odom off away, or name a topic",
-        "calibrate long.mcap --set odom=off",
-        "calibrate long.mcap --odom /odom -q",
-    ),
-    ("name one --topic at a time", "calibrate two.mcap --topic /scan,/rear", "calibrate long.mcap --topic /scan -q"),
+    ("leave --set and --config", "calibrate long.mcap --set method=paper", CALIBRATE),
+    ("leave --odom off away, or name a topic", "calibrate long.mcap --set odom=off", CALIBRATE),
+    ("name one --topic at a time", "calibrate two.mcap --topic /scan,/rear", CALIBRATE),
     ("or one of 'mavnav simulate --list'", "simulate", "simulate --list"),
     ("choose one with --topic NAME", "replay two.mcap", f"replay two.mcap --topic /rear -o new {FAST}"),
-    ("the log holds none, leave --odom out", "replay bare.mcap --odom /odom", f"replay bare.mcap -o new {FAST}"),
+    ("the log holds none, leave --odom out", "replay bare.mcap --odom /odom", f"replay bare.mcap -o new {SHORT}"),
     (
         "name one of them, or write --attitude off",
         "replay log.mcap --attitude /tilt",

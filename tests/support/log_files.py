@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import zstandard
+from mcap.reader import NonSeekingReader
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from msgspec import Struct, field
@@ -162,6 +163,31 @@ def write_mcap(
             writer.add_message(channels[message.topic], message.time_ns, data, message.time_ns)
         writer.finish()
     return path
+
+
+def copy_messages(
+    source: Path,
+    target: Path,
+    topics: Callable[[str, int], list[str]],
+    change: Callable[[str, int, bytes], bytes] = lambda topic, scans, data: data,
+) -> None:
+    """Copy an MCAP file in many chunks, each message to the ``topics``, as ``change`` returns it.
+
+    Both are called with the topic and the number of the latest scan, from 1.
+    """
+    with source.open("rb") as stream, target.open("wb") as sink:
+        writer, scans = McapWriter(sink, chunk_size=64 * 1024), 0
+        channels: dict[str, int] = {}
+        writer.start(profile="ros2")
+        for schema, channel, message in NonSeekingReader(stream).iter_messages(log_time_order=False):
+            scans += channel.topic == "/scan"
+            data = change(channel.topic, scans, message.data)
+            for topic in topics(channel.topic, scans):
+                if topic not in channels:
+                    schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
+                    channels[topic] = writer.register_channel(topic, channel.message_encoding, schema_id)
+                writer.add_message(channels[topic], message.log_time, data, message.publish_time)
+        writer.finish()
 
 
 def write_bag1(path: Path, messages: Sequence[Message], compression: str = "") -> Path:

@@ -259,8 +259,9 @@ def cost_of(points: np.ndarray, line_map: LineMap) -> Callable[[float, float, fl
 FEW = 90  # points of the search until those on known ground are selected
 
 
-@pytest.mark.parametrize("hold_m", [0.0, 0.05])
-@pytest.mark.parametrize(("overlap_m", "known_points"), [(0.0, 0.0), (0.02, 0.0), (0.1, 6.0)])
+@pytest.mark.parametrize(
+    ("overlap_m", "known_points", "hold_m"), [(0.0, 0.0, 0.0), (0.02, 0.0, 0.05), (0.1, 6.0, 0.05)]
+)
 @pytest.mark.parametrize(("grid", "prior"), [((7, 4, 5, 2), 0.0), ((6, 5, 5, 0), 0.0), ((6, 5, 5, 0), 0.5)])
 def test_search_is_its_twin(
     grid: tuple[int, ...], prior: float, overlap_m: float, known_points: float, hold_m: float

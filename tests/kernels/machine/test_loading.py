@@ -283,12 +283,14 @@ def test_kernels_compile_in_other_processes_and_say_so_once(trial: Path) -> None
     assert built(trial).communicate(timeout=120)[0].splitlines() == ["True 0 0"]
 
 
+@pytest.mark.slow
 def test_two_processes_may_fill_an_empty_cache(trial: Path, called: Called) -> None:
     both = [built(trial) for _ in range(2)]
     assert [process.communicate(timeout=120)[0].splitlines()[-1] for process in both] == ["True 0 0"] * 2
     assert called(trial) == [42.0, 2.0, 0, 0]
 
 
+@pytest.mark.slow
 def test_kernels_that_are_not_used_are_left_out(tmp_path: Path) -> None:
     code = (
         "from mavnav.kernels.maps import free_cells\nfrom mavnav.kernels.scans import points\n"

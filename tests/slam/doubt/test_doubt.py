@@ -22,6 +22,7 @@ from mavnav.slam.methods.registry import make_method
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.track import Track
 from mavnav.units import DEG
+from support.marks import slow
 from support.synthetic import along, furnished_rooms, record
 
 N, PERIOD_NS = 60, 100_000_000
@@ -227,7 +228,9 @@ def test_the_tilt_of_an_inertial_sensor_is_a_reason() -> None:
 
 
 @pytest.mark.real_logs
-@pytest.mark.parametrize("log", ["kev_urg/kev_urg.bag", "ccny_demo/ccny_demo.mcap", "lego_robot4/lego_robot4.mcap"])
+@pytest.mark.parametrize(
+    "log", [slow("kev_urg/kev_urg.bag"), "ccny_demo/ccny_demo.mcap", slow("lego_robot4/lego_robot4.mcap")]
+)
 def test_the_doubt_of_recorded_logs(real_logs: Path, log: str) -> None:
     opened = open_log(real_logs / log)
     scans = list(opened.scans())

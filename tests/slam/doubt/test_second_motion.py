@@ -17,6 +17,7 @@ from mavnav.slam.methods.registry import make_method
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.result import SlamResult
 from mavnav.slam.track import Track
+from support.marks import slow
 from support.synthetic import NOTHING, along, box, corridor_with_rooms, record
 
 SPEC = LaserSpec(-np.pi * 3 / 4, np.pi / 240, 361, 0.05, 10.0)
@@ -38,7 +39,7 @@ def off_m(run: SlamResult, true_m: float) -> float:
     return abs(float(np.hypot(*(run.trajectory.xyyaw[-1] - run.trajectory.xyyaw[0])[:2])) - true_m)
 
 
-@pytest.mark.parametrize(("width_m", "ahead_m"), [(1.4, 1.0), (0.5, 2.4), (0.3, 1.0)])
+@pytest.mark.parametrize(("width_m", "ahead_m"), [slow(1.4, 1.0), slow(0.5, 2.4), (0.3, 1.0)])
 def test_the_track_behind_a_cart_is_in_doubt(width_m: float, ahead_m: float) -> None:
     run, true_m = behind_a_cart(width_m, ahead_m)
     assert off_m(run, true_m) > 3.0

@@ -133,6 +133,7 @@ def test_a_laser_lost_for_long_is_found_at_the_next_search() -> None:
     assert all(last.gap(step.match.map_T_laser)[0] < 0.02 for step in steps[-len(back) :] if step.tracked)
 
 
+@pytest.mark.slow
 def test_with_odometry_every_scan_of_a_laser_lost_for_long_is_searched() -> None:
     scans = record(furnished_rooms(), along(TOUR[:3], speed_m_s=0.8)).scans
     stamps_ns = scans[-1].stamp_ns + 100_000_000 * np.arange(1, LOST + 1)

@@ -36,6 +36,7 @@ def ghosts(scans: list[Scan], grid: str, azimuth: int) -> GhostWalls:
     return measure_map(run_slam(lambda: iter(scans), config, 0.1).grid).quality.ghost_walls
 
 
+@pytest.mark.slow
 def test_a_coarse_grid_draws_walls_twice_finer_ones_do_not(corridor: list[Scan]) -> None:
     coarse = ghosts(corridor, "5x5", 10)
     assert coarse.count >= 2

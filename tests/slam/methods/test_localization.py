@@ -164,6 +164,7 @@ def test_a_laser_lost_in_the_map_is_mapped_by_itself_and_placed_as_a_whole(monke
     assert np.median(cKDTree(known.walls_xy_m).query(hit)[0]) < CELL_M
 
 
+@pytest.mark.slow
 def test_a_laser_lost_in_the_map_of_another_building_stays_lost() -> None:
     way = along([(1.0, 1.0), (8.0, 1.2), (8.2, 2.0)], period_s=0.25)
     other = record(room(9.5, 2.6), way, LASER, noise=0.01)

@@ -22,6 +22,7 @@ from mavnav.slam.matching.scan_matching import MatchVerdict, no_match
 from mavnav.slam.matching.steps import Step, Steps, refused_by
 from mavnav.slam.methods.paper import Paper, acceptance_scale, match_polar, polar_points
 from mavnav.slam.pipeline import run_slam
+from support.marks import slow
 from support.synthetic import room, scan_at
 
 if TYPE_CHECKING:
@@ -169,7 +170,7 @@ def test_the_middle_of_a_wall_of_equal_cells_is_where_the_wall_is() -> None:
 # ---- the whole ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("scenario", "seed"), [("corner-paper", 0), ("corner", 1), ("complex", 2)])
+@pytest.mark.parametrize(("scenario", "seed"), [("corner-paper", 0), ("corner", 1), slow("complex", 2)])
 def test_the_method_completes_the_paper_s_missions_at_the_paper_s_noise(scenario: str, seed: int) -> None:
     flight = fly(load_scenario(scenario, (), {"seed": seed, "slam.method": "paper"}))
     assert flight.mission.reached
@@ -183,6 +184,7 @@ def test_the_literal_reading_does_not() -> None:
     assert flight.slam.steps.share("tracked") < 0.2
 
 
+@pytest.mark.slow
 @pytest.mark.real_logs
 def test_the_recording_of_the_paper_s_own_sensor_is_tracked_to_its_end(real_logs: Path) -> None:
     log, config = open_log(real_logs / "ccny_demo" / "ccny_demo.mcap", odom="off"), load_config("paper")

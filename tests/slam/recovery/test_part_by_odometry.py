@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
+import pytest
 
 from mavnav.config.models import Config
 from mavnav.pose import Pose, Trajectory
@@ -61,6 +62,7 @@ def test_odometry_leads_across_a_hall() -> None:
     assert found.gap(true)[0] < 0.05 * 25.0
 
 
+@pytest.mark.slow
 def test_without_odometry_nothing_leads_across() -> None:
     run = replayed(None)
     assert run.lost_for_good

@@ -20,6 +20,7 @@ from mavnav.slam.pipeline import run_slam
 from mavnav.slam.recovery.parts import Part, part_warnings
 from mavnav.slam.result import SlamResult
 from mavnav.units import DEG
+from support.marks import slow
 
 FAULT = 30
 """The first faulty scan."""
@@ -143,7 +144,7 @@ def cells_in_the_open(drive: Drive, outcome: SlamResult) -> int:
     return int((mission().scenario.world.clearance_m(transform_points(world_T_map, xy_m)) > 0.2).sum())
 
 
-@pytest.mark.parametrize("odometry", [True, False], ids=["with odometry", "scans alone"])
+@pytest.mark.parametrize("odometry", [True, slow(False)], ids=["odometry", "scans"])
 @pytest.mark.parametrize("fault", [name for name in FAULTS if name != "10 scans of noise"])
 def test_a_short_fault_passes(fault: str, *, odometry: bool) -> None:
     drive, outcome = replayed(fault, odometry=odometry)
@@ -158,7 +159,7 @@ def test_odometry_leads_back_after_a_second_without_sight() -> None:
     assert not outcome.lost_for_good
 
 
-@pytest.mark.parametrize("odometry", [True, False], ids=["with odometry", "scans alone"])
+@pytest.mark.parametrize("odometry", [True, slow(False)], ids=["odometry", "scans"])
 @pytest.mark.parametrize("fault", ["5 blank scans", "10 scans of noise"])
 def test_nonsense_is_rejected(fault: str, *, odometry: bool) -> None:
     drive, outcome = replayed(fault, odometry=odometry)
@@ -189,7 +190,7 @@ def test_a_person_enters_the_map_on_line_but_thickens_no_wall() -> None:
     assert after < before + 20.0
 
 
-@pytest.mark.parametrize("odometry", [True, False], ids=["with odometry", "scans alone"])
+@pytest.mark.parametrize("odometry", [slow(True), False], ids=["odometry", "scans"])
 def test_a_person_has_left_the_finished_map(*, odometry: bool) -> None:
     assert cells_in_the_open(*replayed("a person for 5 scans", odometry=odometry, final_pass=True)) == 0
 

@@ -21,6 +21,7 @@ from mavnav.slam.matching.steps import Step
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.recovery.parts import SEARCHED_SCANS, consensus, part_pose, spread_out
 from mavnav.slam.result import SlamResult
+from support.marks import slow
 from support.synthetic import DEG, TOUR, along, box, furnished_rooms, record, room
 
 SMALL = LaserSpec(-120 * DEG, 1.0 * DEG, 241, 0.02, 5.6, 0.0, 0.1)
@@ -54,8 +55,10 @@ def length_without(first: int) -> float:
     return tracked(list(tour()[first:])).trajectory.length_m
 
 
-@pytest.mark.parametrize("first", [1, 10])
-@pytest.mark.parametrize("spoil", [partial, blocked, blank])
+@pytest.mark.parametrize(
+    ("spoil", "first"),
+    [(partial, 10), (blank, 10), slow(partial, 1), slow(blocked, 1), slow(blocked, 10), slow(blank, 1)],
+)
 def test_spoilt_scans_at_the_beginning_cost_no_more_than_themselves(spoil, first: int) -> None:
     rng = np.random.default_rng(1)
     scans = [spoil(scan, rng) if k < first else scan for k, scan in enumerate(tour())]
@@ -82,7 +85,7 @@ def test_scans_of_another_room_at_the_beginning_are_left_out_and_reported() -> N
     assert found.begin_ns == scans[12].stamp_ns
 
 
-@pytest.mark.parametrize("first_is_largest", [True, False])
+@pytest.mark.parametrize("first_is_largest", [slow(True), False])
 def test_the_parts_before_and_after_a_lost_middle_are_joined(first_is_largest: bool) -> None:
     way = TOUR[:3] if first_is_largest else [(4.65, 5.0), (4.65, 3.4), (4.6, 2.9), (2.4, 2.9), (1.0, 2.9)]
     longer = record(furnished_rooms(), along(way), SMALL)

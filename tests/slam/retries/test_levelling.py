@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
+import pytest
 from msgspec.structs import replace
 
 from mavnav.config.models import Config
@@ -59,6 +60,7 @@ def test_a_false_tilt_of_a_level_laser_is_not_used_and_named() -> None:
     assert np.count_nonzero(before.grid.hits) > 1.1 * np.count_nonzero(outcome.grid.hits)
 
 
+@pytest.mark.slow
 def test_the_tilt_of_a_leaning_laser_is_used() -> None:
     stamps_ns = way().stamps_ns
     high = [Attitude(lean.roll_rad, lean.pitch_rad, 4.0) for lean in leans()]
