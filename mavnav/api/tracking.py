@@ -101,8 +101,9 @@ def valid_scans(scans: Iterable[Scan]) -> Iterator[Scan]:
 
 
 def _is_stamp(value: object) -> bool:
-    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    return whole and abs(value) <= np.iinfo(np.int64).max
+    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+        return False
+    return abs(int(value)) <= np.iinfo(np.int64).max
 
 
 def _check_geometry(spec: LaserSpec, where: str) -> None:
