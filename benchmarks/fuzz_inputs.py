@@ -22,6 +22,7 @@ import time
 import zlib
 from collections import Counter
 from collections.abc import Callable
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,8 @@ from support.sandbox import COUNTED, problems, table_row
 ROOT = Path(__file__).parent.parent
 SAMPLE = ROOT / "sample_logs" / "corridor.mcap"
 SHORT = ("--end", "0.2", "--online", "--grid", "5x5", "--azimuth", "6", "-q")
+
+CONTINUED = ("--end", "0.5", "-q")
 
 Random = np.random.Generator
 
@@ -93,6 +96,19 @@ def attack_picture(rng: Random, path: Path) -> None:
         path.write_bytes(mutated(png(40, 40, 0, zlib.compress(bytes(41 * 40))), int(rng.integers(2**31))))
 
 
+RUN_COMMANDS = (
+    ("check", "run", "--gate", "map.accepted_share>=0.5"),
+    ("metrics", "run"),
+    ("diff", "run", "sound", "-q", "--report", "out/diff.html"),
+    ("merge", "sound", "run", "-o", "out/merged", "-q"),
+    ("merge", "run", "log.mcap", "-o", "out/merged", "-q"),
+    ("replay", "--again", "run", "-o", "out/again", "-q"),
+    ("replay", "log.mcap", "-o", "out/more", *CONTINUED, "--continue", "run"),
+    ("replay", "log.mcap", "-o", "out/there", *CONTINUED, "--map", "run"),
+    ("view", "run", "-o", "out/view.html", "--no-browser"),
+)
+"""What reads a run directory."""
+
 KINDS = (
     Kind("config", "c.yaml", (("config", "show", "c.yaml"),)),
     Kind("scenario", "s.yaml", (("simulate", "s.yaml", "-o", "out/run", "-q", "--set", "max_steps=2"),)),
@@ -102,29 +118,23 @@ KINDS = (
         "b.json",
         (("batch", "empty.mcap", "-o", "out/batch", "-q", "--baseline", "b.json", "--gate", "baseline"),),
     ),
-    Kind(
-        "run.json",
-        "run/run.json",
-        (
-            ("check", "run", "--gate", "map.accepted_share>=0.5"),
-            ("metrics", "run"),
-            ("replay", "--again", "run", "-o", "out/again", "-q"),
-        ),
+    *(
+        Kind(name, f"run/{name}", RUN_COMMANDS)
+        for name in ("run.json", "trajectory.tum", "hits.npz", "result.mcap", "map.yaml", "walls.csv")
     ),
     Kind("batch.json", "done/batch.json", (("check", "done"),)),
     Kind("table", "t.tum", (("metrics", "run", "--truth", "t.tum"),)),
-    Kind("trajectory", "run/trajectory.tum", (("metrics", "run"),)),
-    Kind("hits", "run/hits.npz", (("metrics", "run"),)),
-    Kind("result", "run/result.mcap", (("metrics", "run"),)),
     Kind("log", "log.mcap", (("info", "log.mcap"), ("convert", "log.mcap", "out/x.mcap", "-q"))),
     Kind("map.yaml", "map.yaml", (("metrics", "map.yaml"),)),
-    Kind("picture", "map.pgm", (("metrics", "map.yaml"),), attack_picture),
+    Kind("picture", "map.pgm", (("metrics", "map.yaml"), ("diff", "map.yaml", "sound", "-q")), attack_picture),
+    Kind("map.pgm", "run/map.pgm", RUN_COMMANDS, attack_picture),
 )
 
 
 def make_home(folder: Path) -> None:
     """Write a valid file of every kind, including a real run."""
     assert cli.run(["replay", str(SAMPLE), "-o", str(folder / "run"), *SHORT]) == 0
+    shutil.copytree(folder / "run", folder / "sound")
     shutil.copy(folder / "run" / "trajectory.tum", folder / "t.tum")
     for name in ("map.yaml", "map.pgm"):
         shutil.copy(folder / "run" / name, folder / name)
@@ -226,6 +236,15 @@ def attack(kind: Kind, rng: Random, folder: Path) -> None:
         replacements[int(rng.integers(3))](path)
     else:
         path.write_bytes(mutated(content, int(rng.integers(2**31))))
+    if kind.file.startswith("run/") and kind.name != "run.json" and path.is_file() and rng.random() < 0.7:
+        with_new_digest(path)
+
+
+def with_new_digest(path: Path) -> None:
+    """Write the digest of an altered file to the run.json beside it, as an attacker would: its content is read."""
+    document = json.loads((path.parent / "run.json").read_text())
+    document["outputs"][path.name] = sha256(path.read_bytes()[: 1 << 24]).hexdigest()
+    (path.parent / "run.json").write_text(json.dumps(document))
 
 
 def main() -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
 __version__ = "0.2.0"
 
@@ -13,5 +12,7 @@ def installed_version(package: str) -> str:
 
     It takes a tenth of the time of ``importlib.metadata``.
     """
+    from pathlib import Path  # noqa: PLC0415  the package is imported before Ctrl-C ends it silently
+
     folders = (folder.stem for path in sys.path for folder in Path(path).glob(f"{package}-*.*-info"))
     return next(folders, "-none").partition("-")[2]

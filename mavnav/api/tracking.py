@@ -88,7 +88,7 @@ def valid_scans(scans: Iterable[Scan]) -> Iterator[Scan]:
     for number, scan in enumerate(scans):
         if not isinstance(scan, Scan):
             raise UsageError(f"scan {number} is a {type(scan).__name__}; give mavnav.Scan objects")
-        if not isinstance(scan.stamp_ns, int | np.integer):
+        if not _is_stamp(scan.stamp_ns):
             raise UsageError(f"scan {number} has stamp_ns {scan.stamp_ns!r}; give whole ns")
         if before is None or scan.spec is not before.spec:
             _check_geometry(scan.spec, f"scan {number}")
@@ -99,6 +99,12 @@ def valid_scans(scans: Iterable[Scan]) -> Iterator[Scan]:
             )
         before = scan
         yield _fitting(scan, number)
+
+
+def _is_stamp(value: object) -> bool:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+        return False
+    return abs(int(value)) <= np.iinfo(np.int64).max
 
 
 def _check_geometry(spec: LaserSpec, where: str) -> None:
@@ -130,7 +136,8 @@ def _fitting(scan: Scan, number: int) -> Scan:
 
 def _per_beam(values: Any, scan: Scan, what: str) -> NDArray[np.float64]:  # noqa: ANN401
     try:
-        array = np.ascontiguousarray(values, np.float64)
+        array = np.ascontiguousarray(values)
+        array = array.astype(np.float64, casting="safe" if array.dtype.kind in "mMc" else "unsafe", copy=False)
     except (TypeError, ValueError):
         raise UsageError(f"{what} are no numbers; give an array with one number a beam") from None
     if array.shape != (scan.spec.beams,):

@@ -30,11 +30,14 @@ if TYPE_CHECKING:
 MODES: Final = ("trinary", "scale", "raw")
 MAX_CELLS: Final = 400_000_000
 MAX_PICTURE_BYTES: Final = 1 << 30
+FREE_CELLS: Final = 1 << 25
+"""Pixels that a compressed picture may have even if that is more than its bytes: 290 m x 290 m in cells of 50 mm."""
+
 BAND_ROWS: Final = 256
 MAX_OCCUPIED: Final = 5_000_000
 """Maximum number of occupied cells, more than the walls of a town have; measuring them takes gigabytes."""
 
-CELLS_M: Final = (1e-4, 100.0)
+CELLS_M: Final = (1e-3, 100.0)
 """Least and greatest size of a cell of a map, m."""
 
 SAVED_UNKNOWN: Final = 205
@@ -219,6 +222,7 @@ def _read_by_pillow(path: Path, data: bytes) -> _Shades:
         with warnings.catch_warnings():
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             with Image.open(BytesIO(data), formats=("PNG", "BMP")) as image:
+                _check_pixels(image.width * image.height, len(data))
                 if image.mode in {"1", "L"} and "transparency" not in image.info:
                     grey = np.asarray(image.convert("L"))
                     return _Shades(grey, np.arange(256.0), np.ones(grey.shape, np.bool_))
@@ -227,6 +231,12 @@ def _read_by_pillow(path: Path, data: bytes) -> _Shades:
         raise UsageError(f"{path} is no picture of a map (PGM or PNG); mend 'image:'") from error
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
         raise UsageError(f"{path} is no picture of a map (PGM or PNG): {error}; mend 'image:'") from error
+
+
+def _check_pixels(pixels: int, size: int) -> None:
+    """Raise ValueError for so many pixels in so few bytes that most of them are blank."""
+    if pixels > max(FREE_CELLS, size):
+        raise ValueError(f"{pixels} pixels in {size} bytes are too many; crop it, or save it as PGM")
 
 
 def _deep(image: Image.Image) -> _Shades:

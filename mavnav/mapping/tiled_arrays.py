@@ -8,6 +8,7 @@ of a column's and a row's part, ``col + col // WIDE * WIDE * (rows - 1) + WIDE *
 
 from __future__ import annotations
 
+from itertools import pairwise
 from math import inf
 from typing import TYPE_CHECKING, Any
 
@@ -89,7 +90,7 @@ def in_strips(cells: NDArray[Any]) -> NDArray[Any]:
 
 def bands(shape: tuple[int, ...], margin: int = 0) -> Iterator[tuple[slice, slice, slice]]:
     """Divide the rows of an array into bands; yield the rows of a band with margins, the band in these, and in all."""
-    rows, step = shape[0], max(LEAST_ROWS, BAND_CELLS // max(shape[1], 1))
+    rows, step = shape[0], max(LEAST_ROWS, margin, BAND_CELLS // max(shape[1], 1))
     for first in range(0, rows, step):
         end, start = min(first + step, rows), max(first - margin, 0)
         yield slice(start, min(end + margin, rows)), slice(first - start, end - start), slice(first, end)
@@ -104,6 +105,33 @@ def where(cells: NDArray[Any], test: CellFunction) -> NDArray[np.intp]:
 def count(cells: NDArray[Any], test: CellFunction) -> int:
     """Return the number of cells that pass a test, without a mask of all cells."""
     return sum(int(np.count_nonzero(test(cells[band]))) for _, _, band in bands(cells.shape))
+
+
+def farther(cells: NDArray[np.bool_], beyond_m: float, cell_m: float, *, outside: bool) -> NDArray[np.bool_]:
+    """Return which cells of a mask (rows, cols) are farther than a distance, m, from every cell that is not in it.
+
+    What lies ``outside`` is in the mask or not. The time hardly depends on the distance: how far a cell is from the
+    next such cell of its column gives how far along its row the disc around that one reaches.
+    """
+    reach, out = int(beyond_m / cell_m) + 2, np.empty(cells.shape, np.bool_)
+    squares = np.arange(reach + 1) ** 2
+    half_widths = np.array([np.count_nonzero(np.sqrt(squares + each) * cell_m <= beyond_m) for each in squares])
+    for rows, inner, band in bands(cells.shape, reach):
+        within = np.pad(cells[rows], 1, constant_values=outside)
+        width, col = half_widths[_column_steps(within, reach)], np.arange(within.shape[1])
+        near = np.maximum.accumulate(col + width, axis=1) > col
+        near |= np.minimum.accumulate((col - width)[:, ::-1], axis=1)[:, ::-1] < col
+        out[band] = ~near[1:-1, 1:-1][inner]
+    return out
+
+
+def _column_steps(cells: NDArray[np.bool_], most: int) -> NDArray[np.int32]:
+    """Return how many rows each cell is from the nearest one of its column that is not in a mask, up to ``most``."""
+    steps = np.where(cells, np.int32(most), np.int32(0))
+    for way in (steps, steps[::-1]):
+        for before, row in pairwise(way):
+            np.minimum(row, before + 1, out=row)
+    return steps
 
 
 def covering(low: Cell, high: Cell, shape: Cell, origin: Cell, block: int) -> tuple[Cell, Cell] | None:

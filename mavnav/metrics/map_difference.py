@@ -13,7 +13,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, cell_centres, known_area, occupancy
-from mavnav.mapping.tiled_arrays import bands
+from mavnav.mapping.tiled_arrays import bands, farther
 from mavnav.pose import Pose, transform_points
 
 if TYPE_CHECKING:
@@ -103,21 +103,6 @@ class View:
         return values
 
 
-def farther(cells: NDArray[np.bool_], beyond_m: float, cell_m: float, *, outside: bool) -> NDArray[np.bool_]:
-    """Return which cells of a mask (rows, cols) are farther than a distance, m, from every cell that is not in it.
-
-    What lies ``outside`` is in the mask or not. Memory for distances is needed for a band of rows at a time.
-    """
-    from scipy.ndimage import distance_transform_edt  # noqa: PLC0415  takes 0.1 s to load
-
-    margin, out = int(beyond_m / cell_m) + 2, np.empty(cells.shape, np.bool_)
-    for rows, inner, band in bands(cells.shape, margin):
-        around = np.pad(cells[rows], 1, constant_values=outside)
-        away = distance_transform_edt(around) if not around.all() else np.full(around.shape, np.inf)
-        out[band] = away[1:-1, 1:-1][inner] * cell_m > beyond_m
-    return out
-
-
 def difference(a: View, b: View, a_T_b: Pose) -> Difference:
     """Return the difference of two maps; ``a_T_b`` is the pose of the second one's frame in the first one's."""
     gone, gone_xy_m = _changes("gone", a, b, a_T_b.inverse(), Pose())
@@ -125,14 +110,22 @@ def difference(a: View, b: View, a_T_b: Pose) -> Difference:
     changes = sorted([*gone, *new], key=lambda change: -change.m2)
     walls_xy_m = transform_points(a_T_b, b.middles(b.walls))
     same, unlike = (int(np.count_nonzero(a.at(mask, walls_xy_m))) for mask in (a.near & a.known, a.clear & ~a.near))
-    common = int(np.count_nonzero(b.at(b.known, transform_points(a_T_b.inverse(), a.middles(a.known)))))
     return Difference(
         changes=tuple(pair_changes(changes)),
         gone_xy_m=gone_xy_m,
         new_xy_m=new_xy_m,
-        compared_m2=common * a.grid.cell_m**2,
+        compared_m2=_known_to_both(a, b, a_T_b.inverse()) * a.grid.cell_m**2,
         same_share=same / max(same + unlike, 1),
     )
+
+
+def _known_to_both(a: View, b: View, b_T_a: Pose) -> int:
+    """Return the number of cells of the first map that the second one knows too."""
+    cells = 0
+    for _, _, band in bands(a.known.shape):
+        xy_m = cell_centres(a.grid, *(np.argwhere(a.known[band]) + np.array([band.start, 0])).T)
+        cells += int(np.count_nonzero(b.at(b.known, transform_points(b_T_a, xy_m))))
+    return cells
 
 
 def _changes(
@@ -165,14 +158,16 @@ def _change(kind: Kind, xy_m: NDArray[np.float64], cell_m: float) -> Change:
 
 def pair_changes(changes: Sequence[Change]) -> list[Change]:
     """Pair walls that are gone with new ones, as objects that moved: the nearest first, each change once."""
-    pairs = [
-        (float(np.hypot(a.x_m - b.x_m, a.y_m - b.y_m)), i, j)
-        for i, a in enumerate(changes)
-        for j, b in enumerate(changes)
-        if a.kind == "gone" and b.kind == "new" and 1 / ALIKE <= a.length_m / b.length_m <= ALIKE
-    ]
+    from scipy.spatial import KDTree  # noqa: PLC0415  takes 0.1 s to load
+
+    pairs = []
+    for pair in KDTree([(each.x_m, each.y_m) for each in changes]).query_pairs(MOVED_M) if changes else ():
+        i, j = sorted(pair, key=lambda number: changes[number].kind)
+        a, b = changes[i], changes[j]
+        if a.kind != b.kind and 1 / ALIKE <= a.length_m / b.length_m <= ALIKE:
+            pairs.append((float(np.hypot(a.x_m - b.x_m, a.y_m - b.y_m)), i, j))
     partners: dict[int, int] = {}
-    for off_m, i, j in sorted(pairs):
-        if off_m <= MOVED_M and not partners.keys() & {i, j}:
+    for _, i, j in sorted(pairs):
+        if not partners.keys() & {i, j}:
             partners |= {i: j, j: i}
     return [replace(change, moved_with=partners.get(number)) for number, change in enumerate(changes)]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, Grid, GridBuilder, cell_centres, occupancy
+from mavnav.mapping.tiled_arrays import farther, in_strips
 from mavnav.pose import Pose, rigid_fit, transform_points
 from mavnav.slam.matching.placement import place_together
 from mavnav.slam.matching.relocalization import (
@@ -39,10 +41,13 @@ VIEWPOINTS = 12
 """Number of positions of virtual scans, each as far as possible from the others."""
 
 CLEARANCE_M = 0.3
-"""Minimum distance of these positions from walls and unknown cells."""
+"""These positions are farther from walls and unknown cells."""
 
 MOST_CELLS = 4000
 """Maximum number of points of a sample: of free cells for the positions, of walls for the refinement."""
+
+LARGE_CELLS = 1 << 22
+"""Number of cells from which not every one of them is a possible position."""
 
 BEAMS, FAR_M = 360, 15.0
 """Number of beams of a virtual scan, over a full turn, and their maximum range, m."""
@@ -81,11 +86,15 @@ def align(a: PriorMap, b: PriorMap, config: Config) -> Alignment | None:
     None unless at least three virtual scans of ``b``, and most of those that are found in ``a``, agree, or all scans
     fit together at just one place: in a coarse map each of them fits at many.
     """
+    return _one_by_one(a, b, config) or _together(a, b, config)
+
+
+def _one_by_one(a: PriorMap, b: PriorMap, config: Config) -> Alignment | None:
+    """Return the better alignment on which virtual scans of ``b`` agree; None if too few do."""
     target, scans = _Target(a, config), virtual_scans(b, config)
     placed = (target.place_scans(scans, anywhere=anywhere) for anywhere in (False, True))
     alignments = [_alignment(target, pairs, b, len(scans)) for pairs in placed]
-    best = min((alignment for alignment in alignments if alignment), key=attrgetter("cost_m2"), default=None)
-    return best or _together(a, b, config)
+    return min((alignment for alignment in alignments if alignment), key=attrgetter("cost_m2"), default=None)
 
 
 def _alignment(target: _Target, pairs: list[Placed], b: PriorMap, taken: int) -> Alignment | None:
@@ -118,7 +127,7 @@ class _Target:
     """The map in which another map is searched."""
 
     def __init__(self, known: PriorMap, config: Config) -> None:
-        self.config, self.grid = config, GridBuilder.of(known.grid)
+        self.config, self.grid = config, _for_look_ups(known.grid, known.grid.hits)
         self.lines = empty_line_map(config, known.grid.cell_m)
         self.lines.insert(known.walls_xy_m)
 
@@ -154,12 +163,11 @@ def virtual_scans(known: PriorMap, config: Config, seen_above: float = 0.0) -> l
     They are taken from the free cells that are crossed by more beams than ``seen_above``, a share, of them.
     """
     cells, angles_rad = occupancy(known.grid), np.arange(BEAMS) * (2 * np.pi / BEAMS)
-    walls = Grid(known.grid.cell_m, known.grid.origin_xy_m, (cells == OCCUPIED).astype(np.uint16), known.grid.passes)
-    directions, seen = np.column_stack((np.cos(angles_rad), np.sin(angles_rad))), GridBuilder.of(walls)
-    scans = []
-    free = cells == FREE
-    free &= known.grid.passes >= np.quantile(known.grid.passes[free], seen_above) if free.any() else free
-    for x_m, y_m in viewpoints(walls, free).tolist():
+    seen, free = _for_look_ups(known.grid, (cells == OCCUPIED).astype(np.uint16)), cells == FREE
+    directions, scans = np.column_stack((np.cos(angles_rad), np.sin(angles_rad))), []
+    if free.any():
+        free &= known.grid.passes >= np.quantile(known.grid.passes[free], seen_above, method="higher")
+    for x_m, y_m in viewpoints(known.grid, free).tolist():
         pose = Pose(x_m, y_m, 0.0)
         points = seen.virtual_scan(pose, directions, FAR_M, 0)[:, None] * directions
         points = _sample(points[np.isfinite(points).all(axis=1)])
@@ -170,9 +178,9 @@ def virtual_scans(known: PriorMap, config: Config, seen_above: float = 0.0) -> l
 
 def viewpoints(grid: Grid, free: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Choose up to ``VIEWPOINTS`` positions (n, 2), m, in free space, each as far as possible from those before it."""
-    from scipy.ndimage import distance_transform_edt  # noqa: PLC0415  takes 0.1 s to load
-
-    row, col = np.nonzero(distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1] * grid.cell_m >= CLEARANCE_M)
+    clear = farther(free, CLEARANCE_M, grid.cell_m, outside=False)
+    step = 1 + math.isqrt(clear.size // LARGE_CELLS)
+    row, col = step * np.argwhere(clear[::step, ::step]).T
     xy_m = _sample(cell_centres(grid, row, col))
     chosen, away_m = list[int](), np.full(len(xy_m), np.inf)
     for _ in range(min(VIEWPOINTS, len(xy_m))):
@@ -181,7 +189,12 @@ def viewpoints(grid: Grid, free: NDArray[np.bool_]) -> NDArray[np.float64]:
     return xy_m[chosen]
 
 
+def _for_look_ups(grid: Grid, hits: NDArray[np.uint16]) -> GridBuilder:
+    """Return other hits in strips, with the crossings of a grid."""
+    return GridBuilder(grid.cell_m, grid.origin_xy_m, in_strips(hits), np.ascontiguousarray(grid.passes))
+
+
 def _sample(xy_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return up to ``MOST_CELLS`` of the points (n, 2), shuffled, so that any prefix is a fair sample."""
-    mixed: NDArray[np.float64] = np.random.default_rng(0).permutation(xy_m)[:MOST_CELLS]
+    mixed: NDArray[np.float64] = xy_m[np.random.default_rng(0).permutation(len(xy_m))[:MOST_CELLS]]
     return mixed

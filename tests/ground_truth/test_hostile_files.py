@@ -133,7 +133,7 @@ def test_damaged_counts_are_a_value_error(tmp_path: Path) -> None:
 )
 def test_values_that_no_map_has_are_refused(change: dict[str, Any], tmp_path: Path) -> None:
     cells = np.ones((4, 4), np.int32)
-    for cell_m in (1e-4, 10.0):
+    for cell_m in (1e-3, 10.0):
         np.savez(tmp_path / "hits.npz", counts=cells, passes=cells, cell_m=cell_m, origin_xy_m=np.array([1e8, -1e8]))
         assert read_npz(tmp_path / "hits.npz").cell_m == cell_m
     content = {"counts": cells, "passes": cells, "cell_m": 0.05, "origin_xy_m": np.zeros(2)}

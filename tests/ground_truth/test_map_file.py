@@ -7,6 +7,7 @@ import pytest
 from PIL import Image
 
 from mavnav.errors import UsageError
+from mavnav.ground_truth import map_file
 from mavnav.ground_truth.map_file import read_map
 from mavnav.mapping.occupancy_grid import occupancy
 from support.map_files import FREE, KINDS, OCCUPIED, UNKNOWN, pgm
@@ -146,3 +147,12 @@ def test_an_image_that_is_no_picture_is_named_in_plain_words(write_map) -> None:
         read_map(path)
     picture = path.parent / "map.pgm"
     assert str(caught.value) == f"{picture} is no picture of a map (PGM or PNG); mend 'image:'"
+
+
+def test_blank_pixels_beyond_those_of_a_hall_are_refused(write_map, monkeypatch) -> None:
+    monkeypatch.setattr(map_file, "FREE_CELLS", 1600)
+    blank = np.full((40, 41), 254, np.uint8)
+    save, save_fewer = Image.fromarray(blank).save, Image.fromarray(blank[:, :40]).save
+    with pytest.raises(UsageError, match=r"1640 pixels in .* bytes are too many; crop it, or save it as PGM"):
+        read_map(write_map(save, "map.png"))
+    assert read_map(write_map(save_fewer, "map.png")).grid.passes.all()

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.ndimage import distance_transform_edt
 
 from mavnav.kernels.maps.layout import SHIFT, WIDE
 from mavnav.mapping import tiled_arrays
@@ -17,6 +18,7 @@ from mavnav.mapping.tiled_arrays import (
     covered_extent,
     covering,
     enlarge,
+    farther,
     in_strips,
     max_pool,
     plain,
@@ -117,3 +119,18 @@ def test_bands_are_all_rows_once_each_with_its_neighbours(
         assert around.stop == min(band.stop + margin, rows)
         done += values[band].tolist()
     assert done == values.tolist()
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.9, 0.99, 1.0])
+@pytest.mark.parametrize("band_rows", [5, 64])
+def test_cells_farther_than_a_distance_are_those_of_a_distance_transform(monkeypatch, share, band_rows) -> None:
+    monkeypatch.setattr(tiled_arrays, "BAND_CELLS", 1)
+    monkeypatch.setattr(tiled_arrays, "LEAST_ROWS", band_rows)
+    rng = np.random.default_rng(int(100 * share))
+    for cells_away in (0.3, 1.0, 2.0, 3.7, 5.0, 40.0):
+        for outside in (False, True):
+            cells = rng.random(rng.integers(1, 80, 2)) < share
+            around = np.pad(cells, 100, constant_values=outside)
+            away = distance_transform_edt(around) if not around.all() else np.full(around.shape, np.inf)
+            expected = away[100:-100, 100:-100] * 0.05 > cells_away * 0.05
+            assert np.array_equal(farther(cells, cells_away * 0.05, 0.05, outside=outside), expected)

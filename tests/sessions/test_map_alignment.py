@@ -61,3 +61,12 @@ def test_a_fine_map_is_placed_in_a_coarse_one_whichever_comes_first(swapped: boo
 def test_maps_of_different_buildings_have_no_place_in_each_other() -> None:
     grid = drawn(room(9.0, 6.5), 0.02)
     assert map_alignment.align(thick(), PriorMap(grid, occupied_xy_m(grid)), Config()) is None
+
+
+def test_scans_of_a_hall_are_taken_all_over_it_whatever_its_size() -> None:
+    for side in (300, 2500):  # from 2048 on not every cell is a possible place
+        free, grid = np.ones((side, side), np.bool_), Grid(0.05)
+        places_m = map_alignment.viewpoints(grid, free)
+        assert len(places_m) == map_alignment.VIEWPOINTS
+        assert np.abs(places_m - 0.025 * side).max() < 0.025 * side - map_alignment.CLEARANCE_M + 0.05
+        assert np.ptp(places_m, axis=0).min() > 0.8 * 0.05 * side

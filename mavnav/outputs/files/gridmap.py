@@ -36,8 +36,8 @@ in all, and more only if they are small."""
 FREE_HITS, BYTES_A_HIT = 100_000, 2
 """Cells with hits that every map may have, and bytes of the file for each of the others: real ones have 5 or more."""
 
-CELLS_M: Final = (1e-4, 10.0)
-"""Least and greatest size of a cell of a run's map, m: a tenth of the least setting, forty times the greatest."""
+CELLS_M: Final = (1e-3, 10.0)
+"""Least and greatest size of a cell of a run's map, m: the least setting, forty times the greatest."""
 
 _PACKED: Final = 1
 """Of zlib's levels: a fifth of the time of 6, up to a fifth larger."""

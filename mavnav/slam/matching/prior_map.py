@@ -8,6 +8,7 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.mapping.occupancy_grid import Grid, counts, occupied_xy_m
+from mavnav.mapping.tiled_arrays import bands
 from mavnav.pose import Pose, transform_points
 
 if TYPE_CHECKING:
@@ -49,10 +50,13 @@ def _upright(grid: Grid, map_T_grid: Pose) -> Grid:
     x, y = ((np.arange(low[k], high[k]) + 0.5) * cell_m for k in (0, 1))
     back = map_T_grid.inverse()
     c, s = np.cos(back.yaw_rad), np.sin(back.yaw_rad)
-    col = np.floor((back.x_m + c * x - s * y[:, None] - ox) / cell_m + TIE).astype(np.int64)
-    row = np.floor((back.y_m + s * x + c * y[:, None] - oy) / cell_m + TIE).astype(np.int64)
-    inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
-    row, col = np.where(inside, row, 0), np.where(inside, col, 0)
-    copies = (np.where(inside, cells[row, col], 0) for cells in (grid.hits, grid.passes))
-    hits, passes = (counts(cells * np.int32(SURELY)) for cells in copies)
+    hits, passes = (np.zeros((len(y), len(x)), np.uint16) for _ in range(2))
+    for _, _, band in bands(hits.shape):
+        col = np.floor((back.x_m + c * x - s * y[band, None] - ox) / cell_m + TIE).astype(np.int64)
+        row = np.floor((back.y_m + s * x + c * y[band, None] - oy) / cell_m + TIE).astype(np.int64)
+        inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+        row, col = row[inside], col[inside]
+        hits[band][inside], passes[band][inside] = (
+            counts(cells[row, col] * np.int32(SURELY)) for cells in (grid.hits, grid.passes)
+        )
     return Grid(cell_m, (float(low[0] * cell_m), float(low[1] * cell_m)), hits, passes)

@@ -39,6 +39,19 @@ def test_machine_code_is_loaded_without_numba() -> None:
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
+def test_kernels_are_loaded_while_another_thread_imports_numba() -> None:
+    code = (
+        "import sys, time, threading, numpy as np\n"
+        "from mavnav.kernels.scans.points import extent, place_points\n"
+        "thread = threading.Thread(target=lambda: __import__('numba'))\nthread.start()\n"
+        "while 'numba' not in sys.modules: time.sleep(0.001)\n"
+        "assert extent(np.ones((3, 2))) == (1.0, 1.0, 1.0, 1.0)\n"
+        "thread.join()\nassert not extent.compiled\n"
+        "assert sys.modules['numba'].njit(lambda x: x + 1)(1) == 2"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
 @pytest.mark.parametrize(
     "wrong",
     [np.ones((3, 2), np.float32), np.ones(6), np.ones((3, 4))[:, ::2], [[1.0, 1.0]], np.ones((3, 2)).astype(">f8")],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from math import pi
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,11 +11,12 @@ import pytest
 from scipy.ndimage import binary_dilation
 
 from mavnav.config.models import Config
-from mavnav.mapping.occupancy_grid import Grid, GridBuilder
+from mavnav.mapping import tiled_arrays
+from mavnav.mapping.occupancy_grid import Grid, GridBuilder, cell_centres
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import LaserSpec
 from mavnav.slam.matching.placement import place_together
-from mavnav.slam.matching.prior_map import PriorMap, prior_map_of
+from mavnav.slam.matching.prior_map import SURELY, PriorMap, prior_map_of
 from mavnav.slam.matching.scan_matching import empty_line_map
 from mavnav.slam.methods.acceptance import Acceptance
 from mavnav.slam.methods.localization import Localizer
@@ -92,3 +94,15 @@ def test_the_heading_of_a_laser_at_rest_counts() -> None:
     world = world_of([(pose, points)] * 4, rooms_map(0.05))
     assert world is None or (world.distance_m < 0.2 and abs(world.yaw_rad) < 3 * DEG)
     assert world_of([], rooms_map(0.05)) is None
+
+
+@pytest.mark.parametrize("pose", [Pose(), Pose(0.3, -1.2, 0.4), Pose(-3.0, 2.0, pi)])
+def test_a_turned_map_copies_the_cell_at_each_centre(monkeypatch, pose) -> None:
+    monkeypatch.setattr(tiled_arrays, "BAND_CELLS", 1)
+    passes = np.random.default_rng(0).integers(0, 2, (150, 90))
+    grid = prior_map_of(Grid(0.1, (0.0, 0.0), 1 - passes, passes), pose).grid
+    row, col = np.indices(grid.hits.shape).reshape(2, -1)
+    at = np.floor(transform_points(pose.inverse(), cell_centres(grid, row, col)) / 0.1 + 1e-9).astype(int)
+    for (x, y), hits, crossed in zip(at.tolist(), grid.hits.ravel(), grid.passes.ravel(), strict=True):
+        seen = SURELY * int(passes[y, x]) if 0 <= x < 90 and 0 <= y < 150 else None
+        assert (hits, crossed) == ((0, 0) if seen is None else (SURELY - seen, seen))
