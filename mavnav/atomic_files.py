@@ -147,6 +147,15 @@ def naming_full_disk(folder: Path) -> Iterator[None]:
         raise
 
 
+@contextmanager
+def writing(path: Path, advice: str = "make room or name another") -> Iterator[None]:
+    """Raise OutputError, with advice, where what is done within cannot write ``path``."""
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written: {error.strerror or error}; {advice}") from error
+
+
 def no_space(error: BaseException) -> bool:
     """Return whether an error is that a disk is full, or a quota used up."""
     return isinstance(error, OSError) and error.errno in {ENOSPC, EDQUOT}

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 
-from mavnav.atomic_files import beside
+from mavnav.atomic_files import beside, writing
 from mavnav.config.named_files import read_json
-from mavnav.errors import SEVERITY, ExitCode, OutputError, UsageError
+from mavnav.errors import SEVERITY, ExitCode, UsageError
 from mavnav.metrics.gates import full_name
 from mavnav.outputs.documents.quantities import number
 from mavnav.outputs.files.document import to_json
@@ -20,8 +20,6 @@ from mavnav.version import __version__
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
-
-SCHEMA_VERSION: Final = 1
 
 
 class Tolerance(Struct, frozen=True):
@@ -133,12 +131,9 @@ def _figures(cell: Mapping[str, Any]) -> dict[str, float | None] | None:
 def write_baseline(rows: Sequence[Mapping[str, Any]], path: Path, watched: Sequence[Tolerance]) -> None:
     """Write only the metrics that are compared, so that the file can be committed with the code."""
     cells = [_baseline_row(row, watched) for row in rows]
-    document = {"schema_version": SCHEMA_VERSION, "mavnav_version": __version__, "cells": cells}
-    try:
-        with beside(path) as partial:
-            partial.write_text(to_json(document), encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written: {error.strerror or error}; name another file") from error
+    document = {"schema_version": 1, "mavnav_version": __version__, "cells": cells}
+    with writing(path, "name another file"), beside(path) as partial:
+        partial.write_text(to_json(document), encoding="utf-8")
 
 
 def _baseline_row(row: Mapping[str, Any], watched: Sequence[Tolerance]) -> dict[str, Any]:

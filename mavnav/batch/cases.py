@@ -24,7 +24,7 @@ from mavnav.jobs.run_cache import PlannedRun, make_run, references_sha256
 from mavnav.logs import content_sha256
 from mavnav.logs.formats.detect import SUFFIXES, is_named_like_a_log
 from mavnav.metrics.gates import Gate, parse_gate, read_accept
-from mavnav.outputs.directory import MERGE_FILE, RUN_FILE
+from mavnav.outputs.directory import document_of
 from mavnav.outputs.documents.addresses import is_address, public_address
 from mavnav.pipelines.replay import ReplayRequest
 
@@ -94,11 +94,7 @@ def _is_hidden(path: Path, pattern: Path) -> bool:
 
 def _is_result(path: Path) -> bool:
     """Return whether a log is the result of a run, or a session of a merge."""
-    return (path.name == "result.mcap" or path.name.startswith("session_")) and _is_run(path.parent)
-
-
-def _is_run(folder: Path) -> bool:
-    return any((folder / name).is_file() for name in (RUN_FILE, MERGE_FILE))
+    return (path.name == "result.mcap" or path.name.startswith("session_")) and document_of(path.parent) is not None
 
 
 def _logs_in(paths: Sequence[Path]) -> list[Path]:
@@ -117,7 +113,7 @@ def _logs_in(paths: Sequence[Path]) -> list[Path]:
         visited.add(place)
         if not folder or (path / "metadata.yaml").is_file():
             logs.append(path)
-        elif not _is_run(path):
+        elif not document_of(path):
             shown = (each for each in path.iterdir() if not each.name.startswith("."))
             inner = [each for each in shown if each.is_dir() or is_named_like_a_log(each)]
             waiting.extendleft(each for each in inner if not each.is_symlink())

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from mavnav.batch.cases import CaseResult
     from mavnav.batch.request import BatchRequest
 
-SCHEMA_VERSION: Final = 1
 BATCH_FILE: Final = "batch.json"
 
 _MEASURED: Final = ("verdict", "scans", "tracking", "search", "map", "wall_thickness", "map_quality", "reference")
@@ -100,7 +99,7 @@ def batch_document(
     runs = [row["run"] for row in rows]
     codes = [*(row["code"] for row in rows), *(ExitCode.GATE_FAILED for _ in missing_runs if baseline_gate)]
     return {
-        "schema_version": SCHEMA_VERSION,
+        "schema_version": 1,
         "mavnav_version": __version__,
         "profile": next((run["map_quality"]["profile"] for run in runs if run and run.get("map_quality")), None),
         "counts": _counts(rows),

@@ -16,12 +16,13 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from PIL import Image
 
-from mavnav.atomic_files import beside
+from mavnav.atomic_files import beside, writing
 from mavnav.batch.document import BATCH_FILE, ENDS, why, worst_first
 from mavnav.batch.summary import batch_headline, change_text
 from mavnav.config.named_files import read_json
-from mavnav.errors import ExitCode, OutputError, UsageError
+from mavnav.errors import ExitCode, UsageError
 from mavnav.jobs.run_cache import RUNS_FOLDER
+from mavnav.mapping.tiled_arrays import crop, max_pool
 from mavnav.outputs.directory import RUN_FILE, check_apart
 from mavnav.outputs.documents.quantities import NAMED, PATH, TIME, UNUSABLE, number, verdict_texts
 from mavnav.outputs.files.document import to_json
@@ -31,8 +32,6 @@ from mavnav.outputs.writers import REPORT_FILE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
-
-    from numpy.typing import NDArray
 
     from mavnav.outputs.documents.quantities import Quantity
 
@@ -70,11 +69,8 @@ def write_batch(document: dict[str, Any], directory: Path) -> None:
 
 def write_text(text: str, path: Path) -> None:
     """Write one file; raises OutputError."""
-    try:
-        with beside(path) as partial:
-            partial.write_text(text, "utf-8", "backslashreplace")  # names of files need not be UTF-8
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written: {error.strerror or error}; make room or name another") from error
+    with writing(path), beside(path) as partial:
+        partial.write_text(text, "utf-8", "backslashreplace")  # names of files need not be UTF-8
 
 
 def check_files(files: Mapping[str, Path], inputs: Iterable[Path], directory: Path) -> None:
@@ -94,11 +90,8 @@ def check_files(files: Mapping[str, Path], inputs: Iterable[Path], directory: Pa
 
 def append_text(text: str, path: Path) -> None:
     """Append text to a file; raises OutputError."""
-    try:
-        with path.open("a", encoding="utf-8", errors="backslashreplace") as file:
-            file.write(text)
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written: {error.strerror or error}; name another") from error
+    with writing(path, "name another"), path.open("a", encoding="utf-8", errors="backslashreplace") as file:
+        file.write(text)
 
 
 def batch_csv(document: dict[str, Any]) -> str:
@@ -212,26 +205,10 @@ def thumbnail(directory: Path) -> str | None:
             cells = np.asarray(image)
     except (OSError, ValueError, Image.DecompressionBombError):  # ValueError before pillow 13, for a file that is cut
         return None
-    seen = _downsample(_crop(cells))
+    known = crop(cells, cells != _UNKNOWN)
+    # the darkest cell of each square, so that a wall of one cell remains visible
+    seen = 255 - max_pool(255 - known, -(-max(known.shape) // MAX_PIXELS))
     shades = np.where(seen < _UNKNOWN, _SHADES["wall"], np.where(seen == _UNKNOWN, _SHADES["unknown"], _SHADES["free"]))
     buffer = io.BytesIO()
     Image.fromarray(shades.astype(np.uint8)).quantize(4).save(buffer, format="PNG", optimize=True)
     return "data:image/png;base64," + b64encode(buffer.getvalue()).decode("ascii")
-
-
-def _crop(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Crop the unknown borders."""
-    known = cells != _UNKNOWN
-    rows, columns = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
-    if not rows.size:
-        return cells[:1, :1]
-    return cells[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-
-
-def _downsample(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Reduce squares of cells to one pixel with their minimum, so that a wall of one cell remains visible."""
-    side = -(-max(cells.shape) // MAX_PIXELS)
-    padded = np.pad(cells, [(0, -size % side) for size in cells.shape], constant_values=255)
-    rows, columns = (size // side for size in padded.shape)
-    blocks: NDArray[np.uint8] = padded.reshape(rows, side, columns, side).min(axis=(1, 3))
-    return blocks

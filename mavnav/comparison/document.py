@@ -9,9 +9,9 @@ import csv
 import io
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from mavnav.atomic_files import beside
+from mavnav.atomic_files import beside, writing
 from mavnav.batch.document import ENDS, run_row
-from mavnav.errors import ExitCode, OutputError, worst
+from mavnav.errors import ExitCode, worst
 from mavnav.metrics.gates import failure_text, judge_some, stored_verdict
 from mavnav.outputs.documents.quantities import (
     QUANTITIES,
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from mavnav.metrics.gates import Gate
     from mavnav.outputs.documents.quantities import Run
 
-SCHEMA_VERSION: Final = 1
 COMPARISON_FILE: Final = "comparison.json"
 
 RELATIVE_COSTS: Final = {
@@ -65,7 +64,7 @@ def comparison_document(results: Sequence[CaseResult], directory: Path, gates: S
     logs = _logs(planned, [name_of(row) for row in rows], runs)
     codes = [*(row["exit_code"] for row in rows), *(ExitCode.GATE_FAILED for v in verdicts if not v["passed"])]
     return {
-        "schema_version": SCHEMA_VERSION,
+        "schema_version": 1,
         "mavnav_version": __version__,
         "verdict": plain(worst_verdict(Verdict(**known) for run in runs if run and (known := stored_verdict(run)))),
         "headline": " ".join(f"{log['log']}: {log['headline']}" if len(logs) > 1 else log["headline"] for log in logs),
@@ -154,11 +153,8 @@ def _relative_cost(runs: Sequence[Run | None], k: int, reference: int | None, na
 def write_comparison(document: dict[str, Any], directory: Path) -> None:
     """Write the files of a comparison, each complete or not at all; raises OutputError."""
     for name, text in TEXTS.items():
-        try:
-            with beside(directory / name) as path:
-                path.write_text(text(document), "utf-8", "backslashreplace")  # names of files need not be UTF-8
-        except OSError as error:
-            raise OutputError(f"{directory / name} cannot be written: {error.strerror or error}; make room") from error
+        with writing(directory / name, "make room"), beside(directory / name) as path:
+            path.write_text(text(document), "utf-8", "backslashreplace")  # names of files need not be UTF-8
 
 
 HIT_QUANTITIES: Final = ("wall_thickness.2.p95_mm", "wall_thickness.2.max_mm")

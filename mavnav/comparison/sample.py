@@ -9,7 +9,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from mavnav.atomic_files import beside
+from mavnav.atomic_files import beside, writing
 from mavnav.errors import OutputError
 from mavnav.logs.writing.recorder import record
 from mavnav.pipelines.simulate import recording_of
@@ -31,11 +31,8 @@ SHIPPED: Final = Path(__file__).parents[2] / "sample_logs" / f"{SCENARIO}.mcap"
 def sample_truth(directory: Path) -> Path:
     """Write the scenario of the sample log, whose walls are the true map, to ``directory``; return its path."""
     path = directory / "logs" / f"{SCENARIO}.yaml"
-    try:
-        with beside(path) as partial:
-            partial.write_text(json.dumps(load_scenario(SCENARIO, SETS).document(), indent=1) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written: {error.strerror}; choose another directory with -o") from error
+    with writing(path, "choose another directory with -o"), beside(path) as partial:
+        partial.write_text(json.dumps(load_scenario(SCENARIO, SETS).document(), indent=1) + "\n", encoding="utf-8")
     return path
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from mavnav.batch.document import SECTIONS
-from mavnav.comparison.document import RELATIVE_COSTS, SCHEMA_VERSION, best, one_best
+from mavnav.comparison.document import RELATIVE_COSTS, best, one_best
 from mavnav.errors import ExitCode, worst
 from mavnav.metrics.gates import stored_verdict
 from mavnav.outputs.documents.verdict import Verdict, worst_verdict
@@ -35,7 +35,7 @@ def score_document(log: str, scored: Sequence[Scored]) -> dict[str, Any]:
     verdicts = (Verdict(**known) for each in made if (known := stored_verdict(each.document)))
     summary = headline(made)
     return {
-        "schema_version": SCHEMA_VERSION,
+        "schema_version": 1,
         "mavnav_version": __version__,
         "verdict": plain(worst_verdict(verdicts)),
         "headline": summary,

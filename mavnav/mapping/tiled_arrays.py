@@ -182,6 +182,12 @@ def _span(low: int, high: int, present: tuple[int, int], block: int) -> Cell:
     return low, (high // block + 1) * block - low
 
 
+def crop(cells: NDArray[Any], known: NDArray[np.bool_]) -> NDArray[Any]:
+    """Leave out the rows and columns at the borders in which nothing is known; a cell is left at least."""
+    rows, cols = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
+    return cells[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1] if len(rows) else cells[:1, :1]
+
+
 def identity(cells: NDArray[Any]) -> NDArray[Any]:
     """Return the cells themselves."""
     return cells

@@ -11,7 +11,7 @@ from hashlib import file_digest, sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from mavnav.atomic_files import beside, is_stream
+from mavnav.atomic_files import beside, is_stream, writing
 from mavnav.config.named_files import read_json
 from mavnav.errors import OutputError, UsageError
 
@@ -53,13 +53,17 @@ def checked_file(directory: Path, name: str, digests: Mapping[str, str]) -> Path
     return path
 
 
+def document_of(directory: Path) -> Path | None:
+    """Return the run.json or merge.json of a directory, None where there is neither."""
+    return next((directory / name for name in (RUN_FILE, MERGE_FILE) if (directory / name).is_file()), None)
+
+
 def digests_of(directory: Path) -> dict[str, str]:
     """Return the digests of the files of a run or merge by their names; empty for a directory that is neither.
 
     Raises UsageError where its document has none.
     """
-    file = next((directory / name for name in (RUN_FILE, MERGE_FILE) if (directory / name).is_file()), None)
-    if file is None:
+    if (file := document_of(directory)) is None:
         return {}
     try:
         return plain_digests(read_json(file)["outputs"])
@@ -205,8 +209,5 @@ def check_file(path: Path | None, suffix: str, *, force: bool) -> None:
 
 def write_file(path: Path, write: Callable[[Path], object], *, force: bool) -> None:
     """Write a file by a function that is given a path; raises OutputError if it cannot be written."""
-    try:
-        with beside(path, exclusive=not force) as partial:
-            write(partial)
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
+    with writing(path), beside(path, exclusive=not force) as partial:
+        write(partial)

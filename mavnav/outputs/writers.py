@@ -130,10 +130,11 @@ def _writers(run: RunResult, groups: Collection[str] | None) -> dict[str, Callab
     if run.slices and "slices" in chosen:
         writers |= dict.fromkeys(slice_files(run.slices.layers), partial(write_slice, run))
     for session in run.earlier:
+        poses, recording = trajectory.session_files(session.name)
         if "trajectory.tum" in names:
-            writers[trajectory.trajectory_file(session.name)] = partial(trajectory.write_poses, session.map_T_laser)
+            writers[poses] = partial(trajectory.write_poses, session.map_T_laser)
         if "result.mcap" in names:
-            writers[trajectory.recording_file(session.name)] = partial(trajectory.write_scans, session.scans)
+            writers[recording] = partial(trajectory.write_scans, session.scans)
     return writers
 
 

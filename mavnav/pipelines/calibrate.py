@@ -41,8 +41,6 @@ if TYPE_CHECKING:
     from mavnav.slam.result import SlamResult
 
 
-SCHEMA_VERSION: Final = 1
-
 MOUNTING: Final = ("x_m", "y_m", "yaw_deg")
 """Quantities of the mounting; the others are settings that correct the odometry."""
 
@@ -148,7 +146,7 @@ def _document(request: CalibrationRequest, log: Log, outcome: SlamResult, result
     code = ExitCode.GATE_FAILED if all(q["refused"] for q in quantities) else ExitCode.DONE
     codes = [code, ExitCode.TRACKING_LOST] if outcome.lost_for_good else [code]
     return {
-        "schema_version": SCHEMA_VERSION,
+        "schema_version": 1,
         "mavnav_version": __version__,
         "verdict": None,
         "headline": "",

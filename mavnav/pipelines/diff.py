@@ -17,7 +17,7 @@ from mavnav.kernels.maps import raycast  # noqa: F401  it is compiled with the o
 from mavnav.mapping.occupancy_grid import known_area, occupied_xy_m
 from mavnav.metrics.gates import stored_verdict
 from mavnav.metrics.map_difference import View, difference
-from mavnav.outputs.directory import MERGE_FILE, RUN_FILE, check_apart, check_file, checked_file, digests_of, write_file
+from mavnav.outputs.directory import check_apart, check_file, checked_file, digests_of, document_of, write_file
 from mavnav.outputs.files.gridmap import HITS_FILE, read_npz
 from mavnav.outputs.pictures import difference_picture
 from mavnav.outputs.report.summary_page import diff_summary, draw_png, write_summary
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from mavnav.profiling import Progress
     from mavnav.sessions.map_alignment import Alignment
 
-SCHEMA_VERSION: Final = 1
 
 NUMBERS: Final = ("compared_m2", "same_share", "gone_m2", "new_m2", "changed_m2", "gone", "new", "moved")
 """Numbers of the document that gates may name; null where the maps cannot be aligned."""
@@ -115,7 +114,7 @@ def read_walls(path: Path) -> PriorMap:
 def _document(request: DiffRequest, alignment: Alignment | None, result: Difference | None) -> dict[str, Any]:
     numbers = _numbers(result) if result else dict.fromkeys(NUMBERS)
     return {
-        "schema_version": SCHEMA_VERSION,
+        "schema_version": 1,
         "mavnav_version": __version__,
         "a": str(request.a),
         "b": str(request.b),
@@ -141,10 +140,8 @@ def _document(request: DiffRequest, alignment: Alignment | None, result: Differe
 
 def run_verdict_at(path: Path) -> dict[str, str] | None:
     """Return the verdict on the run or merge in a directory, None for a map file and for earlier versions."""
-    for name in (RUN_FILE, MERGE_FILE):
-        if (path / name).is_file():
-            with suppress(OSError, ValueError, AttributeError):
-                return stored_verdict(read_json(path / name))
+    with suppress(OSError, ValueError, AttributeError):
+        return stored_verdict(read_json(file)) if (file := document_of(path)) else None
     return None
 
 

@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from mavnav.outputs.files.finished_run import FinishedRun
     from mavnav.profiling import Progress
 
-SCHEMA_VERSION: Final = 1
 NEEDED_FILES: Final = (HITS_FILE, "trajectory.tum", "result.mcap")
 """Files of a run that are measured, besides its document."""
 LATE_S: Final = 1e-3
@@ -93,7 +92,7 @@ def evaluate(paths: list[Path], references: References, progress: Progress) -> d
     for number, (path, what) in enumerate(zip(paths, subjects, strict=True)):
         progress("measuring", number, len(paths))
         documents.append(_document(path, what, references))
-    return {"schema_version": SCHEMA_VERSION, "mavnav_version": __version__, "maps": documents}
+    return {"schema_version": 1, "mavnav_version": __version__, "maps": documents}
 
 
 def subject(path: Path) -> Subject:

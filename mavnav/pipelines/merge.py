@@ -16,7 +16,7 @@ from mavnav.mapping.occupancy_grid import known_area, measured_area
 from mavnav.metrics.gates import stored_verdict
 from mavnav.metrics.journey import one_after_another
 from mavnav.metrics.map_quality import measure_map
-from mavnav.outputs.directory import MERGE_FILE, RUN_FILE, atomic_directory, check_directory, file_sha256
+from mavnav.outputs.directory import MERGE_FILE, RUN_FILE, atomic_directory, check_directory, document_of, file_sha256
 from mavnav.outputs.documents.run_json import RunDocument
 from mavnav.outputs.documents.sections import evidence
 from mavnav.outputs.documents.verdict import Verdict, worst_verdict
@@ -24,7 +24,7 @@ from mavnav.outputs.files.document import plain, to_json
 from mavnav.outputs.files.finished_run import MergeRecord, finished_run, of_document
 from mavnav.outputs.files.gridmap import GridMap, write_npz, write_pgm, write_yaml
 from mavnav.outputs.files.map_document import map_document
-from mavnav.outputs.files.trajectory import recording_file, trajectory_file, write_poses, write_scans
+from mavnav.outputs.files.trajectory import session_files, write_poses, write_scans
 from mavnav.outputs.files.wall_table import WALLS_FILE, write_cuts
 from mavnav.outputs.pictures.map_picture import write_merged
 from mavnav.outputs.report.summary_page import merge_summary, write_summary
@@ -49,7 +49,6 @@ if TYPE_CHECKING:
     from mavnav.profiling import Progress
     from mavnav.sessions.group import Session, SessionGroup
 
-SCHEMA_VERSION: Final = 1
 TRACKING: Final = ("lost", "tracked_share", "intervals", "doubt")
 """What merge.json repeats of the tracking of each session."""
 
@@ -116,16 +115,12 @@ def _check(request: MergeRequest) -> None:
     inputs = *request.inputs, request.config_file
     check_directory(request.directory, force=True, marker=MERGE_FILE, inputs=inputs)
     for path in request.inputs:
-        if _is_run(path):
+        if document_of(path):
             _run(path)
         else:
             with suppress(NoScansError):
                 check_log(path, None, None)
     check_directory(request.directory, force=request.force, marker=MERGE_FILE)  # that it exists is said last
-
-
-def _is_run(path: Path) -> bool:
-    return any((path / file).is_file() for file in (RUN_FILE, MERGE_FILE))
 
 
 def session_names(inputs: tuple[Path, ...]) -> list[str]:
@@ -143,7 +138,7 @@ def _input(name: str, path: Path, request: MergeRequest, folder: Path, progress:
     """Read a run, or replay a log."""
     run = None
     try:
-        run = _run(path) if _is_run(path) else _replay(name, path, request, folder, progress)
+        run = _run(path) if document_of(path) else _replay(name, path, request, folder, progress)
         session = _read(name, run, request.config)
     except NoScansError as error:
         return Input(name, path, run=run.document if run else None, why=str(error))
@@ -198,8 +193,9 @@ def _write(
         write_merged(drawn, paths, Verdict(**document["verdict"]), folder / "map.png")
         write_cuts(measured.cuts, folder / WALLS_FILE)
         for session in members:
-            write_poses(session.map_T_laser, folder / trajectory_file(session.name))
-            write_scans(session.scans, folder / recording_file(session.name))
+            poses, recording = session_files(session.name)
+            write_poses(session.map_T_laser, folder / poses)
+            write_scans(session.scans, folder / recording)
         if request.report:
             write_summary(merge_summary(document, (folder / "map.png").read_bytes()), folder / REPORT_FILE)
         digests = {file.name: file_sha256(file) for file in sorted(folder.iterdir())}
@@ -221,7 +217,7 @@ def _document(request: MergeRequest, inputs: list[Input], joins: list[Join], mem
     refused = len(inputs) - len(paths)
     verdict = merge_verdict(rows)
     return {
-        "schema_version": SCHEMA_VERSION,
+        "schema_version": 1,
         "mavnav_version": __version__,
         "verdict": plain(verdict),
         "headline": merge_headline(rows),
@@ -262,8 +258,7 @@ def _row(given: Input, join: Join, paths: dict[str, Trajectory]) -> dict[str, An
         "joined": joined,
         "verdict": stored_verdict(run),
         "why": join.why or None,
-        "trajectory": trajectory_file(given.name) if joined else None,
-        "recording": recording_file(given.name) if joined else None,
+        **dict(zip(("trajectory", "recording"), session_files(given.name) if joined else (None, None), strict=True)),
         "map_T_session": rounded_pose(frame_of([own], [paths[given.name]])) if own and joined else None,
         **plain(evidence(join)),
         "tracking": {key: run["tracking"].get(key) for key in TRACKING} if run else None,

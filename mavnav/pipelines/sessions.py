@@ -14,7 +14,7 @@ from mavnav.logs import open_log
 from mavnav.logs.formats.detect import log_name
 from mavnav.outputs.documents.sections import Continued, EarlierSession, evidence
 from mavnav.outputs.files.finished_run import MergeRecord, finished_run
-from mavnav.outputs.files.trajectory import recording_file, trajectory_file
+from mavnav.outputs.files.trajectory import session_files
 from mavnav.pose import Trajectory
 from mavnav.sessions.group import Join, group_in_frame, make_session, merged_map
 from mavnav.sessions.growth import alike, extend_group
@@ -188,14 +188,5 @@ def _in_map(outcome: SlamResult, session: Session, grid: Grid) -> SlamResult:
 
 def _section(run: FinishedRun, join: Join, earlier: Sequence[Session]) -> Continued:
     """Describe a continued run, for run.json."""
-    sessions = [
-        EarlierSession(
-            session.name,
-            len(session.map_T_laser),
-            trajectory_file(session.name),
-            recording_file(session.name),
-            session.doubtful,
-        )
-        for session in earlier
-    ]
+    sessions = [EarlierSession(s.name, len(s.map_T_laser), *session_files(s.name), s.doubtful) for s in earlier]
     return Continued(str(run.directory), join.name, not join.why, join.why or None, evidence(join), sessions)

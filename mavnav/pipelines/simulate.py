@@ -20,10 +20,10 @@ from mavnav.logs import open_log
 from mavnav.logs.writing.recorder import Recording, check_recording, record
 from mavnav.mapping.occupancy_grid import GridBuilder, occupied_xy_m
 from mavnav.metrics.reference import LEAST_POSES, absolute_error, position_errors
-from mavnav.outputs.directory import check_apart, check_directory, check_parent
+from mavnav.outputs.directory import check_apart, check_directory, check_file, check_parent
 from mavnav.outputs.documents.provenance import Typed, provenance, utc_now
 from mavnav.outputs.documents.run_json import MissionResult, TruthErrors
-from mavnav.outputs.pictures.animation import animate, check_animation
+from mavnav.outputs.pictures.animation import animate
 from mavnav.outputs.run import MissionRecord, RunResult, Timing, Truth, WallShapes
 from mavnav.outputs.writers import WRITERS, check_groups, write_run
 from mavnav.pipelines.maps import measured_map, slices_of
@@ -142,10 +142,10 @@ def check_outputs(request: SimulationRequest) -> None:
     config = Path(request.typed.config) if request.typed.config else None
     check_directory(request.directory, force=request.force, inputs=(request.path, config))
     check_apart({"--record": request.recording, "--animate": request.animation}, (request.path, config))
-    for path, check in ((request.recording, check_recording), (request.animation, check_animation)):
-        if path:
-            check(path, force=request.force)
-            check_parent(path)
+    if request.recording:
+        check_recording(request.recording, force=request.force)
+        check_parent(request.recording)
+    check_file(request.animation, ".gif", force=request.force)
 
 
 def recording_of(flight: Flight) -> Recording:

@@ -60,7 +60,7 @@ TRIALS = [
         "simulate short.yaml -o new --record old.mcap --force -q",
     ),
     (
-        "choose another name for the animation, or --force",
+        "choose another file, or --force",
         "simulate short.yaml -o wrong --animate old.gif",
         "simulate short.yaml -o new --animate old.gif --force -q",
     ),

@@ -17,7 +17,7 @@ from mavnav.outputs.documents import run_json as model
 from mavnav.outputs.documents import sections
 from mavnav.outputs.documents.addresses import public_address
 from mavnav.outputs.documents.verdict import verdict_of
-from mavnav.outputs.files.map_document import SCHEMA_VERSION, map_section, versions
+from mavnav.outputs.files.map_document import map_section, versions
 from mavnav.outputs.run import base_frame, half_sweep_s
 from mavnav.profiling import peak_memory_mb
 from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY
@@ -53,7 +53,7 @@ def run_document(run: RunResult, outputs: dict[str, str]) -> model.RunDocument:
     """Describe a run; ``outputs`` maps the files written to their SHA-256."""
     mission = run.mission
     return model.RunDocument(
-        schema_version=SCHEMA_VERSION,
+        schema_version=1,
         mavnav_version=__version__,
         verdict=run_verdict(run),
         python=platform.python_version(),

@@ -14,7 +14,7 @@ from mavnav.config.named_files import read_json
 from mavnav.errors import UsageError
 from mavnav.logs.formats.detect import log_name
 from mavnav.outputs.directory import MERGE_FILE, RUN_FILE, checked_file, plain_digests
-from mavnav.outputs.files.trajectory import recording_file, trajectory_file
+from mavnav.outputs.files.trajectory import session_files
 from mavnav.slam.findings import HIGH
 
 OWN_FILES: Final = ("trajectory.tum", "result.mcap")
@@ -129,11 +129,10 @@ class MergeRecord(Struct, frozen=True):
     @property
     def stored_sessions(self) -> list[Stored]:
         """The sessions in the map, in the order in which they were added."""
-        joined = [(each.name, each.tracking) for each in self.sessions if each.joined]
-        return [
-            Stored(name, trajectory_file(name), recording_file(name), bool(track and track.is_doubtful))
-            for name, track in joined
+        joined = [
+            (each.name, bool(each.tracking and each.tracking.is_doubtful)) for each in self.sessions if each.joined
         ]
+        return [Stored(name, *session_files(name), doubtful) for name, doubtful in joined]
 
 
 class RunRecord(Struct, frozen=True):

@@ -175,14 +175,9 @@ def _edge_values(edge: Edge) -> str:
     return " ".join([f"{x:z.9f} {y:z.9f} {yaw:z.9f}", *(f"{value + 0.0:.9g}" for value in upper)])
 
 
-def trajectory_file(name: str) -> str:
-    """Return the name of the file of the poses of a session."""
-    return f"session_{name}.tum"
-
-
-def recording_file(name: str) -> str:
-    """Return the name of the file of the scans of a session."""
-    return f"session_{name}.mcap"
+def session_files(name: str) -> tuple[str, str]:
+    """Return the names of the files of the poses and of the scans of a session."""
+    return f"session_{name}.tum", f"session_{name}.mcap"
 
 
 def write_scans(scans: Callable[[], Iterable[Scan]], path: Path) -> None:

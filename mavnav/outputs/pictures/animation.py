@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from mavnav.atomic_files import beside, is_stream
-from mavnav.errors import OutputError, UsageError
 from mavnav.mapping.occupancy_grid import known_area
 from mavnav.metrics.journey import spread
+from mavnav.outputs.directory import check_file, write_file
 from mavnav.outputs.files.replay_log import placed_scans
 from mavnav.outputs.pictures.map_picture import points_to_show
 from mavnav.outputs.pictures.viewport import GOAL_RED, POSE_MAGENTA, START_BLUE, Viewport, wall_lines, window_of
@@ -44,29 +43,13 @@ _PALETTE: Final = ("#ffffff", "#9aa1a8", "#000000", POSE_MAGENTA, START_BLUE, GO
 """The hits' colours are steps of viridis, as in map.png; each is for twice the hits of the one before."""
 
 
-def check_animation(path: Path, *, force: bool) -> None:
-    """Raise OutputError where the animation cannot be put, UsageError for another suffix; called before the work."""
-    if is_stream(path):
-        return
-    if path.suffix != ".gif":
-        raise UsageError(f"{path}: an animation is a GIF; end its name in .gif")
-    if path.exists() and not (force and path.is_file()):
-        raise OutputError(f"{path} exists; choose another name for the animation, or --force to replace the file")
-
-
 def animate(run: RunResult, path: Path, *, force: bool = False) -> None:
     """Write the animation of a run; scans are read once more. Raises OutputError where it cannot be written."""
-    check_animation(path, force=force)
-    try:
-        first, *others = _frames(run)
-        times_ms = [*[FRAME_MS] * len(others), LAST_FRAME_MS]
-        with beside(path, exclusive=not force) as partial:
-            first.save(partial, "GIF", save_all=True, append_images=others, duration=times_ms, loop=0, optimize=False)
-    except FileExistsError as error:
-        raise OutputError(f"{path} exists; choose another name for the animation, or --force to replace it") from error
-    except OSError as error:
-        reason = error.strerror or error
-        raise OutputError(f"{path} cannot be written: {reason}; make room or choose another place") from error
+    check_file(path, ".gif", force=force)
+    first, *others = _frames(run)
+    times_ms = [*[FRAME_MS] * len(others), LAST_FRAME_MS]
+    options = {"save_all": True, "append_images": others, "duration": times_ms, "loop": 0, "optimize": False}
+    write_file(path, lambda partial: first.save(partial, "GIF", **options), force=force)
 
 
 @dataclass(slots=True)

@@ -7,11 +7,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from mavnav.mapping.occupancy_grid import OCCUPIED, occupancy
-from mavnav.mapping.tiled_arrays import max_pool
+from mavnav.mapping.tiled_arrays import crop, max_pool
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from mavnav.mapping.occupancy_grid import Grid
 
 DOTS: Final = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]], np.uint32)
@@ -24,7 +22,8 @@ def preview(grid: Grid, columns: int = 76, lines: int = 24, *, braille: bool = T
     A dot stands for a square of cells and is set where one of them is occupied. Without ``braille``, every character
     that has a dot is a hash.
     """
-    walls = _crop(occupancy(grid) == OCCUPIED)[::-1]
+    walls = occupancy(grid) == OCCUPIED
+    walls = crop(walls, walls)[::-1]
     rows, cols = walls.shape
     step = max(-(-cols // (2 * columns)), -(-rows // (4 * lines)), 1)
     dots = max_pool(walls, step)
@@ -33,14 +32,6 @@ def preview(grid: Grid, columns: int = 76, lines: int = 24, *, braille: bool = T
     padded[: dots.shape[0], : dots.shape[1]] = dots
     codes = np.einsum("iajb,ab->ij", padded.reshape(height, 4, width, 2), DOTS)
     return ["".join(_character(code, braille=braille) for code in line).rstrip() for line in codes.tolist()]
-
-
-def _crop(walls: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Leave out empty rows and columns around the walls."""
-    if not walls.any():
-        return np.zeros((1, 1), np.bool_)
-    rows, cols = (np.flatnonzero(walls.any(axis=axis)) for axis in (1, 0))
-    return walls[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
 
 
 def _character(code: int, *, braille: bool) -> str:

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 
-from mavnav.atomic_files import beside
-from mavnav.errors import OutputError
+from mavnav.atomic_files import beside, writing
 from mavnav.outputs.documents.quantities import verdict_texts
 from mavnav.outputs.report import panels, tables
 from mavnav.outputs.report.entry import Entry, Failure, load
@@ -61,14 +60,11 @@ def write_report(comparison: dict[str, Any], directory: Path, path: Path) -> Non
     number from the second log on (maps_2.png). Raises OutputError if a file cannot be written.
     """
     sections = _sections(comparison, directory)
-    try:
+    with writing(path, "make room or choose another with -o"):
         for number, section in enumerate(sections, 1):
             _write_pictures(section, path.parent, "" if number == 1 else f"_{number}")
         with beside(path) as unfinished:
             unfinished.write_text(_page(comparison, sections), "utf-8", "backslashreplace")  # names need not be UTF-8
-    except OSError as error:
-        reason = error.strerror or error
-        raise OutputError(f"{path} cannot be written: {reason}; make room or choose another with -o") from error
 
 
 def _sections(comparison: dict[str, Any], directory: Path) -> list[LogSection]:
