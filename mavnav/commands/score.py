@@ -74,7 +74,8 @@ def score(
             from mavnav.outputs.writers import REPORT_FILE, write_page
             from mavnav.pipelines.programs import read_program
             from mavnav.pipelines.score import ScoreRequest, read_source, score_log
-        target = directory or Path("runs") / f"score-{log_name(source.path)}"
+        usual = Path("runs") / f"score-{log_name(source.path)}"
+        target = directory or shared.free_directory(usual, force=force)
         request = ScoreRequest(
             source.path,
             target,

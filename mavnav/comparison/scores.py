@@ -56,6 +56,7 @@ def _cell(log: str, scored: Scored) -> dict[str, Any]:
         "trajectory": scored.name,
         "log": log,
         "method": "external",
+        "differs": "",
         "grid": None,
         "azimuth": None,
         "key": None,
