@@ -61,8 +61,8 @@ def test_the_manifest_is_one(recipes: list[tuple[str, str]], tmp_path: Path) -> 
     path.write_text(block(recipes, "yaml", "# nightly.yaml"))
     (tmp_path / "baseline.json").write_text('{"mavnav_version": "1", "cells": []}')
     request = request_of(BatchOptions(sources=(str(path),)))
-    assert [setting.name for setting in request.settings] == ["usual", "fine", "paper"]
-    assert [setting.config.method for setting in request.settings] == ["robust", "robust", "paper"]
+    assert [setting.name for setting in request.settings] == ["usual", "fine", "coarse", "paper"]
+    assert [setting.config.method for setting in request.settings] == ["robust", "robust", "robust", "paper"]
     assert request.rules.baseline_gate
     assert len(request.rules.gates) == 2
 
