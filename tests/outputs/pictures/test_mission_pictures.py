@@ -158,6 +158,6 @@ def test_what_exists_stays_without_force(run, tmp_path):
     with pytest.raises(UsageError, match=r"\.gif"):
         animate(run, tmp_path / "a.mp4")
     (tmp_path / "f.gif").mkdir()
-    with pytest.raises(OutputError, match="another name"):
+    with pytest.raises(OutputError, match="name a file"):
         animate(run, tmp_path / "f.gif", force=True)
     assert {p.name for p in tmp_path.iterdir()} == {"a.gif", "f.gif"}
