@@ -119,7 +119,7 @@ KINDS = (
         (("batch", "empty.mcap", "-o", "out/batch", "-q", "--baseline", "b.json", "--gate", "baseline"),),
     ),
     *(
-        Kind(name, f"run/{name}", RUN_COMMANDS)
+        Kind(f"run/{name}", f"run/{name}", RUN_COMMANDS)
         for name in ("run.json", "trajectory.tum", "hits.npz", "result.mcap", "map.yaml", "walls.csv")
     ),
     Kind("batch.json", "done/batch.json", (("check", "done"),)),
@@ -127,7 +127,7 @@ KINDS = (
     Kind("log", "log.mcap", (("info", "log.mcap"), ("convert", "log.mcap", "out/x.mcap", "-q"))),
     Kind("map.yaml", "map.yaml", (("metrics", "map.yaml"),)),
     Kind("picture", "map.pgm", (("metrics", "map.yaml"), ("diff", "map.yaml", "sound", "-q")), attack_picture),
-    Kind("map.pgm", "run/map.pgm", RUN_COMMANDS, attack_picture),
+    Kind("run/map.pgm", "run/map.pgm", RUN_COMMANDS, attack_picture),
 )
 
 
@@ -236,7 +236,7 @@ def attack(kind: Kind, rng: Random, folder: Path) -> None:
         replacements[int(rng.integers(3))](path)
     else:
         path.write_bytes(mutated(content, int(rng.integers(2**31))))
-    if kind.file.startswith("run/") and kind.name != "run.json" and path.is_file() and rng.random() < 0.7:
+    if kind.file.startswith("run/") and kind.name != "run/run.json" and path.is_file() and rng.random() < 0.7:
         with_new_digest(path)
 
 
