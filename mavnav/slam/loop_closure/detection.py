@@ -61,7 +61,7 @@ FAR_SEARCH_M = 2.5
 """Path between two searches while closures confirm the track or no closure is found."""
 
 MOST_FAILED = 40
-"""Number of successive searches without a closure after which they become sparse."""
+"""Number of successive searches without a closure after which they become sparse, or end if they are."""
 
 SIGHT_M = 4.0
 """Largest distance, besides the drift bound, of old key frames that may have seen the same walls."""
@@ -125,11 +125,17 @@ def find_closures(
 ) -> tuple[list[KeyFrame], list[KeyClosure], int]:
     """Return the corrected key frames, the closures that agree, and the number of those that are refused.
 
-    A key frame keeps the closure of an earlier round where the later one, which is sparser, does not search it.
+    Sparse searches come first: most tracks are confirmed by them, or fit nowhere. A key frame keeps the closure of an
+    earlier round where the later one, which is sparser, does not search it.
     """
+    searches = list(detect_closures(tracked, (), local, config, FAR_SEARCH_M))
+    sparse = [closure for closure in searches if closure]
+    closures = consistent_closures(sparse, tracked, tracked)
+    if (closures or len(searches) >= MOST_FAILED) and track_confirmed([c.correction(tracked) for c in closures]):
+        return tracked, closures, len(sparse) - len(closures)
     keys, closures, refused = tracked, list[KeyClosure](), 0
     for _ in range(ROUNDS):
-        latest = {c.end: c for c in (*closures, *detect_closures(keys, closures, local, config))}
+        latest = {c.end: c for c in (*closures, *detect_closures(keys, closures, local, config)) if c}
         agreed = consistent_closures(list(latest.values()), keys, tracked)
         if len(agreed) < len(closures):
             break
@@ -166,13 +172,13 @@ def nearest_old(
 
 
 def detect_closures(
-    keys: Sequence[KeyFrame], known: Sequence[KeyClosure], local: LocalMaps, config: Config
-) -> Iterator[KeyClosure]:
-    """Search key frames in the old part of the map; yield the closures, also those of no agreement.
+    keys: Sequence[KeyFrame], known: Sequence[KeyClosure], local: LocalMaps, config: Config, least_m: float = KEY_M
+) -> Iterator[KeyClosure | None]:
+    """Search key frames in the old part of the map; yield the closures, also those of no agreement, None without one.
 
-    Searches are dense at first and sparse where closures confirm the track, which also bounds the drift from there on;
-    so do those ``known``. Weak closures confirm nothing, because the drift along a corridor stays unknown. Where there
-    can be little drift, local maps are searched, else the map of all.
+    Searches are ``least_m`` of path apart or more. They are dense at first and sparse where closures confirm the track,
+    which also bounds the drift from there on; so do those ``known``. Weak closures confirm nothing, because the drift
+    along a corridor stays unknown. Where there can be little drift, local maps are searched, else the map of all.
     """
     old, seen, paths, pace = KeyFrameMap(config), Visibility(keys, local), Paths(), Pace()
     for each in known:
@@ -190,11 +196,10 @@ def detect_closures(
             old.grow(keys, count)
         closure = find_closure(keys, j, old if wide else None, seen, bound, config)
         confirms = closure is not None and closure.weak_rad is None and is_small(closure.correction(keys))
-        pace = pace.after(key.path_m, failed=closure is None, confirms=confirms)
-        if closure:
-            if confirms:
-                paths.join(keys[closure.start].path_m, key.path_m)
-            yield closure
+        pace = pace.after(key.path_m, least_m, failed=closure is None, confirms=confirms)
+        if closure and confirms:
+            paths.join(keys[closure.start].path_m, key.path_m)
+        yield closure
 
 
 class Pace(NamedTuple):
@@ -203,10 +208,10 @@ class Pace(NamedTuple):
     next_m: float = 0.0
     failures: int = 0
 
-    def after(self, path_m: float, *, failed: bool, confirms: bool) -> Pace:
+    def after(self, path_m: float, least_m: float, *, failed: bool, confirms: bool) -> Pace:
         """Return the pace after a search that failed, or found a closure that confirms the track, or corrects it."""
         failures = self.failures + 1 if failed else 0
-        return Pace(path_m + (FAR_SEARCH_M if confirms or failures >= MOST_FAILED else KEY_M), failures)
+        return Pace(path_m + (FAR_SEARCH_M if confirms or failures >= MOST_FAILED else least_m), failures)
 
 
 def predicts_better(before: Frames, after: Frames, local: LocalMaps, config: Config) -> bool:

@@ -18,7 +18,7 @@ from mavnav.scan import LaserSpec, Scan
 from mavnav.slam.findings import Loop, Loops
 from mavnav.slam.loop_closure import detection
 from mavnav.slam.loop_closure.closure import KeyClosure
-from mavnav.slam.loop_closure.detection import LOOP_M, find_loops, predicts_better, rows_aside
+from mavnav.slam.loop_closure.detection import LOOP_M, detect_closures, find_loops, predicts_better, rows_aside
 from mavnav.slam.loop_closure.key_frames import (
     KEPT,
     PART_M,
@@ -40,6 +40,8 @@ from support.matches import voxel_means
 from support.synthetic import DEG, Segments, along, box, polyline, scan_at
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from mavnav.slam.loop_closure.detection import Frames
 
 LASER = LaserSpec(-120 * DEG, DEG, 241, 0.05, 5.6)
@@ -200,6 +202,20 @@ def test_a_good_track_stays_as_it_is() -> None:
     loops = ring_walk.closed(ring_walk.truth)
     assert len(loops.closed) >= 2
     assert loops.map_T_laser is None
+
+
+def test_only_a_track_that_sparse_searches_do_not_confirm_is_searched_densely(monkeypatch: pytest.MonkeyPatch) -> None:
+    back, searched = walk("corridor of doors"), list[tuple[float, ...]]()
+
+    def counting(keys: list[KeyFrame], known: list, local: LocalMaps, config: Config, *least_m: float) -> Iterator:
+        searched.append(least_m)
+        return detect_closures(keys, known, local, config, *least_m)
+
+    monkeypatch.setattr(detection, "detect_closures", counting)
+    assert len(back.closed(back.truth).closed) >= 2
+    assert searched == [(detection.FAR_SEARCH_M,)]
+    back.closed(back.sheared((0.1, 0.2)))
+    assert searched[1:3] == [(detection.FAR_SEARCH_M,), ()]
 
 
 def test_a_path_that_never_comes_back_reads_no_scan() -> None:
