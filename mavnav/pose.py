@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
+MAX_GAP_NS = 1_000_000_000
+"""Longest gap in the poses of a truth, or of another program, over which they are interpolated."""
+
 STEP_M, JITTER_RATIO = 0.05, 3.0
 """Distance that jitter does not reach, and ratio of path to straight line from which a piece of that size is jitter."""
 

@@ -78,7 +78,9 @@ def comparison_document(results: Sequence[CaseResult], directory: Path, gates: S
     }
 
 
-class _NamedRun(NamedTuple):
+class NamedDocument(NamedTuple):
+    """A run by its name within its log, and its run.json."""
+
     name: str
     document: dict[str, Any]
 
@@ -93,7 +95,7 @@ def _logs(
     return [
         {
             "log": str(log),
-            "headline": headline([_NamedRun(names[k], run) for k in group if (run := runs[k])]),
+            "headline": headline([NamedDocument(names[k], run) for k in group if (run := runs[k])]),
             "cells": group,
             "best": {name: [group[k] for k in places] for name, places in best([runs[k] for k in group]).items()},
         }

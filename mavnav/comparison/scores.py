@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.batch.document import SECTIONS
-from mavnav.comparison.document import RELATIVE_COSTS, best, one_best
+from mavnav.comparison.document import RELATIVE_COSTS, NamedDocument, best, one_best
 from mavnav.errors import ExitCode, worst
 from mavnav.metrics.gates import stored_verdict
 from mavnav.outputs.documents.verdict import Verdict, worst_verdict
@@ -23,15 +23,10 @@ SHOWN: Final = [name for name in SECTIONS if name not in {"search", "timing"}]
 """Sections of run.json that are repeated for every run: nothing is searched, and the time is that of drawing."""
 
 
-class _NamedRun(NamedTuple):
-    name: str
-    document: dict[str, Any]
-
-
 def score_document(log: str, scored: Sequence[Scored]) -> dict[str, Any]:
     """Return comparison.json of the runs of a log at the poses of trajectories; costs are not compared."""
     runs, unknown = [each.document for each in scored], [None] * len(scored)
-    made = [_NamedRun(each.name, each.document) for each in scored if each.document]
+    made = [NamedDocument(each.name, each.document) for each in scored if each.document]
     verdicts = (Verdict(**known) for each in made if (known := stored_verdict(each.document)))
     summary = headline(made)
     return {

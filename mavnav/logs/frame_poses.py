@@ -63,7 +63,7 @@ class FramePoses(Struct):
             root = parents.pop(root)
         return root
 
-    def paths(self, log: Log, warn: Callable[[str], None]) -> list[Step]:
+    def paths(self, log: Log, warn: Callable[[str], None]) -> list[Transfer]:
         """Return the transforms on the way from the fixed frame to the body; raises TopicError without one."""
         still, fixed = self._still, self.fixed
         steps = _steps([*self.moving, *still], fixed, self.base_frame)
@@ -71,7 +71,7 @@ class FramePoses(Struct):
             known = ", ".join(sorted(self.names)) or "none"
             raise TopicError(f"no transforms lead from {fixed!r} to {self.base_frame!r}; frames of the log: {known}")
         return [
-            Step(planar(still[edge]) if edge in still else self.moving[edge].trajectory(log, warn)[0], upwards)
+            Transfer(planar(still[edge]) if edge in still else self.moving[edge].trajectory(log, warn)[0], upwards)
             for edge, upwards in steps
         ]
 
@@ -80,19 +80,19 @@ class FramePoses(Struct):
         steps = self.paths(log, warn)
         moving = (step.path.stamps_ns for step in steps if isinstance(step.path, Trajectory))
         stamps_ns = max(moving, key=len, default=np.zeros(0, np.int64))
-        poses = followed(steps, stamps_ns)
+        poses = follow(steps, stamps_ns)
         known = np.isfinite(poses[:, 0])
         return Trajectory(stamps_ns[known], poses[known]), 0.0
 
 
-class Step(NamedTuple):
+class Transfer(NamedTuple):
     """A transform from a frame to the next, over time or constant; ``upwards`` from a child to its parent."""
 
     path: Trajectory | Pose
     upwards: bool
 
 
-def followed(steps: list[Step], stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+def follow(steps: list[Transfer], stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return the poses (n, 3) at the end of transforms at times (n,); NaN where one of them is not known."""
     poses = np.zeros((len(stamps_ns), 3))
     for path, upwards in steps:

@@ -16,7 +16,7 @@ from msgspec import Struct, field
 from msgspec.structs import asdict
 
 from mavnav.metrics.fields import Measured, absent, number
-from mavnav.pose import Trajectory, between, motions, rigid_fit, transform_points
+from mavnav.pose import MAX_GAP_NS, Trajectory, between, motions, rigid_fit, transform_points
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
@@ -25,9 +25,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Array = NDArray[np.float64]
-
-MAX_GAP_NS: Final = 1_000_000_000
-"""Longest gap in the truth over which it is interpolated."""
 
 GAP_PERIODS: Final = 2.5
 """A gap between compared poses is longer than `MAX_GAP_NS` and than this many median steps; no stretch spans it."""

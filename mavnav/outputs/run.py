@@ -10,7 +10,7 @@ from msgspec import Struct, field
 from mavnav.errors import ExitCode
 from mavnav.mapping.occupancy_grid import known_area, occupancy
 from mavnav.metrics.wall_spread import wall_report
-from mavnav.slam.findings import EXTERNAL
+from mavnav.outputs.documents.verdict import EXTERNAL
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

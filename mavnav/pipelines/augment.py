@@ -11,7 +11,7 @@ from mavnav.errors import UsageError
 from mavnav.ground_truth.tables import read_tum
 from mavnav.logs import choose, content_sha256, survey
 from mavnav.logs.formats import detect
-from mavnav.logs.frame_poses import TF_PREFIX, FramePoses, followed
+from mavnav.logs.frame_poses import TF_PREFIX, FramePoses, follow
 from mavnav.logs.messages import cdr, ros
 from mavnav.logs.messages.definitions import TF, definition
 from mavnav.logs.namespaces import laser_topics
@@ -69,7 +69,7 @@ def _frames_below(surveyed: Survey, log: Log) -> FramePoses:
 
 def _transforms(map_T_laser: Trajectory, frames: FramePoses, log: Log, map_frame: str) -> Iterator[RawMessage]:
     """Yield the transforms from the map to the root frame of the log, at the scans whose place below that is known."""
-    root_T_laser = followed(frames.paths(log, lambda _: None), map_T_laser.stamps_ns)
+    root_T_laser = follow(frames.paths(log, lambda _: None), map_T_laser.stamps_ns)
     none = np.zeros_like(root_T_laser)
     map_T_root = between(between(map_T_laser.xyyaw, none), between(root_T_laser, none))
     channel = Channel("/tf", TF, "cdr", Schema(TF, "ros2msg", definition(TF).encode()))

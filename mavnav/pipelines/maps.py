@@ -12,9 +12,9 @@ from mavnav.mapping.occupancy_grid import known_area, measured_area
 from mavnav.mapping.slices import scans_with_heights, slice_map
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import measure_map
-from mavnav.metrics.reference import MAX_GAP_NS
 from mavnav.outputs.directory import checked_file, digests_of
 from mavnav.outputs.documents.run_json import FoundPose, Localisation, StartPose
+from mavnav.pose import MAX_GAP_NS
 from mavnav.profiling import Stage, timed
 from mavnav.slam.methods.registry import LOCALIZERS
 from mavnav.units import DEG

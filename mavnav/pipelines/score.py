@@ -50,7 +50,7 @@ PROGRAMS: Final = "programs"
 """Folder of what programs write and print."""
 
 
-class Source(Struct, frozen=True):
+class TrajectorySource(Struct, frozen=True):
     """Where a trajectory comes from: ``recorded`` is a topic or ``tf:MAP,FRAME`` of the log, else ``path`` is a file.
 
     Poses of a file are those of ``frame``. With the stamp of a scan they hold at its beam ``pose_at``.
@@ -73,7 +73,7 @@ class Source(Struct, frozen=True):
         return path / RUN_POSES if path.is_dir() else path
 
 
-def read_source(text: str) -> Source:
+def read_source(text: str) -> TrajectorySource:
     """Read ``[NAME=]FILE[,FRAME]``, ``[NAME=]topic:/T`` or ``[NAME=]tf:MAP,FRAME``, each with ``@first|middle|last``.
 
     Raises UsageError for a name that cannot be that of a directory.
@@ -91,7 +91,7 @@ def read_source(text: str) -> Source:
         name = name if has_name else Path(source).stem
     if not name or Path(name).name != name:
         raise UsageError(f"--trajectory {text!r}: {name!r} names no directory; write NAME=FILE with a plain name")
-    return Source(name, source, frame, at)
+    return TrajectorySource(name, source, frame, at)
 
 
 class ScoreRequest(Struct, frozen=True):
@@ -100,7 +100,7 @@ class ScoreRequest(Struct, frozen=True):
     log: Path
     directory: Path
     config: Config
-    sources: tuple[Source, ...]
+    sources: tuple[TrajectorySource, ...]
     options: ReplayOptions[Path] = field(default_factory=ReplayOptions[Path])
     force: bool = False
     typed: Typed = field(default_factory=Typed)
@@ -117,10 +117,10 @@ class Scored(NamedTuple):
     error: str = ""
 
 
-class _Poses(Struct, frozen=True):
+class _GivenPoses(Struct, frozen=True):
     """A trajectory of the laser, what its poses were of, and what a program took to write it."""
 
-    source: Source
+    source: TrajectorySource
     world_T_laser: Trajectory
     frame: str
     program: dict[str, Any] = {}
@@ -167,12 +167,12 @@ def _written(program: Program, request: ScoreRequest) -> Path:
     return request.directory / PROGRAMS / f"{program.name}.tum"
 
 
-def _written_poses(program: Program, cost: ProgramCost, request: ScoreRequest, log: Log) -> _Poses | str:
+def _written_poses(program: Program, cost: ProgramCost, request: ScoreRequest, log: Log) -> _GivenPoses | str:
     """Return what a program wrote, or why it cannot be used."""
     if cost.problem:
         return cost.problem
     try:
-        poses = _read(Source(program.name, str(_written(program, request)), LASER), request, log)
+        poses = _read(TrajectorySource(program.name, str(_written(program, request)), LASER), request, log)
     except UsageError as error:
         return str(error)
     measured = {"wall_s": cost.wall_s, "cpu_s": cost.cpu_s, "peak_memory_mb": cost.peak_memory_mb}
@@ -198,7 +198,7 @@ def _open(request: ScoreRequest, recorded: str | None) -> Log:
     )
 
 
-def _read(source: Source, request: ScoreRequest, log: Log) -> _Poses:
+def _read(source: TrajectorySource, request: ScoreRequest, log: Log) -> _GivenPoses:
     """Read the poses of the laser; raises UsageError for those of another time, and for a frame without a mounting."""
     if source.recorded is not None:
         truth = _open(request, source.recorded).truth
@@ -210,10 +210,10 @@ def _read(source: Source, request: ScoreRequest, log: Log) -> _Poses:
         span = f"{log.first_ns * NS:.1f} to {log.last_ns * NS:.1f} s"
         advice = "give poses with the clock of the scans"
         raise UsageError(f"{source.text}: its poses ({ends}) and the scans ({span}) share no time; {advice}")
-    return _Poses(source, path, frame)
+    return _GivenPoses(source, path, frame)
 
 
-def _mounting(source: Source, log: Log) -> Pose:
+def _mounting(source: TrajectorySource, log: Log) -> Pose:
     """Return the pose of the laser on the body of a file's poses."""
     if source.frame in {LASER, log.frame_id.lstrip("/")}:
         return Pose()
@@ -228,7 +228,7 @@ def _mounting(source: Source, log: Log) -> Pose:
 
 
 def _score(
-    poses: _Poses, request: ScoreRequest, log: Log, references: References, progress: Progress
+    poses: _GivenPoses, request: ScoreRequest, log: Log, references: References, progress: Progress
 ) -> dict[str, Any]:
     """Draw, judge, measure and write one trajectory; return its run.json."""
     wall_s, cpu_s, stages = perf_counter(), process_time(), new_profile(loading=0.0, starting=0.0)
@@ -264,7 +264,7 @@ def _score(
     return write_run(run, request.directory / source.name, force=request.force)
 
 
-def _again(request: ScoreRequest, source: Source) -> Iterator[str]:
+def _again(request: ScoreRequest, source: TrajectorySource) -> Iterator[str]:
     """Yield the words of a command line that scores a trajectory once more."""
     yield from ("mavnav", "score", *(str(path.absolute()) for path in (request.log, *request.more)))
     text = source.text if source.recorded is not None else str(Path(source.text).absolute())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from msgspec import Struct, field
@@ -18,9 +18,6 @@ if TYPE_CHECKING:
 
 HIGH: Final = 0.5
 """Probability above which a track is marked as doubtful."""
-
-EXTERNAL: Final[Literal["external"]] = "external"
-"""Name of the method of a run at poses that another program has given."""
 
 NOT_PLANAR: Final = "not planar"
 """The reason with which a map of the plane is meaningless."""

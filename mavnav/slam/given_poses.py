@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from msgspec.structs import replace
 
-from mavnav.pose import Pose
+from mavnav.pose import MAX_GAP_NS, Pose
 from mavnav.slam.doubt.judge import WORTH_A_TRACK, judge, redraw
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.scan_matching import first_match, no_match
@@ -25,9 +25,6 @@ if TYPE_CHECKING:
     from mavnav.pose import Trajectory
     from mavnav.slam.result import SlamResult
     from mavnav.slam.track import LogScans, OnStep
-
-LONGEST_GAP_NS: Final = 1_000_000_000
-"""Longest time between two poses of a trajectory over which they are interpolated, as that of truths."""
 
 ROUNDED_NS: Final = 1_000_000
 """Largest time of a scan before the first pose or after the last that rounding in a text file explains."""
@@ -56,7 +53,7 @@ def draw_at_poses(
     holds_ns : time from the stamp of a scan to that of its pose
     on_step : called with the name of the pass and the number of scans done
     """
-    xyyaw = world_T_laser.poses_at(_within_rounding(scans_ns + holds_ns, world_T_laser), LONGEST_GAP_NS)
+    xyyaw = world_T_laser.poses_at(_within_rounding(scans_ns + holds_ns, world_T_laser), MAX_GAP_NS)
     known = np.flatnonzero(np.isfinite(xyyaw[:, 0]))
     world_T_map = Pose(*xyyaw[known[0]].tolist()) if len(known) else Pose()
     steps = Steps(_steps(scans_ns, xyyaw, world_T_map.inverse()))

@@ -13,7 +13,7 @@ from mavnav.logs import Log, open_log
 from mavnav.metrics.wall_spread import wall_report
 from mavnav.outputs.files.document import track_verdict
 from mavnav.pipelines.maps import measured_map
-from mavnav.pipelines.score import Source, read_source
+from mavnav.pipelines.score import TrajectorySource, read_source
 from mavnav.pose import Pose, Trajectory
 from mavnav.slam.given_poses import draw_at_poses
 from mavnav.slam.result import SlamResult
@@ -104,12 +104,12 @@ def test_names_frames_and_instants_are_read(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a,b.tum").touch()
     for text, source in {
-        "x=poses.tum": Source("x", "poses.tum", "laser", "middle"),
-        "poses.tum,base@first": Source("poses", "poses.tum", "base", "first"),
-        "a,b.tum": Source("a,b", "a,b.tum", "laser", "middle"),
-        "me@home=poses.tum@last": Source("me@home", "poses.tum", "laser", "last"),
-        "slam=tf:map,base_link": Source("slam", "tf:map,base_link", "", "middle"),
-        "topic:/a/odom@first": Source("odom", "topic:/a/odom", "", "first"),
+        "x=poses.tum": TrajectorySource("x", "poses.tum", "laser", "middle"),
+        "poses.tum,base@first": TrajectorySource("poses", "poses.tum", "base", "first"),
+        "a,b.tum": TrajectorySource("a,b", "a,b.tum", "laser", "middle"),
+        "me@home=poses.tum@last": TrajectorySource("me@home", "poses.tum", "laser", "last"),
+        "slam=tf:map,base_link": TrajectorySource("slam", "tf:map,base_link", "", "middle"),
+        "topic:/a/odom@first": TrajectorySource("odom", "topic:/a/odom", "", "first"),
     }.items():
         assert read_source(text) == source
     with pytest.raises(UsageError, match="names no directory"):

@@ -10,8 +10,8 @@ from mavnav.kernels.machine.jit import helper
 from mavnav.kernels.polar_search.cost import Beams, Work, span, to_polar
 from mavnav.kernels.polar_search.fixed_beams import (
     FIXED_SHARE,
+    BeamReach,
     HalfWindow,
-    Reach,
     Sight,
     classify,
     find_fixed,
@@ -45,7 +45,7 @@ def bound(scan: Beams, motions: F64_2D, offsets: F64_2D, window: HalfWindow, wor
     virtual, points, limits = scan
     n, beams, middle = points.shape[1], len(virtual), motions[-1]
     to_polar(points, middle, limits, work.r[:n], work.beam[:n])
-    reach, swept = Reach(np.empty(n), np.empty(n), np.empty(n)), np.empty((2, n))
+    reach, swept = BeamReach(np.empty(n), np.empty(n), np.empty(n)), np.empty((2, n))
     sight, fixed = Sight(np.empty(beams), np.empty(beams), np.empty(beams)), np.empty(beams, np.int64)
     passed, share = reach_of(scan, middle, window, work.r, reach)
     small = passed <= FIXED_BEAMS and share <= FIXED_SHARE

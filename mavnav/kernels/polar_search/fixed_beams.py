@@ -32,7 +32,7 @@ class HalfWindow(NamedTuple):
     pivot_y_m: float
 
 
-class Reach(NamedTuple):
+class BeamReach(NamedTuple):
     """Largest motion of each point (n,) on the grid: in m, in beams, and in beams relative to the point before."""
 
     by_m: F64_1D
@@ -49,7 +49,7 @@ class Sight(NamedTuple):
 
 
 @helper
-def reach_of(scan: Beams, motion: F64_1D, window: HalfWindow, r: F64_1D, reach: Reach) -> tuple[float, float]:
+def reach_of(scan: Beams, motion: F64_1D, window: HalfWindow, r: F64_1D, reach: BeamReach) -> tuple[float, float]:
     """Write the largest motion of each point on the grid: in m, in beams, and in beams relative to the point before.
 
     Returns the mean in beams, and the largest one as a share of a point's range.
@@ -85,7 +85,7 @@ def sweep(scan: Beams, beam: F64_1D, by_beams: F64_1D, swept: F64_2D) -> None:
 
 
 @helper
-def find_fixed(scan: Beams, work: Work, reach: Reach, swept: F64_2D, sight: Sight, fixed: I64_1D) -> None:
+def find_fixed(scan: Beams, work: Work, reach: BeamReach, swept: F64_2D, sight: Sight, fixed: I64_1D) -> None:
     """Write the range of each beam, and its segment everywhere on the grid: 0 for none, -1 if that may change."""
     r, beam, value, slope, first, more = work.r, work.beam, work.value, work.slope, work.first, work.more
     (seen, least, most), by_m, by_beams = sight, reach.by_m, reach.by_beams
@@ -115,7 +115,7 @@ def find_fixed(scan: Beams, work: Work, reach: Reach, swept: F64_2D, sight: Sigh
 
 
 @helper
-def classify(scan: Beams, work: Work, reach: Reach, sight: Sight, fixed: I64_1D, small: bool) -> None:
+def classify(scan: Beams, work: Work, reach: BeamReach, sight: Sight, fixed: I64_1D, small: bool) -> None:
     """Set ``fixed`` to 0 for beams that contribute nowhere on the grid, and to -1 for those that may contribute.
 
     On a grid that is not small, no other beam stays fixed.

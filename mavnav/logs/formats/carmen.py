@@ -40,7 +40,7 @@ _ROUNDING_M: Final = 2e-3
 """Largest position difference, in m, that rounding can cause: poses are written with six digits."""
 
 
-class Poses(Enum):
+class PoseKind(Enum):
     """Source of the poses in the scan lines: odometry, odometry and a SLAM system, or a SLAM system alone."""
 
     ODOMETRY = "odometry"
@@ -57,7 +57,7 @@ class _CarmenState(Struct):
     """Parameters and channels read so far."""
 
     report: ReadReport
-    poses: Poses
+    poses: PoseKind
     has_odometry_lines: bool
     parameters: dict[str, str] = field(default_factory=dict)
     channels: dict[str, Channel] = field(default_factory=dict)
@@ -77,7 +77,7 @@ def read_carmen(path: Path, report: ReadReport) -> Iterator[RawMessage]:
     """
     with path.open("rb") as file:
         state = _CarmenState(report, *kinds_of_poses(islice(_lines(file), _INSPECTED_LINES)))
-        if state.poses is Poses.CORRECTED:
+        if state.poses is PoseKind.CORRECTED:
             report.warn("the poses in the log are those of a SLAM and no odometry; --truth auto compares with them")
         file.seek(0)
         for number, line in enumerate(_lines(file), start=1):
@@ -95,7 +95,7 @@ def _lines(file: IO[bytes]) -> Iterator[bytes]:
         yield line
 
 
-def kinds_of_poses(lines: Iterable[bytes]) -> tuple[Poses, bool]:
+def kinds_of_poses(lines: Iterable[bytes]) -> tuple[PoseKind, bool]:
     """Return the source of the poses in the scan lines, and whether odometry has lines of its own.
 
     Parameters
@@ -123,9 +123,9 @@ def kinds_of_poses(lines: Iterable[bytes]) -> tuple[Poses, bool]:
         except (ValueError, IndexError, OverflowError):
             continue
     if corrected:
-        return Poses.CORRECTED, bool(by_time)
+        return PoseKind.CORRECTED, bool(by_time)
     moved = any(mounting.gap(mountings[0])[0] > _ROUNDING_M for mounting in mountings)
-    return Poses.BOTH if moved else Poses.ODOMETRY, bool(by_time)
+    return PoseKind.BOTH if moved else PoseKind.ODOMETRY, bool(by_time)
 
 
 def _messages(line: bytes, state: _CarmenState) -> Iterator[RawMessage]:
@@ -136,7 +136,7 @@ def _messages(line: bytes, state: _CarmenState) -> Iterator[RawMessage]:
         _, name, value, *_ = line.decode(errors="replace").split()
         if name in _NUMBERS:
             state.parameters[name] = repr(float(value))
-    elif line.startswith(b"ODOM ") and state.poses is not Poses.CORRECTED:
+    elif line.startswith(b"ODOM ") and state.poses is not PoseKind.CORRECTED:
         words = line.split()
         pose_of(words[1:4])
         yield RawMessage(state.channel("/odom", ODOMETRY), stamp_ns(words[7]), line)
@@ -158,17 +158,17 @@ def _scan(line: bytes, state: _CarmenState) -> Iterator[RawMessage]:
     yield RawMessage(state.channels[topic], at_ns, line)
     if not laser.odom_T_base or not laser.odom_T_laser or kind == "RLASER":
         return
-    if state.poses is not Poses.ODOMETRY:
+    if state.poses is not PoseKind.ODOMETRY:
         text = pose_line("world", frame, laser.odom_T_laser, at_ns)
         yield RawMessage(state.channel("/truth", TRANSFORM), at_ns, text)
-    if state.poses is not Poses.CORRECTED and not state.has_odometry_lines:
+    if state.poses is not PoseKind.CORRECTED and not state.has_odometry_lines:
         text = pose_line("odom", "base_link", laser.odom_T_base, at_ns)
         yield RawMessage(state.channel("/odom", ODOMETRY), at_ns, text)
 
 
 def _mounting(laser: LaserLine, state: _CarmenState) -> Pose | None:
     """Return ``base_T_laser`` from the poses of both, else from the parameters; None if unknown."""
-    if state.poses is Poses.ODOMETRY and laser.odom_T_base and laser.odom_T_laser:
+    if state.poses is PoseKind.ODOMETRY and laser.odom_T_base and laser.odom_T_laser:
         return laser.odom_T_base.between(laser.odom_T_laser)
     name, yaw_rad = _OFFSETS.get(laser.kind, ("", 0.0))
     offset_m = state.parameters.get(name)

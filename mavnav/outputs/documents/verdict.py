@@ -18,12 +18,15 @@ from mavnav.config.layers import by_dotted_key
 from mavnav.config.loading import load_config
 from mavnav.metrics.fields import text
 from mavnav.metrics.gates import VERDICTS
-from mavnav.slam.findings import EXTERNAL, HIGH, NOT_PLANAR, SECOND_MOTION
+from mavnav.slam.findings import HIGH, NOT_PLANAR, SECOND_MOTION
 from mavnav.units import pluralize
 
 Run: TypeAlias = Mapping[str, Any]
 Cause: TypeAlias = "tuple[str, str] | None"
 """A reason with its advice, None where it does not hold."""
+
+EXTERNAL: Final[Literal["external"]] = "external"
+"""Name of the method of a run at poses that another program has given."""
 
 NOTABLE_SCANS: Final = 20
 """Number of scans of a part that is missed if it is left out."""

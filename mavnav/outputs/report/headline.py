@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Final
 
 from mavnav.outputs.documents import quantities
 from mavnav.outputs.documents.quantities import number
+from mavnav.outputs.documents.verdict import EXTERNAL
 from mavnav.outputs.report import tables
-from mavnav.slam.findings import EXTERNAL
 from mavnav.units import pluralize
 
 if TYPE_CHECKING:

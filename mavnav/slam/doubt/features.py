@@ -131,9 +131,9 @@ SPARSE_M, SPARSE_RAD = 0.3, 20 * DEG
 CONFLICTS, LOST_SHARE = 0.05, 0.1
 """Bounds besides ``FEW_POINTS``: more conflicts and more scans lost by a second track raise doubt."""
 
-WEAK_S, WEAK_M_S, LONGEST_S = 10.0, 0.5, 1.0
-"""Time over which the motion along walls that leave it open adds up, the least speed that is then possible, whatever
-the track says, and the longest time between two scans for which that counts."""
+WEAK_M_S, LONGEST_S = 0.5, 1.0
+"""Along walls that leave the motion open, the least speed that is possible, whatever the track says, and the longest
+time between two scans for which that counts; the motion adds up over the longer of ``WINDOWS_S``."""
 
 TILT_RAD = 10 * DEG
 """Tilt above which motion is not planar: a wall 3 m away is then met 0.5 m higher or lower."""
@@ -201,14 +201,14 @@ def _spikes(changes: Floats, steady: float) -> Floats:
 def weak(evidence: TrackEvidence) -> Floats:
     """Return how far the laser may move without odometry where the walls leave it open, at those scans.
 
-    It is the motion in ``WEAK_S`` before or after, as a multiple of the bound for wrong. A track along bare walls may
-    stand still while the laser moves.
+    It is the motion in the longer window before or after, as a multiple of the bound for wrong. A track along bare
+    walls may stand still while the laser moves.
     """
     weak, stamps_s = (evidence.observed < LEAST_OBSERVABILITY) & ~evidence.odometry, evidence.stamps_ns * NS
     elapsed_s = np.minimum(np.diff(stamps_s, prepend=stamps_s[:1]), LONGEST_S)
     driven_m = np.cumsum(weak * np.maximum(steps_m(evidence), WEAK_M_S * elapsed_s))
-    first = np.searchsorted(stamps_s, stamps_s - WEAK_S)
-    last = np.minimum(np.searchsorted(stamps_s, stamps_s + WEAK_S), len(stamps_s) - 1)
+    first = np.searchsorted(stamps_s, stamps_s - WINDOWS_S[-1])
+    last = np.minimum(np.searchsorted(stamps_s, stamps_s + WINDOWS_S[-1]), len(stamps_s) - 1)
     return np.asarray(weak * np.maximum(driven_m[last] - driven_m, driven_m - driven_m[first]) / WRONG_M)
 
 
