@@ -86,8 +86,8 @@ PART_M = 1.0
 RAYS_M = 8.0
 """Range up to which free space is drawn in local maps: it is what a laser at the same place looks through."""
 
-KEPT = 64
-"""Number of local maps that are kept: a path that is followed again needs them in turn."""
+KEPT = 8
+"""Number of local maps that are kept, of some 8 MB each: a path that is followed again needs them in turn."""
 
 
 class LocalMaps:
