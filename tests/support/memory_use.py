@@ -19,9 +19,9 @@ def in_use_mb(what: str = "VmRSS") -> float:
     return next(int(line.split()[1]) / 1024 for line in STATUS.read_text().splitlines() if line.startswith(what))
 
 
-def added_mb(call: Callable[[], object], times: int = 2) -> float:
+def added_mb(call: Callable[[], object]) -> float:
     """Return by how many MB a call raises the peak memory: the least, as a first one may load code."""
-    return min(_added_mb(call) for _ in range(times))
+    return min(_added_mb(call) for _ in range(2))
 
 
 def _added_mb(call: Callable[[], object]) -> float:
