@@ -26,6 +26,9 @@ Progress = Callable[[str, int, int | None], None]
 
 OTHER = "other"
 
+MAXRSS_MB = 1e-6 if sys.platform == "darwin" else 1.024e-3
+"""MB of 1e6 bytes in the unit in which the system counts the largest memory of a process."""
+
 _spent_s: dict[str, float] = {}
 _scans_s: list[float] = []
 _on = OTHER
@@ -62,7 +65,7 @@ def peak_memory_mb() -> float:
         from resource import RUSAGE_SELF, getrusage  # noqa: PLC0415  not on all systems
     except ImportError:
         return nan
-    return getrusage(RUSAGE_SELF).ru_maxrss * (1e-6 if sys.platform == "darwin" else 1.024e-3)
+    return getrusage(RUSAGE_SELF).ru_maxrss * MAXRSS_MB
 
 
 def _switch(name: str) -> str:

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mavnav.commands import shared
-from mavnav.commands.comparison_table import print_comparison
+from mavnav.commands.comparison_table import print_result_of
 from mavnav.commands.progress import loading_modules, reporting, watching
-from mavnav.commands.terminal import emit, emit_json, note
 from mavnav.config.options import READING, REFERENCES, read_options, settings_of
 from mavnav.errors import UsageError
 
@@ -100,7 +99,7 @@ def compare(
         plan = pipeline.plan_comparison(request, report)
         load_kernels(plan, report)
     document, page = _run_and_draw(plan, quiet=quiet)
-    _print_result(document, page, json=json)
+    print_result_of(document, page, json=json)
     for cell in document["cells"] if preview else ():
         if cell["directory"]:
             shared.show_preview(target / cell["directory"], cell["name"], stderr=json)
@@ -131,7 +130,7 @@ def _compare_finished(
         document = compare_finished(runs, target, gates)
         report("drawing the report", 0, None)
         write_page(document, target)
-    _print_result(document, target / REPORT_FILE, json=json)
+    print_result_of(document, target / REPORT_FILE, json=json)
     return document
 
 
@@ -158,18 +157,3 @@ def _run_and_draw(plan: BatchPlan, *, quiet: bool) -> tuple[dict[str, Any], Path
             report("drawing the report", 0, None)
             write_page(document, directory)
     return document, directory / REPORT_FILE
-
-
-def _print_result(document: dict[str, Any], page: Path, *, json: bool) -> None:
-    """Print the result on stdout, and on stderr what the user must not miss."""
-    from mavnav.comparison.document import problems, remarks
-
-    if json:
-        emit_json(document)
-    else:
-        print_comparison(document)
-        emit(f"\nreport  {page}")
-    for problem in problems(document):
-        note(f"mavnav: error: {problem}")
-    for remark in remarks(document):
-        note(f"mavnav: warning: {remark}")

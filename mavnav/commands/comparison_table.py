@@ -5,9 +5,11 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING, Any
 
-from mavnav.commands.terminal import can_print, printable, table_console, verdict_mark
+from mavnav.commands.terminal import can_print, emit, emit_json, note, printable, table_console, verdict_mark
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from rich.table import Table
     from rich.text import Text
 
@@ -50,6 +52,21 @@ folded.
 
 FOLDED = {LOGS: 10, REMARKS: 12}
 """Width in characters of a column that is folded."""
+
+
+def print_result_of(document: dict[str, Any], page: Path, *, json: bool) -> None:
+    """Print the result on stdout, and on stderr what the user must not miss."""
+    from mavnav.comparison.document import problems, remarks
+
+    if json:
+        emit_json(document)
+    else:
+        print_comparison(document)
+        emit(f"\nreport  {page}")
+    for problem in problems(document):
+        note(f"mavnav: error: {problem}")
+    for remark in remarks(document):
+        note(f"mavnav: warning: {remark}")
 
 
 def print_comparison(document: dict[str, Any]) -> None:

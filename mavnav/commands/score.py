@@ -8,10 +8,9 @@ from typing import Annotated
 import typer
 
 from mavnav.commands import shared
-from mavnav.commands.comparison_table import print_comparison
+from mavnav.commands.comparison_table import print_result_of
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.sources import local_log
-from mavnav.commands.terminal import emit, emit_json, note
 from mavnav.config.options import REFERENCES, read_options, settings_of
 from mavnav.errors import worst
 
@@ -66,7 +65,7 @@ def score(
     shared.check_gates(bounds, *(["reference"] if {*REFERENCES} & options.keys() else []))
     with local_log(logs) as source, reporting(quiet=quiet) as report:
         with loading_modules():
-            from mavnav.comparison.document import problems, remarks, write_comparison
+            from mavnav.comparison.document import write_comparison
             from mavnav.comparison.scores import score_document
             from mavnav.config.loading import load_config
             from mavnav.logs.formats.detect import log_name
@@ -93,14 +92,6 @@ def score(
         write_comparison(document, target)
         report("drawing the report", 0, None)
         write_page(document, target)
-    if json:
-        emit_json(document)
-    else:
-        print_comparison(document)
-        emit(f"\nreport  {target / REPORT_FILE}")
-    for problem in problems(document):
-        note(f"mavnav: error: {problem}")
-    for remark in remarks(document):
-        note(f"mavnav: warning: {remark}")
+    print_result_of(document, target / REPORT_FILE, json=json)
     gated = [shared.gated_code(each.document, bounds) for each in scored if each.document]
     raise typer.Exit(worst([document["exit_code"], *gated]))

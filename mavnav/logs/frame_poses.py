@@ -54,7 +54,7 @@ class FramePoses(Struct):
         return {frame for edge in (*self.moving, *self._still) for frame in edge}
 
     @property
-    def fixed(self) -> str:
+    def fixed_frame(self) -> str:
         """The frame of the poses: without a name that from which all others above the body hang."""
         if name := frame_name(self.topic.removeprefix(TF_PREFIX).partition(",")[0]):
             return name
@@ -65,7 +65,7 @@ class FramePoses(Struct):
 
     def paths(self, log: Log, warn: Callable[[str], None]) -> list[Transfer]:
         """Return the transforms on the way from the fixed frame to the body; raises TopicError without one."""
-        still, fixed = self._still, self.fixed
+        still, fixed = self._still, self.fixed_frame
         steps = _steps([*self.moving, *still], fixed, self.base_frame)
         if steps is None:
             known = ", ".join(sorted(self.names)) or "none"

@@ -8,7 +8,6 @@ from functools import partial
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
 
@@ -17,16 +16,16 @@ from mavnav.logs.attitude import AttitudeTracks
 from mavnav.logs.content import check_file, check_files, check_window, size_and_sha256, unreadable
 from mavnav.logs.formats import detect
 from mavnav.logs.imu import ImuTrack
-from mavnav.logs.messages.decode import decode_together, decoder, is_laser, scan_topic, scan_topics
+from mavnav.logs.messages.decode import decoder, is_laser, scan_topic, scan_topics
 from mavnav.logs.messages.definitions import IMU, ODOMETRY, PATH, POSE
 from mavnav.logs.messages.other_scans import OTHER_TYPES
 from mavnav.logs.messages.records import DecodeError
+from mavnav.logs.messages.waiting import Waiting
 from mavnav.logs.namespaces import FRAME, namespace
 from mavnav.logs.preprocessing import ScanFilter
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel, Damage, RawMessage, Topic
 from mavnav.logs.segments import Recorded, SweepJoiners
-from mavnav.logs.stamps import storable
 from mavnav.logs.topic_scans import TopicScans
 from mavnav.logs.trajectories import OdometryTracks, TruthTracks
 from mavnav.logs.transforms import FrameTree
@@ -94,27 +93,6 @@ class Motion(Struct):
                 yield partial(self.truth.add_transforms, channel.topic)
 
 
-class _Waiting(Struct):
-    """Messages of a topic that are no scans, until they are decoded together and go to the ``takers``."""
-
-    channel: Channel
-    decode: Callable[[bytes], Any]
-    takers: tuple[Callable[[list[Any]], None], ...]
-    messages: list[bytes] = field(default_factory=list)
-    log_ns: list[int] = field(default_factory=list)
-
-    def pass_on(self, report: ReadReport) -> None:
-        """Decode what waits; a message that does not decode is noted."""
-        log_ns = np.array([*map(storable, self.log_ns)], np.int64)
-        parts, errors = decode_together(self.channel, self.messages, log_ns, self.decode)
-        for row, error in errors.items():
-            where = f"{self.channel.topic}, {self.log_ns[row]} ns"
-            report.damage(f"a message does not decode ({error})", where)
-        for take in self.takers if parts else ():
-            take(parts)
-        self.messages, self.log_ns = [], []
-
-
 class _MessageKind(Struct):
     """What there is to know of a channel's messages; ``decode`` is None where there is no use for them.
 
@@ -123,7 +101,7 @@ class _MessageKind(Struct):
 
     decode: Callable[[bytes], Any] | None = None
     scans: TopicScans | None = None
-    waiting: _Waiting | None = None
+    waiting: Waiting | None = None
     count: int = 0
     joiners: SweepJoiners | None = None
 
@@ -137,7 +115,7 @@ class _Pass(Struct):
     report: ReadReport = field(default_factory=ReadReport)
     kinds: dict[Channel, _MessageKind] = field(default_factory=dict)
     scans: dict[str, TopicScans] = field(default_factory=dict)
-    waiting: dict[tuple[str, str, str], _Waiting] = field(default_factory=dict)
+    waiting: dict[tuple[str, str, str], Waiting] = field(default_factory=dict)
     waiting_bytes: int = 0
 
     def take(self, message: RawMessage) -> None:
@@ -202,7 +180,7 @@ class _Pass(Struct):
             kind.joiners = SweepJoiners(topic, self.report.warn)
         elif kind.decode:
             key = channel.topic, channel.type, channel.encoding
-            waiting = _Waiting(channel, kind.decode, tuple(self.motion.takers(channel)))
+            waiting = Waiting(channel, kind.decode, tuple(self.motion.takers(channel)))
             kind.waiting = self.waiting.setdefault(key, waiting)
         return kind
 

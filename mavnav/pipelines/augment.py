@@ -73,7 +73,7 @@ def _transforms(map_T_laser: Trajectory, frames: FramePoses, log: Log, map_frame
     none = np.zeros_like(root_T_laser)
     map_T_root = between(between(map_T_laser.xyyaw, none), between(root_T_laser, none))
     channel = Channel("/tf", TF, "cdr", Schema(TF, "ros2msg", definition(TF).encode()))
-    write = cdr.transforms(map_frame, frames.fixed)
+    write = cdr.transforms(map_frame, frames.fixed_frame)
     for stamp_ns, pose in zip(map_T_laser.stamps_ns.tolist(), map_T_root.tolist(), strict=True):
         if np.isfinite(pose[0]):
             yield RawMessage(channel, stamp_ns, write(stamp_ns, Pose(*pose)))

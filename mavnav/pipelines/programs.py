@@ -6,7 +6,6 @@ import os
 import shlex
 import signal
 import subprocess
-import sys
 from threading import Timer
 from time import perf_counter
 from typing import TYPE_CHECKING
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING
 from msgspec import Struct
 
 from mavnav.errors import UsageError, reason_of
+from mavnav.profiling import MAXRSS_MB
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -95,8 +95,7 @@ def _wait(process: subprocess.Popen[bytes]) -> tuple[int, float | None, float | 
         return process.wait(), None, None
     _, status, used = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
-    unit_mb = 1e-6 if sys.platform == "darwin" else 1.024e-3
-    return process.returncode, used.ru_utime + used.ru_stime, used.ru_maxrss * unit_mb
+    return process.returncode, used.ru_utime + used.ru_stime, used.ru_maxrss * MAXRSS_MB
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:

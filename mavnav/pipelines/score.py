@@ -51,7 +51,7 @@ PROGRAMS: Final = "programs"
 
 
 class TrajectorySource(Struct, frozen=True):
-    """Where a trajectory comes from: ``recorded`` is a topic or ``tf:MAP,FRAME`` of the log, else ``path`` is a file.
+    """Where a trajectory comes from: ``in_log`` is a topic or ``tf:MAP,FRAME`` of the log, else ``path`` is a file.
 
     Poses of a file are those of ``frame``. With the stamp of a scan they hold at its beam ``pose_at``.
     """
@@ -62,7 +62,7 @@ class TrajectorySource(Struct, frozen=True):
     pose_at: str = "middle"
 
     @property
-    def recorded(self) -> str | None:
+    def in_log(self) -> str | None:
         """The topic or the frames of the log; None for a file."""
         return recorded_topic(self.text)
 
@@ -137,8 +137,10 @@ def score_log(request: ScoreRequest, progress: Progress) -> list[Scored]:
         raise UsageError("no trajectory; name one with --trajectory, or a program with --external")
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise UsageError(f"two trajectories are named {twice[0]}; write NAME=FILE with another name for one of them")
+    if PROGRAMS in names:
+        raise UsageError(f"{PROGRAMS} is the folder of what programs write; give the trajectory another name")
     inputs = (request.log, *request.more, *paths_of(request.options))
-    files = [source.path for source in request.sources if source.recorded is None]
+    files = [source.path for source in request.sources if source.in_log is None]
     for name in names:
         check_directory(request.directory / name, force=request.force, inputs=(*inputs, *files))
     references = load_references(**reference_files(request.options))
@@ -200,8 +202,8 @@ def _open(request: ScoreRequest, recorded: str | None) -> Log:
 
 def _read(source: TrajectorySource, request: ScoreRequest, log: Log) -> _GivenPoses:
     """Read the poses of the laser; raises UsageError for those of another time, and for a frame without a mounting."""
-    if source.recorded is not None:
-        truth = _open(request, source.recorded).truth
+    if source.in_log is not None:
+        truth = _open(request, source.in_log).truth
         path, frame = (truth.world_T_laser, truth.body_frame or BASE) if truth else (None, "")
     else:
         path, frame = read_trajectory(source.path).compose(_mounting(source, log)), source.frame
@@ -267,7 +269,7 @@ def _score(
 def _again(request: ScoreRequest, source: TrajectorySource) -> Iterator[str]:
     """Yield the words of a command line that scores a trajectory once more."""
     yield from ("mavnav", "score", *(str(path.absolute()) for path in (request.log, *request.more)))
-    text = source.text if source.recorded is not None else str(Path(source.text).absolute())
+    text = source.text if source.in_log is not None else str(Path(source.text).absolute())
     frame = f",{source.frame}" if source.frame else ""
     yield f"--trajectory={source.name}={text}{frame}@{source.pose_at}"
     yield from words_of(request.options)

@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 
 from mavnav.config.loading import load_config
+from mavnav.config.models import Config
 from mavnav.errors import UsageError
 from mavnav.logs import Log, open_log
 from mavnav.metrics.wall_spread import wall_report
 from mavnav.outputs.files.document import track_verdict
 from mavnav.pipelines.maps import measured_map
-from mavnav.pipelines.score import TrajectorySource, read_source
+from mavnav.pipelines.score import ScoreRequest, TrajectorySource, read_source, score_log
 from mavnav.pose import Pose, Trajectory
+from mavnav.profiling import silent
 from mavnav.slam.given_poses import draw_at_poses
 from mavnav.slam.result import SlamResult
 from support.field_logs import START_S, drive_log
@@ -114,3 +116,9 @@ def test_names_frames_and_instants_are_read(tmp_path: Path, monkeypatch: pytest.
         assert read_source(text) == source
     with pytest.raises(UsageError, match="names no directory"):
         read_source("a/b=poses.tum")
+
+
+def test_the_folder_of_programs_names_no_trajectory(tmp_path: Path) -> None:
+    source = TrajectorySource("programs", str(tmp_path / "poses.tum"), "laser")
+    with pytest.raises(UsageError, match="programs is the folder of what programs write"):
+        score_log(ScoreRequest(tmp_path / "log.mcap", tmp_path / "out", Config(), (source,)), silent)
