@@ -1,5 +1,7 @@
 """Wall thickness: against a slow twin, and on walls whose thickness is known."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
@@ -9,6 +11,7 @@ from hypothesis.extra.numpy import arrays
 from mavnav.mapping import tiled_arrays
 from mavnav.metrics import wall_thickness as module
 from mavnav.metrics.wall_thickness import summary, wall_sections
+from support.marks import slow
 
 CELL_M = 0.02
 ANGLES = range(0, 91, 3)
@@ -33,7 +36,13 @@ def table(hits, min_hits, cell_m=CELL_M):
     return np.array(sorted(rows), float).reshape(-1, 5)
 
 
-@pytest.mark.parametrize(("angle_deg", "min_hits"), [(0, 1), (17, 2), (52, 5), (90, 2), (131, 1)])
+@pytest.mark.parametrize(
+    ("angle_deg", "min_hits"),
+    [
+        *(FEW_SECTIONS := [(0, 1), (17, 2), (52, 5), (90, 2), (131, 1)]),
+        *(slow(*case) for case in product([0, 17, 52, 90, 131], [1, 2, 5]) if case not in FEW_SECTIONS),
+    ],
+)
 def test_sections_are_the_slow_twins(walls, angle_deg, min_hits):
     hits = walls.noisy(angle_deg, 1.5, returns=6000)
     hits = np.ascontiguousarray(hits[30:110, 40:120])

@@ -34,6 +34,9 @@ def worst_error_m(beams: int, *, with_odometry: bool) -> float:
     return float(np.hypot(*(placed - truth).T).max())
 
 
-@pytest.mark.parametrize(("beams", "with_odometry"), [(48, False), (360, False), slow(48, True), slow(72, False)])
+@pytest.mark.parametrize(
+    ("beams", "with_odometry"),
+    [(48, False), (360, False), *(slow(*case) for case in [(48, True), (72, False), (72, True), (360, True)])],
+)
 def test_few_beams_are_tracked_like_many(beams: int, *, with_odometry: bool) -> None:
     assert worst_error_m(beams, with_odometry=with_odometry) < 0.1

@@ -19,6 +19,7 @@ from mavnav.mapping.line_map import LineMap
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import LaserSpec
 from support import kernel_parts, naive
+from support.marks import slow
 from support.matches import voxel_means
 from support.synthetic import URG_04LX, furnished_rooms, room, scan_at
 
@@ -260,7 +261,15 @@ FEW = 90  # points of the search until those on known ground are selected
 
 
 @pytest.mark.parametrize(
-    ("overlap_m", "known_points", "hold_m"), [(0.0, 0.0, 0.0), (0.02, 0.0, 0.05), (0.1, 6.0, 0.05)]
+    ("overlap_m", "known_points", "hold_m"),
+    [
+        (0.0, 0.0, 0.0),
+        (0.02, 0.0, 0.05),
+        (0.1, 6.0, 0.05),
+        slow(0.0, 0.0, 0.05),
+        slow(0.02, 0.0, 0.0),
+        slow(0.1, 6.0, 0.0),
+    ],
 )
 @pytest.mark.parametrize(("grid", "prior"), [((7, 4, 5, 2), 0.0), ((6, 5, 5, 0), 0.0), ((6, 5, 5, 0), 0.5)])
 def test_search_is_its_twin(

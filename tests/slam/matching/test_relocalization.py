@@ -36,6 +36,7 @@ from mavnav.slam.matching.scan_matching import Match, MatchVerdict, first_match,
 from mavnav.slam.methods.localization import Localizer
 from mavnav.slam.methods.robust import Robust
 from mavnav.slam.pipeline import run_slam
+from support.marks import slow
 from support.memory_use import added_mb
 from support.synthetic import TOUR, along, box, furnished_rooms, polyline, record, room, scan_at
 
@@ -103,7 +104,13 @@ def test_a_large_region_is_searched_in_parts(monkeypatch: pytest.MonkeyPatch) ->
     assert best[0] == best[1] is not None
 
 
-@pytest.mark.parametrize(("seed", "cell_mm"), [(0, 20.0), (1, 50.0), (2, 20.0), (3, 50.0)])
+@pytest.mark.parametrize(
+    ("seed", "cell_mm"),
+    [
+        *[(0, 20.0), (1, 50.0), (2, 20.0), (3, 50.0)],
+        *(slow(*case) for case in [(0, 50.0), (1, 20.0), (2, 50.0), (3, 20.0)]),
+    ],
+)
 def test_the_pruned_search_finds_the_minima_of_the_exhaustive_one(seed: int, cell_mm: float) -> None:
     rng = np.random.default_rng(seed)
     method = Robust(load_config(overrides={"robust.cell_mm": cell_mm}))
