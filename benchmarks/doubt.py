@@ -9,7 +9,7 @@ and scenes and missions, compared with ground truth. Each line contains the feat
 track, and its errors. A run is wrong if the motion over any window of 2 or 10 s has an error over 0.2 m or 5 deg.
 ``fit`` fits the coefficients and prints them for mavnav/slam/doubt/features.py. ``report`` fits them to all logs,
 scenes and missions but one, judges that one, and reports all of these together, beside the coefficients in the file;
-there is a second track only if the doubt of the first one requires it.
+there is a second track only if the first one leaves the doubt undecided.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from mavnav.slam.doubt.features import (
     evidence_of,
     resampled_poses,
 )
-from mavnav.slam.doubt.judge import FEWEST, WORTH_A_TRACK, doublings, judge_track, probability
+from mavnav.slam.doubt.judge import FEWEST, UNDECIDED, doublings, judge_track, probability
 from mavnav.slam.findings import HIGH
 from mavnav.slam.methods.registry import Refiner
 from mavnav.slam.track import Track
@@ -156,9 +156,14 @@ Model = tuple[Weights, Weights]
 
 
 def judged(run: Run, model: Model = (ONE_TRACK, TWO_TRACKS)) -> float:
-    """Return the doubt of a run, with the second track if the doubt of the first one is high."""
-    one = probability({**run["features"], DISAGREEMENT: np.nan}, *model)
-    return one if one < WORTH_A_TRACK else probability(run["features"], *model)
+    """Return the doubt of a run, with the second track if the first one leaves it undecided."""
+    one = alone(run, model)
+    return probability(run["features"], *model) if UNDECIDED[0] <= one <= UNDECIDED[1] else one
+
+
+def alone(run: Run, model: Model = (ONE_TRACK, TWO_TRACKS)) -> float:
+    """Return the doubt of a run without the second track."""
+    return probability({**run["features"], DISAGREEMENT: np.nan}, *model)
 
 
 def report(runs: list[Run], plot: Path | None) -> None:
@@ -182,7 +187,7 @@ def report(runs: list[Run], plot: Path | None) -> None:
             print(f"| {low:g} to {high:g} | {count} | {mean:.2f} | {share:.2f} |")
     if plot:
         draw(rows, plot)
-    tried = np.mean([probability({**run["features"], DISAGREEMENT: np.nan}) >= WORTH_A_TRACK for run in live])
+    tried = np.mean([UNDECIDED[0] <= alone(run) <= UNDECIDED[1] for run in live])
     print(f"\nsecond track: {tried:.0%}\n")
     for run in live:
         if (doubts[run["name"]] > HIGH) != is_wrong(run):

@@ -8,7 +8,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from mavnav.pose import MAX_GAP_NS, Pose
-from mavnav.slam.doubt.judge import WORTH_A_TRACK, judge, redraw
+from mavnav.slam.doubt.judge import UNDECIDED, judge, match_again, redraw
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.scan_matching import first_match, no_match
 from mavnav.slam.matching.steps import Step, Steps
@@ -59,8 +59,9 @@ def draw_at_poses(
     steps = Steps(_steps(scans_ns, xyyaw, world_T_map.inverse()))
     causal = replace(config, final_pass=False)  # what warns of a log that mavnav tracked does not apply
     track = Track(log_scans, causal, Motion(period_s), Robust(config), steps=steps, on_step=on_step)
-    drawn, refiner = redraw(track)
-    judged = judge(drawn, refiner, WORTH_A_TRACK)
+    refiner = redraw(track)
+    drawn = match_again(track, refiner)
+    judged = judge(drawn, refiner, UNDECIDED)
     unmoved = (
         step._replace(match=best.match._replace(map_T_laser=step.match.map_T_laser, evaluations=0, iterations=0))
         for step, best in zip(steps, drawn.steps, strict=True)

@@ -5,6 +5,7 @@ The coefficients are from benchmarks/doubt.py.
 
 from __future__ import annotations
 
+from copy import deepcopy
 from math import exp, log2
 from typing import TYPE_CHECKING
 
@@ -28,8 +29,13 @@ if TYPE_CHECKING:
     from mavnav.slam.methods.registry import Refiner
     from mavnav.slam.track import Track
 
-WORTH_A_TRACK = 0.05
-"""Minimum probability with which the log is tracked once more."""
+Limits = tuple[float, float]
+"""Probabilities between which the log is tracked once more."""
+
+UNDECIDED: Limits = (0.1, 0.8)
+"""Outside of these limits a second track hardly ever changes the verdict."""
+
+ALWAYS: Limits = (0.0, 1.0)
 
 LEAST_SHARE = 0.2
 """Minimum share of scans with a pose of a track that is worth another one: with fewer the log is lost in any case."""
@@ -42,7 +48,7 @@ RESAMPLED = "resampled track"
 
 def judge_track(track: Track, refiner: Refiner) -> Track:
     """Add the probability that a track is wrong; not in a given map, or if nothing was tracked."""
-    return judge(track, refiner, WORTH_A_TRACK) if refiner.builds_map else track
+    return judge(track, refiner, UNDECIDED) if refiner.builds_map else track
 
 
 def judge_flown(track: Track, refiner: Refiner) -> Track:
@@ -50,40 +56,45 @@ def judge_flown(track: Track, refiner: Refiner) -> Track:
 
     Its commands, which the prediction follows, tell nothing of where the vehicle is; so nothing else contradicts it.
     """
-    return judge(track, refiner, 0.0)
+    return judge(track, refiner, ALWAYS)
 
 
 def judge_redrawn(track: Track) -> Track:
-    """Judge a track that no pass may change by a map of its scans at their poses.
+    """Judge a track that no pass may change by its own map, or by one of its scans at their poses.
 
-    So are judged a causal track, one in a given map, and that of another method, which is always compared with a track
-    of the default one.
+    Such are a causal track, one in a given map, and that of another method, which is always compared with a track of
+    the default one.
     """
-    alone, drawn = redraw(track)
-    least = WORTH_A_TRACK if track.config.method == alone.config.method else 0.0
-    return track.with_findings(doubt=judge(alone, drawn, least).findings.doubt)
+    default, method = track.config.method == "robust", track.method
+    drawn = deepcopy(method) if isinstance(method, Robust) and method.builds_map else redraw(track)
+    judged = judge(match_again(track, drawn), drawn, UNDECIDED if default else ALWAYS)
+    return track.with_findings(doubt=judged.findings.doubt)
 
 
-def redraw(track: Track) -> tuple[Track, Refiner]:
-    """Return the track with a new map, of its scans at their poses, every scan matched against it, and its refiner."""
-    config = replace(track.config, method="robust", final_pass=True)
-    drawn = Robust(config)
+def redraw(track: Track) -> Robust:
+    """Return the default method with a new map, of the scans of a track at their poses."""
+    drawn = Robust(replace(track.config, method="robust"))
     for step, scan, motion in track.placed_scans("doubt"):
         drawn.insert(scan, step.match.map_T_laser, motion)
+    return drawn
+
+
+def match_again(track: Track, drawn: Robust) -> Track:
+    """Return a track of the default method, every scan matched against a map, from which dynamic cells are removed."""
     drawn.remove_dynamic_cells()
-    motion = track.motion._replace(expects_rest=False)
+    config, motion = replace(track.config, method="robust", final_pass=True), track.motion._replace(expects_rest=False)
     alone = replace(track, config=config, method=drawn, motion=motion, steps=Steps(track.steps), prior_map=None)
-    return refine_against_final_map(alone, drawn), drawn
+    return refine_against_final_map(alone, drawn)
 
 
 @timed("doubt")
-def judge(track: Track, refiner: Refiner, worth_a_track: float) -> Track:
-    """Judge a track by its features; from a doubt of ``worth_a_track`` on, compare it with a resampled track."""
+def judge(track: Track, refiner: Refiner, limits: Limits) -> Track:
+    """Judge a track by its features; compare it with a resampled track if its doubt is within ``limits``."""
     if len(track.findings.observed) < len(track.steps) or track.steps.column("tracked").sum() < FEWEST:
         return track
     evidence = evidence_of(track, refiner)
     doubt = doubt_of(evidence)
-    worthwhile = doubt.probability >= worth_a_track and track.steps.share("tracked") >= LEAST_SHARE
+    worthwhile = limits[0] <= doubt.probability <= limits[1] and track.steps.share("tracked") >= LEAST_SHARE
     resampled = resampled_poses(track) if worthwhile else None
     if resampled is not None:
         doubt = doubt_of(replace(evidence, resampled=resampled), (RESAMPLED,))

@@ -176,8 +176,8 @@ def test_a_second_track_is_tried_only_where_the_first_is_in_doubt(monkeypatch: p
     found = run_slam(lambda: drive.scans, Config(), 0.1)
     assert found.doubt is not None
     assert found.doubt.tried == found.doubt.reasons == ()
-    assert found.doubt.probability < judge.WORTH_A_TRACK
-    monkeypatch.setattr(judge, "WORTH_A_TRACK", 0.0)
+    assert found.doubt.probability < judge.UNDECIDED[0]
+    monkeypatch.setattr(judge, "UNDECIDED", judge.ALWAYS)
     again = run_slam(lambda: drive.scans, Config(), 0.1)
     assert again.doubt is not None
     assert again.doubt.tried == (judge.RESAMPLED,)
@@ -192,7 +192,7 @@ def test_a_causal_track_is_judged() -> None:
     drive = record(furnished_rooms(), along([(0.8, 0.7), (1.6, 0.7)]))
     causal = run_slam(lambda: drive.scans, Config(final_pass=False), 0.1)
     assert causal.doubt is not None
-    assert causal.doubt.probability < judge.WORTH_A_TRACK
+    assert causal.doubt.probability < judge.UNDECIDED[0]
 
 
 @pytest.mark.parametrize("scale", [1.0, 3.0])

@@ -71,7 +71,7 @@ def run_of(scans: list[Scan]) -> tuple[SlamResult, int]:
     tracks: list[object] = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Track, "over", _counted(Track.over, tracks))
-        patch.setattr(judge, "WORTH_A_TRACK", 1.0)
+        patch.setattr(judge, "UNDECIDED", (1.0, 1.0))
         return run_slam(lambda: scans, Config(), 0.1), len(tracks)
 
 
