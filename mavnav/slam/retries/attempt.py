@@ -24,12 +24,14 @@ class Attempt(Struct, frozen=True):
     """Another track of the same log.
 
     ``change`` returns the track with its new settings and its warnings, None where the attempt does not apply.
-    ``better`` returns whether the new track (first) is better than the old one; without it the new one is kept.
+    ``better`` returns whether the new track (first) is better than the old one; without it the new one is kept. Else
+    it may be an ``opinion`` on the old one.
     """
 
     name: str
     change: Callable[[Track], Track | None]
     better: Callable[[Track, Track], bool] | None = None
+    opinion: bool = False
 
 
 def try_again(track: Track, attempts: Iterable[Attempt]) -> Track:
@@ -40,7 +42,8 @@ def try_again(track: Track, attempts: Iterable[Attempt]) -> Track:
         if other is None or len(other.steps) < len(track.steps):
             continue
         kept = attempt.better is None or attempt.better(other, track)
-        track = (other if kept else track).with_attempt(attempt.name, kept=kept)
+        opinion = None if kept or not attempt.opinion else other.steps
+        track = (other if kept else track).with_attempt(attempt.name, kept=kept).with_findings(opinion=opinion)
     return track
 
 
@@ -65,7 +68,7 @@ def is_sharper(other: Track, track: Track) -> bool:
     return rank(other) < rank(track)
 
 
-COARSER_VOXELS: Final = Attempt("coarser voxels", coarsen_voxels, is_sharper)
+COARSER_VOXELS: Final = Attempt("coarser voxels", coarsen_voxels, is_sharper, opinion=True)
 
 
 def has_sparse_scans(steps: Steps) -> bool:
