@@ -34,9 +34,9 @@ TICK_S = 0.25
 
 
 REPLAY: Final = {
-    "reading": 0, "track": 50, "close loops": 10, "final pass": 14, "draw map": 14, "measuring": 6, "writing": 6,
+    "reading": 0, "track": 50, "close loops": 10, "final pass": 28, "measuring": 6, "writing": 6,
 }  # fmt: skip
-MISSION: Final = {"fly": 75, "close loops": 5, "final pass": 8, "draw map": 7, "writing": 5}
+MISSION: Final = {"fly": 75, "close loops": 5, "final pass": 15, "writing": 5}
 """The stages of a job in their order, each with its typical share of the time, in %; a share of 0 is not estimated."""
 
 

@@ -14,13 +14,7 @@ from mavnav.slam.recovery.own_map import or_with_own_map, place_in_given_map
 from mavnav.slam.recovery.parts import drop_late_poses, join_lost_parts
 from mavnav.slam.recovery.rematch import rematch_beginning, rematch_rejected
 from mavnav.slam.refinement.contradicted import drop_contradicted
-from mavnav.slam.refinement.refine import (
-    match_deskewed,
-    redraw_map,
-    refine_against_final_map,
-    remove_dynamic_cells,
-    smooth_jitter,
-)
+from mavnav.slam.refinement.refine import match_deskewed, refine_and_draw, remove_dynamic_cells, smooth_jitter
 from mavnav.slam.result import summarize
 from mavnav.slam.retries.attempt import COARSER_VOXELS, try_again
 from mavnav.slam.retries.beam_order import REVERSED_BEAMS
@@ -54,13 +48,13 @@ CHECKING: Final[tuple[Pass, ...]] = (
     close_loops,  # step 11
     drop_contradicted,  # "Localization in a given map"
     remove_dynamic_cells,  # step 12
-    refine_against_final_map,  # step 13
+    refine_and_draw,  # steps 13 and 14
     judge_track,  # "Doubt"
 )
-"""Passes that correct and judge the finished track."""
+"""Passes that correct and judge the finished track, and make the final map."""
 
-DRAWING: Final[tuple[Pass, ...]] = (smooth_jitter, redraw_map)
-"""Passes that make the final poses and the final map: steps 14 and 15."""
+SMOOTHING: Final[tuple[Pass, ...]] = (smooth_jitter,)
+"""What makes the final poses: step 15."""
 
 MEASURING: Final[tuple[Pass, ...]] = (match_deskewed,)
 """What makes the poses of a calibration instead: nothing is smoothed."""
@@ -74,7 +68,7 @@ def run_slam(
     on_step: OnStep | None = None,
     prior_map: PriorMap | None = None,
     rotation: Rotation | None = None,
-    last: tuple[Pass, ...] = DRAWING,
+    last: tuple[Pass, ...] = SMOOTHING,
     base_T_laser: Pose | None = None,
     scans_ns: NDArray[np.int64] | None = None,
     recorded: LogScans | None = None,
@@ -117,7 +111,7 @@ def run_slam(
 
 def finish(track: Track) -> SlamResult:
     """Run the last passes over the track of a mission and summarize it."""
-    return summarize(after(track, (*CHECKING[:-1], judge_flown, *DRAWING)))
+    return summarize(after(track, (*CHECKING[:-1], judge_flown, *SMOOTHING)))
 
 
 def after(track: Track, passes: tuple[Pass, ...]) -> Track:

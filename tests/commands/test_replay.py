@@ -656,24 +656,24 @@ def test_a_signal_after_the_last_scan_comes_too_late_to_make_the_run_partial(sam
     assert done.stderr.splitlines()[-1] == "mavnav: the signal came after the work was done: the result is complete"
 
 
-WHILE_REDRAWING = """
+WHILE_SMOOTHING = """
 import os, signal, sys
 from mavnav.cli import main
 from mavnav.slam.refinement import refine
-draw_map = refine.draw_map
+smooth = refine.smooth_positions
 
-def befallen(track, refiner):
+def befallen(steps, period_s):
     os.kill(os.getpid(), signal.SIGINT)
-    return draw_map(track, refiner)
+    smooth(steps, period_s)
 
-refine.draw_map = befallen
+refine.smooth_positions = befallen
 main(sys.argv[1:])
 """
 
 
 def test_a_signal_in_a_pass_over_the_whole_log_says_so(sample: Path, tmp_path: Path) -> None:
     line = ["replay", str(sample), "-o", str(tmp_path / "run"), "-q", "--end", "1"]
-    command = [sys.executable, "-c", WHILE_REDRAWING, *line]
+    command = [sys.executable, "-c", WHILE_SMOOTHING, *line]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=100)
     document = json.loads((tmp_path / "run" / "run.json").read_text())
     assert (done.returncode, document["partial"]) == (ExitCode.INTERRUPTED, True)

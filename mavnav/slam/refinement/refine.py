@@ -48,15 +48,30 @@ def remove_dynamic_cells(track: Track, refiner: Refiner) -> Track:
     return track
 
 
-def refine_against_final_map(track: Track, refiner: Refiner) -> Track:
+def refine_and_draw(track: Track, refiner: Refiner) -> Track:
+    """Match every tracked scan against the finished map, and draw it again, every scan where it fits best.
+
+    The method takes the new map if it has fewer hit cells, because blurred and doubled walls have more: scans were
+    inserted before the whole map was known. If the run is stopped early, the old map stays.
+    """
+    drawn = GridBuilder(track.method.grid.cell_m) if refiner.builds_map else None
+    track = refine_against_final_map(track, refiner, drawn)
+    if drawn and len(track.findings.observed) == len(track.steps):
+        drawn.remove_dynamic_cells()
+        if np.count_nonzero(drawn.hits) < np.count_nonzero(track.method.grid.hits):
+            track.method.grid = drawn
+    return track
+
+
+def refine_against_final_map(track: Track, refiner: Refiner, drawn: GridBuilder | None = None) -> Track:
     """Match every tracked scan against the finished map; without odometry, warn where its geometry is degenerate.
 
     The steps are changed in place, because there may be many. Observability, visibility conflicts and Hessians of the
-    scans are stored in its findings.
+    scans are stored in its findings. The scans are inserted into the map ``drawn``.
     """
     evidence = array("d")
     motions = motions_along(tracked_trajectory(track.steps), track.motion)
-    coming = refine_steps(track.log_scans(), track.steps, refiner, evidence, motions)
+    coming = refine_steps(track.log_scans(), track.steps, refiner, evidence, motions, drawn)
     for step in track.report_progress(coming, "final pass"):
         track.steps[step.index] = step
     columns = np.array(evidence).reshape(-1, 8)
@@ -76,12 +91,14 @@ def refine_steps(
     refiner: Refiner,
     evidence: array[float],
     motions: Iterable[Motion] = (),
+    drawn: GridBuilder | None = None,
 ) -> Iterator[Step]:
     """Match every tracked scan once more against the finished map, close to its pose; yield the steps.
 
     If the run is stopped and the scans end early, the remaining steps are yielded unchanged. Observability, visibility
     conflicts and Hessian of each of the others are appended to ``evidence``. ``motions`` are those at the tracked
-    scans: the map is made of de-skewed scans, with which a scan as recorded conflicts in a turn.
+    scans: the map is made of de-skewed scans, with which a scan as recorded conflicts in a turn. De-skewed, they are
+    inserted into the map ``drawn``.
     """
     moving = iter(motions)
     waiting, coming = iter(steps), iter(scans)
@@ -95,36 +112,16 @@ def refine_steps(
                 continue
             observed, hessian = refiner.observability(p, match)
             conflicts, motion = refiner.conflicts(p, match), next(moving, None)
-            if motion and conflicts >= NOTABLE_CONFLICTS and abs(motion.twist[2]) * scan.sweep_s >= SKEWED_RAD:
+            skewed = motion and conflicts >= NOTABLE_CONFLICTS and abs(motion.twist[2]) * scan.sweep_s >= SKEWED_RAD
+            if motion and (skewed or drawn):
                 deskewed = refiner.match_points(scan, motion)
-                conflicts = min(conflicts, refiner.conflicts(deskewed, refiner.refine(deskewed, match)))
+                placed = match if np.array_equal(deskewed, p) else refiner.refine(deskewed, match)
+                conflicts = min(conflicts, refiner.conflicts(deskewed, placed)) if skewed else conflicts
+                if drawn:
+                    drawn.insert(placed.map_T_laser, *refiner.placed_points(scan, placed.map_T_laser, motion))
             evidence.extend((observed, conflicts, *hessian.tolist()))
         yield from (step._replace(match=match) for step, match in zip(some, matches, strict=False))
         yield from some[len(matches) :]
-
-
-def redraw_map(track: Track, refiner: Refiner) -> Track:
-    """Redraw the map: insert every scan, deskewed by the finished track, where it fits the whole map best.
-
-    The trajectory does not change. The method takes the new map if it has fewer hit cells, because blurred and doubled
-    walls have more: scans were inserted before the whole map was known. If the run is stopped early, the old map stays.
-    """
-    if refiner.builds_map:
-        drawn = draw_map(track, refiner)
-        if drawn and np.count_nonzero(drawn.hits) < np.count_nonzero(track.method.grid.hits):
-            track.method.grid = drawn
-    return track
-
-
-def draw_map(track: Track, refiner: Refiner) -> GridBuilder | None:
-    """Return the new map; None if the run is stopped before the last tracked scan."""
-    drawn, inserted = GridBuilder(track.method.grid.cell_m), 0
-    for step, scan, motion in track.placed_scans("draw map"):
-        pose = refiner.refine(refiner.match_points(scan, motion), step.match).map_T_laser
-        drawn.insert(pose, *refiner.placed_points(scan, pose, motion))
-        inserted += 1
-    drawn.remove_dynamic_cells()
-    return drawn if inserted == np.count_nonzero(track.steps.column("tracked")) else None
 
 
 TURNING_RAD_S: Final = 15 * DEG
