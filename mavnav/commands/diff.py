@@ -48,7 +48,9 @@ def diff(
                 raise UsageError(f"--gate: diff has no number {gate.name}; it has {', '.join(NUMBERS)}")
         document = diff_maps(DiffRequest(a, b, output, report_page, force=force), report)
     if document["alignment"] is None:
-        note(f"mavnav: error: {a} and {b} cannot be aligned; too few places of one fit the other")
+        early = "the search ended early: nearly every place fits"
+        why = "too few places of one fit the other" if document["searched_all"] else early
+        note(f"mavnav: error: {a} and {b} cannot be aligned; {why}")
     code = shared.gated_code(document, bounds)
     if json:
         emit_json(document | {"exit_code": int(code)})

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 MAX_BYTES = 1_000_000
 MAX_DEPTH = 20
+MAX_PARTS = 40_000
+"""Maximum number of keys, values and brackets: each takes some 50 us."""
 
 
 class _Yaml12(yaml.SafeLoader):
@@ -92,13 +94,15 @@ def layer_of(text: bytes | str, name: str, wanted: str = CONFIGURATION) -> Layer
 
 
 def _refuse_aliases(text: bytes | str, name: str, wanted: str) -> None:
-    """Raise ConfigError for aliases and deep nesting, before any object is built from the text."""
+    """Raise ConfigError for aliases, deep nesting and too many values, before any object is built from the text."""
     depth = 0
-    for event in yaml.parse(text, _Yaml12):
+    for number, event in enumerate(yaml.parse(text, _Yaml12)):
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
         line = _line(event.start_mark)
         if isinstance(event, yaml.AliasEvent):
             raise ConfigError(f"{name}:{line}: aliases are not read; write the value out")
+        if number > MAX_PARTS:
+            raise ConfigError(f"{name}:{line}: more than {MAX_PARTS} keys and values; name {wanted}")
         if depth > MAX_DEPTH:
             raise ConfigError(f"{name}:{line}: nested deeper than {MAX_DEPTH} levels; name {wanted}")
 

@@ -84,7 +84,9 @@ def read_map(path: Path) -> MapFile:
     cell_m = _number(path, about, "resolution", None)
     if not CELLS_M[0] <= cell_m <= CELLS_M[1]:
         raise UsageError(f"{path}: resolution {cell_m:g} is no size of a cell; write meters, for example 0.05")
-    picture = path.parent / str(about["image"])
+    if not isinstance(about["image"], str):
+        raise UsageError(f"{path}: image {_short(about['image'])} is no name of a file; write one")
+    picture = path.parent / about["image"]
     shades = _read_picture(picture, path)
     occupied, free = (shades.upwards(kind) for kind in _kinds(path, about, shades))
     if (count := np.count_nonzero(occupied)) > MAX_OCCUPIED:

@@ -311,16 +311,14 @@ def motion_and_scan_topics(path: Path, most_s: float) -> tuple[set[str], set[str
 
 
 def _run(messages: Iterable[RawMessage], state: _Pass, progress: Callable[[int, int], None] | None) -> None:
-    reported = -1
+    report, next_bytes = state.report, 0
     for message in messages:
         state.take(message)
-        if progress is None:
+        if progress is None or report.done_bytes < next_bytes:
             continue
-        total = state.report.total_bytes
-        done = min(state.report.done_bytes, total)
-        if (step := done * _PROGRESS_STEPS // max(total, 1)) > reported:
-            reported = step
-            progress(done, total)
+        total = report.total_bytes
+        progress(min(report.done_bytes, total), total)
+        next_bytes = report.done_bytes + max(total // _PROGRESS_STEPS, 1)
 
 
 def _topics(report: ReadReport, kinds: dict[Channel, _MessageKind]) -> tuple[Topic, ...]:

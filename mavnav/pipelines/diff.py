@@ -66,13 +66,14 @@ def diff_maps(request: DiffRequest, progress: Progress) -> dict[str, Any]:
     check_apart(files, (*map_files(request.a), *map_files(request.b)))
     prepare(progress)
     progress("aligning", 0, None)
-    alignment = align(a, b, Config())
+    alignment, searched_all = align(a, b, Config())
     view_a, view_b = View(a.grid), View(b.grid)
     result = alignment and difference(view_a, view_b, alignment.a_T_b)
     if alignment is None or result is None or result.same_share < LEAST_SAME:
-        document, picture = _document(request, None, None), None
+        document, picture = _document(request, None, None, searched_all=searched_all), None
     else:
-        document, title = _document(request, alignment, result), f"{request.a} -> {request.b}"
+        document = _document(request, alignment, result, searched_all=searched_all)
+        title = f"{request.a} -> {request.b}"
         picture = partial(difference_picture.write, view_a, view_b, alignment.a_T_b, result, title)
     if request.picture or request.report:
         progress("writing", 0, None)
@@ -111,7 +112,9 @@ def read_walls(path: Path) -> PriorMap:
     return known
 
 
-def _document(request: DiffRequest, alignment: Alignment | None, result: Difference | None) -> dict[str, Any]:
+def _document(
+    request: DiffRequest, alignment: Alignment | None, result: Difference | None, *, searched_all: bool
+) -> dict[str, Any]:
     numbers = _numbers(result) if result else dict.fromkeys(NUMBERS)
     return {
         "schema_version": 1,
@@ -121,6 +124,7 @@ def _document(request: DiffRequest, alignment: Alignment | None, result: Differe
         "headline": diff_headline(numbers),
         "verdicts": {"a": run_verdict_at(request.a), "b": run_verdict_at(request.b)},
         "alignment": alignment and _alignment(alignment),
+        "searched_all": searched_all,
         **numbers,
         "changes": [
             {

@@ -19,6 +19,7 @@ from mavnav.slam.matching.relocalization import (
     around,
     candidates,
     everywhere,
+    search_credit,
     unambiguous,
 )
 from mavnav.slam.matching.scan_matching import Schedule, empty_line_map, search_lines
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from mavnav.config.models import Config
     from mavnav.slam.matching.placement import PosedScan
     from mavnav.slam.matching.prior_map import PriorMap
-    from mavnav.slam.matching.relocalization import Region
+    from mavnav.slam.matching.relocalization import Credit, Region
 
     Placed = tuple[Pose, Pose]
     """The pose of a virtual scan in its own map ``b``, and in map ``a``."""
@@ -80,21 +81,26 @@ class Alignment(NamedTuple):
     cost_m2: float
 
 
-def align(a: PriorMap, b: PriorMap, config: Config) -> Alignment | None:
-    """Find map ``b`` in map ``a``, near the same frame and anywhere; return the better alignment.
+def align(a: PriorMap, b: PriorMap, config: Config) -> tuple[Alignment | None, bool]:
+    """Find map ``b`` in map ``a`` near the same frame, or if most scans do not agree there, anywhere.
 
     None unless at least three virtual scans of ``b``, and most of those that are found in ``a``, agree, or all scans
-    fit together at just one place: in a coarse map each of them fits at many.
+    fit together at just one place: in a coarse map each of them fits at many. Also returns whether the searches came
+    to their end: together they have one credit.
     """
-    return _one_by_one(a, b, config) or _together(a, b, config)
+    credit = search_credit()
+    alignment = _one_by_one(a, b, config, credit) or _together(a, b, config, credit)
+    return alignment, bool(credit[0])
 
 
-def _one_by_one(a: PriorMap, b: PriorMap, config: Config) -> Alignment | None:
+def _one_by_one(a: PriorMap, b: PriorMap, config: Config, credit: Credit) -> Alignment | None:
     """Return the better alignment on which virtual scans of ``b`` agree; None if too few do."""
-    target, scans = _Target(a, config), virtual_scans(b, config)
-    placed = (target.place_scans(scans, anywhere=anywhere) for anywhere in (False, True))
-    alignments = [_alignment(target, pairs, b, len(scans)) for pairs in placed]
-    return min((alignment for alignment in alignments if alignment), key=attrgetter("cost_m2"), default=None)
+    target, scans = _Target(a, config, credit), virtual_scans(b, config)
+    near = _alignment(target, target.place_scans(scans, anywhere=False), b, len(scans))
+    if near and 2 * near.agreeing > near.taken:
+        return near
+    far = _alignment(target, target.place_scans(scans, anywhere=True), b, len(scans))
+    return min((alignment for alignment in (near, far) if alignment), key=attrgetter("cost_m2"), default=None)
 
 
 def _alignment(target: _Target, pairs: list[Placed], b: PriorMap, taken: int) -> Alignment | None:
@@ -107,16 +113,18 @@ def _alignment(target: _Target, pairs: list[Placed], b: PriorMap, taken: int) ->
     return Alignment(refined, taken, len(agreeing), cost_m2)
 
 
-def _together(a: PriorMap, b: PriorMap, config: Config) -> Alignment | None:
+def _together(a: PriorMap, b: PriorMap, config: Config, credit: Credit) -> Alignment | None:
     """Return the alignment at which scans of the finer map, from where it was seen most, fit the coarser one together.
 
-    None if they do not fit, or fit at another place about as well.
+    None if they do not fit, fit at another place about as well, or the credit ends.
     """
+    if not credit[0]:
+        return None
     if a.grid.cell_m < b.grid.cell_m:
-        swapped = _together(b, a, config)
+        swapped = _together(b, a, config, credit)
         return swapped and swapped._replace(a_T_b=swapped.a_T_b.inverse())
-    target, scans = _Target(a, config), virtual_scans(b, config, MOST_SEEN)
-    match = place_together(scans, target.lines, target.grid, config)
+    target, scans = _Target(a, config, credit), virtual_scans(b, config, MOST_SEEN)
+    match = place_together(scans, target.lines, target.grid, config, credit=credit)
     if match is None or not Acceptance(config.robust).is_good(match):
         return None
     refined, cost_m2 = target.refine(match.map_T_laser, b)
@@ -126,8 +134,8 @@ def _together(a: PriorMap, b: PriorMap, config: Config) -> Alignment | None:
 class _Target:
     """The map in which another map is searched."""
 
-    def __init__(self, known: PriorMap, config: Config) -> None:
-        self.config, self.grid = config, _for_look_ups(known.grid, known.grid.hits)
+    def __init__(self, known: PriorMap, config: Config, credit: Credit) -> None:
+        self.config, self.credit, self.grid = config, credit, _for_look_ups(known.grid, known.grid.hits)
         self.lines = empty_line_map(config, known.grid.cell_m)
         self.lines.insert(known.walls_xy_m)
 
@@ -138,7 +146,7 @@ class _Target:
         return [(pose, place) for pose, place in places if place]
 
     def _place(self, points: NDArray[np.float64], region: Region) -> Pose | None:
-        matches = candidates(points, self.lines, self.grid, region, self.config, MAP_CANDIDATES)
+        matches = candidates(points, self.lines, self.grid, region, self.config, MAP_CANDIDATES, credit=self.credit)
         best = unambiguous(matches, AMBIGUITY_MARGIN, self.config)
         return best.map_T_laser if best and best.inliers >= LEAST_INLIERS else None
 

@@ -79,6 +79,13 @@ def test_maps_of_different_places(mavnav, maps, tmp_path) -> None:
     assert (document["alignment"], document["changed_m2"], document["changes"]) == (None, None, [])
 
 
+def test_a_search_that_ends_early_says_so(mavnav, maps, monkeypatch) -> None:
+    monkeypatch.setattr("mavnav.pipelines.diff.align", lambda *_: (None, False))
+    code, out, err = mavnav("diff", *maps, "-q", "--json")
+    assert (code, json.loads(out)["searched_all"]) == (1, False)
+    assert err.endswith("cannot be aligned; the search ended early: nearly every place fits\n")
+
+
 def test_what_cannot_be_compared(mavnav, maps, tmp_path) -> None:
     empty = saved(mapped(room(), poses=np.zeros((0, 2))), tmp_path / "empty")
     log = tmp_path / "drive.mcap"

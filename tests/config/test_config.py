@@ -187,6 +187,7 @@ def test_grid_takes_text_and_mapping(tmp_path: Path) -> None:
         ('robust: {deskew: "\\ud800"}', 1, ["is no text"]),
         ("azimuth: [1\n", 2, ["not valid YAML"]),
         ("[" * 40, 1, ["nested deeper"]),
+        ("azimuth: [" + 60_000 * "0," + "0]", 1, ["more than 40000 keys and values"]),
         ("a: 1\nb: 2", 1, ["unknown key a; "]),
         ("azimuth: " + 100 * "x", 1, [f"azimuth is '{76 * 'x'}..., it should be"]),
     ],

@@ -23,6 +23,7 @@ from mavnav.kernels.machine.types import (
     U16_1D,
     U16_2D,
     U32_2D,
+    Out,
     int64,
     uint8,
     uint16,
@@ -130,10 +131,7 @@ def _cells(
 
 @helper
 def _lattice(xy_m: F64_2D, step_m: float) -> tuple[I32_2D, float, float]:
-    """Return the index of each position of a lattice by row and column, -1 without one, and the first x and y.
-
-    Rows and columns are padded to whole squares.
-    """
+    """Return the index of each position by row and column, whole squares, -1 without one, and the first x and y."""
     x0, x1 = xy_m[0, 0], xy_m[0, 0]
     for p in range(len(xy_m)):
         x0, x1 = min(x0, xy_m[p, 0]), max(x1, xy_m[p, 0])
@@ -276,13 +274,14 @@ def lowest_poses(
     nearest: U32_2D,
     lines: F64_2D,
     geometry: F64_1D,
+    credit: Out[I64_1D],
 ) -> F64_2D:
     """Return the ``most`` lowest separate minima of ``pose_costs``: cost (m2), index of yaw and of position, (m, 3).
 
     No cost is above ``limit_m2``. Each is the lowest that is not within ``separate`` (m, rad) of one before it; of
     equal costs, the first pose is taken. ``xy_map_m`` (p, 2) are positions of a lattice of ``step`` cells, row by row.
     ``floors`` are ``cost_floors`` of the same step from the cell ``corner`` (row, col) on, and include all cells in
-    which points at these poses may be.
+    which points at these poses may be. Each square and position looked at takes one of ``credit`` (1,), to 0 at most.
     """
     index, x0, y0 = _lattice(xy_map_m, step * geometry[2])
     cells, counts = _cells(points, (x0, y0), yaws_rad, corner, geometry)
@@ -305,7 +304,7 @@ def lowest_poses(
     kind = n_yaws * positions  # code: (TOP - level, or LEVELS if exact) times this, plus yaw and position
     heap, count, upper, slice_size = Heap(np.empty(4 * SLICE), np.empty(4 * SLICE, np.int64)), 0, -1, SLICE
     minima, n = np.empty((most, 3)), 0
-    while n < most:
+    while n < most and credit[0] > 0:
         if count == 0 or (upper + 1 < len(histogram) and heap.cost_m2[0] >= (upper + 1) * scale):
             if upper + 1 >= len(histogram) or (upper + 1) * scale > limit_m2:
                 break
@@ -328,6 +327,7 @@ def lowest_poses(
             break
         _pop(heap, count)
         count -= 1
+        credit[0] -= 1
         level, at = TOP - code // kind, code % kind
         q, row, col = at // positions, at % positions // index.shape[1], at % index.shape[1]
         if level > 0:
@@ -341,8 +341,7 @@ def lowest_poses(
                     _push(heap, count, bounds[k] * scale, code)
                     count += 1
             continue
-        p = int64(index[row, col])
-        taken = False
+        p, taken = int64(index[row, col]), False
         for k in range(n):
             other_q, other_p = int(minima[k, 1]), int(minima[k, 2])
             moved_m = xy_map_m[p, 0] - xy_map_m[other_p, 0], xy_map_m[p, 1] - xy_map_m[other_p, 1]

@@ -69,13 +69,17 @@ def channel_of(data: bytes, name: str, report: ReadReport) -> Channel | None:
     return known or report.declare(Channel(name, SCAN, encoding))
 
 
+def states_type(channel: Channel) -> bool:
+    """Return whether a channel has a type, and an encoding of scans if that is LaserScan."""
+    return bool(channel.type) and (channel.type != SCAN or channel.encoding in _ENCODINGS)
+
+
 def with_known_type(channel: Channel, data: bytes, where: str, report: ReadReport) -> Channel:
     """Return a channel, with the type and encoding of a message's bytes if it lacks them; this is reported as damage.
 
-    It lacks them if it has no type, or is of type LaserScan with an unknown encoding. It is returned unchanged if the
-    bytes are no LaserScan.
+    It is returned unchanged if the bytes are no LaserScan.
     """
-    if channel.type and (channel.type != SCAN or channel.encoding in _ENCODINGS):
+    if states_type(channel):
         return channel
     encoding = _laser_encoding(data)
     if encoding is None:

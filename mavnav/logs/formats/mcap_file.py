@@ -12,7 +12,7 @@ from io import BytesIO
 from typing import TYPE_CHECKING
 
 from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES, TOO_MANY, Allowance, DecompressError, decompress
-from mavnav.logs.formats.mcap_content import EXTRAS, McapState, apply_record, read_extra
+from mavnav.logs.formats.mcap_content import EXTRAS, McapState, apply_record, plain_message, read_extra
 from mavnav.logs.formats.mcap_records import (
     HEAD,
     IN_CHUNKS,
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from mavnav.logs.records import RawMessage
 
 _READ = frozenset({Op.HEADER, Op.FOOTER, Op.SCHEMA, Op.CHANNEL, Op.MESSAGE, Op.CHUNK, Op.STATISTICS, Op.DATA_END})
+_MESSAGE = int(Op.MESSAGE)
 _BLOCK_BYTES = 1 << 20
 _FREE_SEARCH_BYTES = 1 << 28
 _CHECKED_RECORD_COST = 4
@@ -240,7 +241,8 @@ def _sound_messages(records: bytes, inner: Source, state: McapState) -> Iterator
         if not state.allowance.spend_record():
             state.report.damage(TOO_MANY, inner.where(offset))
             return
-        if message := _inner_message(opcode, content, inner, offset, state):
+        message = plain_message(content, state) if opcode == _MESSAGE else None
+        if message or (message := _inner_message(opcode, content, inner, offset, state)):
             yield message
         offset += HEAD.size + len(content)
     yield from _walk(inner, offset, state)

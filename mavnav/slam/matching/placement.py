@@ -19,6 +19,7 @@ from mavnav.slam.matching.relocalization import (
     everywhere,
     is_near_start,
     lowest,
+    search_credit,
     unambiguous,
     with_conflicts,
 )
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from mavnav.config.models import Config
     from mavnav.mapping.line_map import LineMap
     from mavnav.mapping.occupancy_grid import GridBuilder
+    from mavnav.slam.matching.relocalization import Credit
 
     PosedScan = tuple[Pose, NDArray[np.float64]]
     """The pose of a scan in a frame of its own, and its points (n, 2), m, laser frame, shuffled."""
@@ -41,31 +43,42 @@ AHEAD = Pose(1.0, 0.0, 0.0)
 
 
 def place_together(
-    scans: Sequence[PosedScan], lines: LineMap, grid: GridBuilder, config: Config, start: Pose | None = None
+    scans: Sequence[PosedScan],
+    lines: LineMap,
+    grid: GridBuilder,
+    config: Config,
+    start: Pose | None = None,
+    credit: Credit | None = None,
 ) -> Match | None:
     """Return the pose of the scans' own frame in the map, with the mean evidence of all scans.
 
-    ``start`` is about where the first scan is, None if unknown. None without scans, or if they fit another place about
-    as well. In a coarse map visibility conflicts do not tell near places apart: these are the same.
+    ``start`` is about where the first scan is, None if unknown. None without scans, if they fit another place about as
+    well, or if the searches of all scans use up the credit. In a coarse map visibility conflicts do not tell near
+    places apart: these are the same.
     """
     if not scans:
         return None
     middle = scans[len(scans) // 2][0]
     posed = [(middle.between(pose), points) for pose, points in scans]
     least_m = max(SEPARATE_M, EXPLAINED_CELLS * lines.cell_m)
-    proposed = _propose(posed, lines, grid, config)
+    credit = search_credit() if credit is None else credit
+    proposed = _propose(posed, lines, grid, config, credit)
     if start:
         proposed = [place for place in proposed if is_near_start(place @ posed[0][0], start)]
     places = _keep_best(proposed, posed, lines, config, least_m)
     best = unambiguous([_match_all(p, posed, lines, grid, config) for p in places], AMBIGUITY_MARGIN, config, least_m)
-    return best and best._replace(map_T_laser=best.map_T_laser @ middle.inverse())
+    return best._replace(map_T_laser=best.map_T_laser @ middle.inverse()) if best and credit[0] else None
 
 
-def _propose(scans: Sequence[PosedScan], lines: LineMap, grid: GridBuilder, config: Config) -> list[Pose]:
+def _propose(
+    scans: Sequence[PosedScan], lines: LineMap, grid: GridBuilder, config: Config, credit: Credit
+) -> list[Pose]:
     """Return the poses of the scans' frame at which one of them fits well."""
     region, expert = everywhere(grid), config.robust.expert
     few = ((pose, points[: expert.first_level_points]) for pose, points in scans)
-    starts = ((pose, lowest(some, lines, region, expert.truncate_m, MAP_CANDIDATES)) for pose, some in few)
+    starts = (
+        (pose, lowest(some, lines, region, expert.truncate_m, MAP_CANDIDATES, credit=credit)) for pose, some in few
+    )
     return [start @ pose.inverse() for pose, poses in starts for _, start in poses]
 
 

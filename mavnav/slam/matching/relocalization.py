@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     """Positions (p, 2), m, and yaws (q,), rad, map frame; the poses are all their combinations."""
     Start = tuple[float, Pose]
     """Cost, m2, and pose of a minimum of the search."""
+    Credit = NDArray[np.int64]
+    """Number of squares and positions (1,) that searches may still look at; at 0 they return nothing."""
 
 STEP_M, STEP_RAD = 0.1, 4 * DEG
 """Spacing of the search: the cost of a point depends on walls up to 0.15 m away."""
@@ -54,6 +56,12 @@ WORTH_PRUNING = 1 << 19
 
 AT_ONCE = 1 << 16
 """Number of positions whose costs an exhaustive search holds at a time, in 47 MB."""
+
+MOST_SQUARES = 500_000
+"""Number of squares and positions at which a search ends, or all searches that share a credit, without a result.
+
+Searches in recorded maps look at up to 88 000, and 7 of 12 that must agree on a map in another at 400 000.
+"""
 
 FARTHEST_M = 2.5
 """Largest radius of a search; a laser that is lost for longer is searched in the whole map."""
@@ -154,15 +162,16 @@ def candidates(
     config: Config,
     most: int = CANDIDATES,
     limit: float = np.inf,
+    credit: Credit | None = None,
 ) -> list[Match]:
     """Search a region of poses; return up to ``most`` separate minima, refined, with their visibility conflicts.
 
     Minima with a cost above ``limit``, a share of the worst cost, are left out. ``points`` (n, 2) are those of the
-    scan, laser frame, m, shuffled, so that any prefix is a fair sample.
+    scan, laser frame, m, shuffled, so that any prefix is a fair sample. ``credit`` is that of this search by default.
     """
     few, truncate_m = points[: config.robust.expert.first_level_points], config.robust.expert.truncate_m
     limit_m2, exhaustive = limit * truncate_m**2, config.search == "exhaustive"
-    starts = lowest(few, line_map, region, truncate_m, most, limit_m2, exhaustive=exhaustive)
+    starts = lowest(few, line_map, region, truncate_m, most, limit_m2, credit, exhaustive=exhaustive)
     schedule = Schedule.of(config, line_map, (1.5 * STEP_M, 1.5 * STEP_RAD))
     matches = (search_lines(points, line_map, pose, schedule) for _, pose in starts)
     return [with_conflicts(match, points, line_map, grid) for match in matches]
@@ -175,24 +184,33 @@ def lowest(
     truncate_m: float,
     most: int,
     limit_m2: float = np.inf,
+    credit: Credit | None = None,
     *,
     exhaustive: bool = False,
 ) -> list[Start]:
     """Return the ``most`` lowest separate minima of the cost of points (n, 2) in a region, up to ``limit_m2``.
 
     The pruned search returns the same minima as the exhaustive one. The exhaustive search is used for small regions,
-    and if positions are not whole cells apart.
+    and if positions are not whole cells apart. The pruned one returns nothing if it uses up the credit.
     """
+    credit = search_credit() if credit is None else credit
     xy_m, yaws_rad = region
     step = round(STEP_M / line_map.cell_m)
     small = len(xy_m) * len(yaws_rad) * len(points) < WORTH_PRUNING
     if exhaustive or small or abs(step * line_map.cell_m - STEP_M) > 1e-9:
         starts = lowest_exhaustive(points, line_map, region, truncate_m, most)
         return [start for start in starts if start[0] <= limit_m2]
+    if not credit[0]:
+        return []
     floors = line_map.cost_floors(truncate_m, step, reached_by(points, xy_m))
     bounds, lines = (floors.corner, floors.levels, floors.planes), (line_map.nearest, line_map.lines, line_map.geometry)
-    poses = lowest_poses(points, xy_m, yaws_rad, truncate_m, SEPARATE, limit_m2, most, step, *bounds, *lines)
-    return starts_of(poses, xy_m, yaws_rad)
+    poses = lowest_poses(points, xy_m, yaws_rad, truncate_m, SEPARATE, limit_m2, most, step, *bounds, *lines, credit)
+    return starts_of(poses, xy_m, yaws_rad) if credit[0] else []
+
+
+def search_credit() -> Credit:
+    """Return the credit of a search, or of several that share it."""
+    return np.array([MOST_SQUARES])
 
 
 def reached_by(points: Floats, xy_m: Floats) -> Extent:

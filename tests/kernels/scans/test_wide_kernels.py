@@ -160,7 +160,8 @@ def test_lowest_poses_are_their_twin(seed: int, n_points: int) -> None:
     points, yaws = rng.uniform(-0.7, 0.7, (n_points, 2)), rng.uniform(-3, 3) + 0.1 * np.arange(12)
     floors = line_map.cost_floors(0.15, 5, (-2.0, -2.0, 4.0, 4.0))
     told = line_map.nearest, line_map.lines, line_map.geometry
-    args = 9, 5, floors.corner, floors.levels, floors.planes, *told
+    credit = np.array([10**6])
+    args = 9, 5, floors.corner, floors.levels, floors.planes, *told, credit
     found = lowest_poses(points, xy, yaws, 0.15, separate, np.inf, *args)
     costs = pose_costs(points, xy, yaws, 0.15, *told)
     assert found.tolist() == [list(row) for row in naive.lowest_poses(costs, xy, yaws, separate, 9)]
@@ -168,6 +169,10 @@ def test_lowest_poses_are_their_twin(seed: int, n_points: int) -> None:
     assert some.tolist() == found[:5].tolist()
     few = lowest_poses(points, xy[:1], yaws[:1], 0.15, separate, np.inf, *args)
     assert few.tolist() == [[costs[0, 0], 0.0, 0.0]]
+    needed = 10**6 - credit[0]
+    credit[0] = (needed := needed // 3)
+    first = lowest_poses(points, xy, yaws, 0.15, separate, np.inf, *args)
+    assert (credit[0], len(first) < 9, first.tolist()) == (0, True, found[: len(first)].tolist())
 
 
 def test_free_positions_are_the_twins() -> None:
