@@ -56,8 +56,8 @@ def _command(command: Any, context: typer.Context) -> Iterator[str]:  # noqa: AN
         yield "\n".join([f"| {panel or 'general'} | value | meaning |", "|---|---|---|", *rows])
     if examples := re.findall(r"^mavnav .*$", command.epilog or "", re.MULTILINE):
         yield "Examples:\n\n" + "\n".join(f"    {line}" for line in examples)
-    if page := re.search(r"docs/(\S+)$", command.epilog or ""):
-        yield f"More: [{page[1]}]({page[1]})"
+    if page := re.search(r"mavnav docs (\w+)(\S*)$", command.epilog or ""):
+        yield f"More: [{page[1]}.md{page[2]}]({page[1]}.md{page[2]})"
     for name, below in getattr(command, "commands", {}).items():
         yield from _command(below, below.make_context(name, [], parent=context, resilient_parsing=True))
 

@@ -63,6 +63,7 @@ COMMANDS: Final = {
     "convert": "cli.md#examine-and-convert",
     "warmup": "ci.md#compiled-kernels",
     "config": "cli.md#configuration",
+    "docs": "index.md",
 }
 """Name of a command, which is a function or an app in the module of that name -> its page in docs/."""
 
@@ -119,7 +120,9 @@ def app_for(args: Sequence[str]) -> typer.Typer:
 
 def _epilog(text: str, page: str) -> str:
     """Return the text after the options in a help page, each line a paragraph, with the documentation page."""
-    return "\n\n".join([*text.strip().split("\n"), f"[bold]Documentation[/bold]  docs/{page}"])
+    return "\n\n".join(
+        [*text.strip().split("\n"), f"[bold]Documentation[/bold]  mavnav docs {page.replace('.md', '')}"]
+    )
 
 
 def run(args: Sequence[str], *, debug: bool = False) -> int:

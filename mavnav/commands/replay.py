@@ -52,7 +52,7 @@ def replay(
         ),
     ] = None,
     force: shared.Force = False,
-    report: shared.WriteReport = False,
+    report: shared.WithPage = False,
     outputs: shared.Outputs = None,
     preview: shared.Preview = None,
     verbose: shared.Verbose = False,

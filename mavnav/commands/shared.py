@@ -143,8 +143,8 @@ Outputs = Annotated[
     output_option(
         "--outputs",
         metavar="GROUP,...",
-        help="Write only these files: trajectory, map, metrics, slices, pictures, mcap (default: these); report, svg, "
-        "scale, graph; all.",
+        help="Write only these files: trajectory, map, metrics, slices, pictures, mcap, report (default: these); "
+        "svg, scale, graph; all.",
         autocompletion=completion.words(
             "trajectory", "map", "metrics", "slices", "pictures", "mcap", "report", "svg", "scale", "graph", "all"
         ),
@@ -154,6 +154,7 @@ ReportFile = Annotated[
     Path | None, output_option("--report", metavar="FILE.html", help="Also write the result as one page.")
 ]
 WriteReport = Annotated[bool, output_option("--report", help="Also write the result as one page, report.html.")]
+WithPage = Annotated[bool, output_option("--report", help="Write report.html also with --outputs.")]
 Force = Annotated[bool, output_option("--force", help="Overwrite the output if it exists.")]
 RunAgain = Annotated[bool, output_option("--force", help="Ignore finished runs and repeat them.")]
 Json = Annotated[bool, output_option("--json", help="Print one JSON document on stdout and nothing else.")]
@@ -193,9 +194,9 @@ Accept = Annotated[
 
 
 def output_values(outputs: str | None, *, report: bool, preview: bool | None) -> dict[str, Any]:
-    """Return ``report``, and ``outputs`` as the names that ``--outputs`` lists; raises UsageError."""
+    """Return whether the page is written, and ``outputs`` as the names that ``--outputs`` lists; raises UsageError."""
     if outputs is None:
-        return {"report": report}
+        return {"report": True}
     names = tuple(dict.fromkeys([*outputs.split(","), *(["report"] if report else [])]))
     if preview and not {"map", "all"} & {*names}:
         raise UsageError("--preview is drawn from map; add it to --outputs")

@@ -82,7 +82,7 @@ def simulate(
     ] = None,
     animate: Annotated[Path | None, shared.output_option(metavar="FILE.gif", help="Also write an animation.")] = None,
     force: shared.Force = False,
-    report: shared.WriteReport = False,
+    report: shared.WithPage = False,
     outputs: shared.Outputs = None,
     preview: shared.Preview = None,
     verbose: shared.Verbose = False,

@@ -84,7 +84,7 @@ def check_groups(names: Collection[str]) -> None:
 def write_run(
     run: RunResult, directory: Path, *, force: bool = False, report: bool = False, groups: Collection[str] | None = None
 ) -> dict[str, Any]:
-    """Write the files of a run and return its document, which is run.json; with ``report`` its page as well.
+    """Write the files of a run and return its document, which is run.json; with ``report`` its page, report.html, too.
 
     ``groups`` are the `GROUPS` of files to write, by default all but the page and those that must be named. The
     directory appears complete or not at all. Raises OutputError where it exists (and ``force`` does not say to replace
@@ -99,12 +99,15 @@ def write_run(
         path = folder / RUN_FILE
         path.write_text(plain_json(document), encoding="utf-8")
         if report:
-            write_page(import_module("mavnav.outputs.report").single(document), folder)
+            with Stage("page"):
+                pages = import_module("mavnav.outputs.report")
+                page = pages.page_text(pages.single(document), folder, run)
+                (folder / REPORT_FILE).write_text(page, "utf-8", "backslashreplace")  # names need not be UTF-8
     return document
 
 
 def write_page(comparison: dict[str, Any], folder: Path) -> None:
-    """Write report.html and its pictures of runs below a folder; it shows what their files say, so it comes after."""
+    """Write report.html of a comparison, and its pictures, into the folder that has the runs below it."""
     import_module("mavnav.outputs.report").write_report(comparison, folder, folder / REPORT_FILE)
 
 

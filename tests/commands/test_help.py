@@ -26,14 +26,14 @@ def test_help_names_its_page_and_no_types(page: Callable[..., str], command: str
     text = page(command)
     assert not re.findall(r"<\w+(?:\[\w+\])?>", text)
     file, _, anchor = COMMANDS[command].partition("#")
-    assert text.rstrip().endswith(f"Documentation  docs/{file}" + (f"#{anchor}" if anchor else ""))
+    assert text.rstrip().endswith(f"Documentation  mavnav docs {COMMANDS[command].replace('.md', '')}")
     headings = re.findall(r"^#+ (.*)$", (ROOT / "docs" / file).read_text(), re.MULTILINE)
     assert anchor in {"", *(heading.lower().replace(" ", "-") for heading in headings)}
 
 
 def test_pages_of_help_without_a_command_of_their_own(page: Callable[..., str]) -> None:
-    assert page().rstrip().endswith("Documentation  docs/index.md")
-    assert page("config", "show").rstrip().endswith("docs/cli.md#configuration")
+    assert page().rstrip().endswith("Documentation  mavnav docs index")
+    assert page("config", "show").rstrip().endswith("mavnav docs cli#configuration")
 
 
 def test_help_shows_the_defaults_of_the_configuration(page: Callable[..., str]) -> None:

@@ -15,7 +15,7 @@ from mavnav.mapping.tiled_arrays import identity, max_pool, where
 from mavnav.outputs.pictures import plot, viewport
 from mavnav.outputs.pictures.canvas import Canvas, draw_dashes, ramp, rgb_of, stroke
 from mavnav.outputs.pictures.plot import Area, Axes, Mark, Style
-from mavnav.outputs.pictures.viewport import FREE_GREY, MAX_CELLS, Viewport
+from mavnav.outputs.pictures.viewport import FREE_GREY, LEAST_IN, Viewport
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from mavnav.outputs.pictures.canvas import Box
     from mavnav.outputs.pictures.plot import Sign
 
-VIRIDIS: Final = ("#440154", "#482878", "#3e4989", "#31688e", "#26828e", "#1f9e89", "#35b779", "#6ece58", "#b5de2b")
-HIT_COLOURS: Final = ramp(VIRIDIS[::-1])
+HIT_COLOURS: Final = ramp(("#35b779", "#1f9e89", "#26828e", "#31688e", "#3e4989", "#482878", "#440154"))
+"""Viridis without its light end, on which a wall that was hit once would be hard to see."""
 FRAME_GREY: Final = "#cccccc"
 HIT_TICKS: Final = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000)
 
@@ -66,7 +66,7 @@ def map_axes(canvas: Canvas, window: Viewport, box: Box) -> Axes:
 def framed_map(window: Viewport, longest_in: float, margins: Box, least: tuple[int, int] = (0, 0)) -> Axes:
     """Begin a picture of ``least`` width and height with the map in the middle of what the margins leave."""
     left, top, right, bottom = margins
-    width, height = window.size_pixels(longest_in)
+    width, height = window.size_pixels(longest_in, LEAST_IN)
     canvas = Canvas.of(max(width + left + right, least[0]), max(height + top + bottom, least[1]))
     first = (canvas.image.width - width - right + left) // 2
     return map_axes(canvas, window, (first, top, first + width, top + height))
@@ -85,7 +85,7 @@ def draw_cells(
     """
     window = Viewport(*axes.limits)
     first_col, end_col, first_row, end_row = window.cells_of(grid)
-    factor = max(1, ceil(max(window.size_m) / grid.cell_m / MAX_CELLS))
+    factor = max(1, ceil(1.0 / (grid.cell_m * axes.per_unit[0])))
     shown = max_pool(cells[first_row:end_row, first_col:end_col], factor, value_of=value_of)[::-1]
     some = shown > 0
     colours = colour_of(shown[some])

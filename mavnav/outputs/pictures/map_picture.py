@@ -38,7 +38,11 @@ CIRCLE_SPACING: Final = 0.018
 SESSION_COLOURS: Final = ("#d55e00", "#0072b2", "#cc79a7", "#e69f00", "#009e73", "#56b4e9", "#000000")
 """Those of Okabe and Ito, which people with colour blindness tell apart; sessions beyond repeat them."""
 
+MOST_CIRCLES: Final = 200
+"""A path of more is a line: in several visits of a place circles hide the walls."""
+
 PATH: Final = Style(map_axes.POSE.colour, "", partial(stroke, width_pt=0.72, opacity=150 / 255))
+LONG_PATH: Final = Style(map_axes.POSE.colour, "estimated path", partial(stroke, width_pt=0.9, opacity=0.85))
 
 
 def write(run: RunResult, path: Path) -> None:
@@ -46,14 +50,17 @@ def write(run: RunResult, path: Path) -> None:
     trajectory = run.slam.trajectory
     window = window_of(run.known, points_to_show(run))
     some = thin_path(trajectory.xyyaw[:, :2], CIRCLE_SPACING * max(window.size_m))
-    marks = [*path_marks(trajectory, some), *_ends(run, trajectory.stamps_ns[some].tolist())]
-    shown = (run.slam.loops.closed, run.true_walls, doubtful_parts(run.slam))
-    lines = compress((map_axes.LOOP, map_axes.TRUE_WALL, map_axes.DOUBTFUL), shown)
-    named: list[Sign] = [*lines, *(mark for mark, _ in marks), *map_axes.KNOWN]
+    line, circles = (PATH, some) if len(some) <= MOST_CIRCLES else (LONG_PATH, some[:0])
+    ends = _ends(run, trajectory.stamps_ns[some].tolist())
+    shown = (len(trajectory), run.slam.loops.closed, run.true_walls, doubtful_parts(run.slam))
+    signs = (map_axes.POSE if len(circles) else line, map_axes.LOOP, map_axes.TRUE_WALL, map_axes.DOUBTFUL)
+    named: list[Sign] = [*compress(signs, shown), *(mark for mark, _ in ends), *map_axes.KNOWN]
     axes = map_axes.framed_map(window, 7.5, map_axes.JUDGED_MARGINS, least=(max(960, legend_room(named)), 420))
     map_axes.draw_counts(axes, run.known, run.cells)
-    _draw_lines(axes, run)
-    for mark, xy_m in marks:
+    _draw_lines(axes, run, line)
+    axes.mark(map_axes.POSE, trajectory.xyyaw[circles, :2])
+    axes.lines(map_axes.DOUBTFUL, doubtful_parts(run.slam))
+    for mark, xy_m in ends:
         axes.mark(mark, xy_m)
     map_axes.finish_judged(axes, named, run.name, run_verdict(run), _subtitle(run), path)
 
@@ -66,19 +73,13 @@ def points_to_show(run: RunResult) -> NDArray[np.float64]:
     return np.vstack((xy_m, *mission, *walls))
 
 
-def _draw_lines(axes: Axes, run: RunResult) -> None:
-    """Draw the path, fainter than its circles, the closed loops and the true walls."""
+def _draw_lines(axes: Axes, run: RunResult, path: Style) -> None:
+    """Draw the path, the closed loops and the true walls."""
     xy_m = run.slam.trajectory.xyyaw[:, :2]
-    axes.lines(PATH, parts_of_path(run.slam))
+    axes.lines(path, parts_of_path(run.slam))
     axes.lines(map_axes.LOOP, [xy_m[[loop.start, loop.end]] for loop in run.slam.loops.closed])
-    axes.lines(map_axes.DOUBTFUL, doubtful_parts(run.slam))
     if run.true_walls:
         axes.lines(map_axes.TRUE_WALL, wall_lines(run.true_walls))
-
-
-def path_marks(trajectory: Trajectory, some: NDArray[np.intp]) -> list[tuple[Mark, NDArray[np.float64]]]:
-    """Mark some of the estimated poses."""
-    return [(map_axes.POSE, trajectory.xyyaw[some, :2])] if len(trajectory) else []
 
 
 def _ends(run: RunResult, stamps_ns: list[int]) -> list[tuple[Mark, NDArray[np.float64]]]:

@@ -17,9 +17,13 @@ if TYPE_CHECKING:
     from mavnav.outputs.run import Walls
 
 DPI: Final = 150
-MAX_CELLS: Final = 1100
-"""Cells along the picture's longer side: about its pixels. More are pooled, or thin walls would fall between them."""
+LEAST_IN, MOST_IN = 3.0, 11.0
+"""A long narrow map is shown larger, until its shorter side has the one or its longer side the other, in inches."""
+
 STRAY_SHARE: Final = 5e-4
+FAR_SHARE: Final = 0.01
+WORTH_IT: Final = 0.4
+"""Share of the area below which a picture shows the well seen part of a map alone."""
 
 ARC_STEP_RAD: Final = pi / 90.0
 START_BLUE, GOAL_RED, POSE_MAGENTA, TRUE_ORANGE = "#0033ff", "#e00000", "#d6009a", "#ff6a00"
@@ -52,10 +56,18 @@ class Viewport(Struct, frozen=True):
         a, c = min(a, cols - 1), min(c, rows - 1)
         return a, max(b, a + 1), c, max(d, c + 1)
 
-    def size_pixels(self, longest_in: float) -> tuple[int, int]:
-        """Return width and height in pixels that show the rectangle undistorted."""
+    @property
+    def area_m2(self) -> float:
+        """Area."""
+        return self.size_m[0] * self.size_m[1]
+
+    def size_pixels(self, longest_in: float, least_in: float = 0.0) -> tuple[int, int]:
+        """Return width and height in pixels that show the rectangle undistorted.
+
+        The shorter side has ``least_in``, if the longer one has no more than `MOST_IN` by that.
+        """
         width, height = self.size_m
-        scale = longest_in / max(width, height)
+        scale = max(longest_in / max(width, height), min(least_in / min(width, height), MOST_IN / max(width, height)))
         return round(width * scale * DPI), round(height * scale * DPI)
 
     def widen(self, least_share: float) -> Viewport:
@@ -69,12 +81,21 @@ def window_of(grid: Grid, xy_m: NDArray[np.float64]) -> Viewport:
     """Frame the hit cells and the points ``xy_m`` (n, 2), with a margin.
 
     On each side the outermost `STRAY_SHARE` of the cells may fall outside: single far returns through a window
-    would otherwise shrink the map to a spot.
+    would otherwise shrink the map to a spot. If that saves much, so may the half of the cells that was hit least, and
+    `FAR_SHARE` of the others.
     """
-    hit = where(grid.hits, lambda hits: hits > 0)[:, ::-1]
+    hit = where(grid.hits, lambda hits: hits > 0)
+    counts = grid.hits[tuple(hit.T)]
+    seen = hit[counts >= np.median(counts)] if len(hit) else hit
+    whole, near = (_window(grid, cells, share, xy_m) for cells, share in ((hit, STRAY_SHARE), (seen, FAR_SHARE)))
+    return near if near.area_m2 < WORTH_IT * whole.area_m2 else whole
+
+
+def _window(grid: Grid, cells: NDArray[np.intp], share: float, xy_m: NDArray[np.float64]) -> Viewport:
+    """Frame points and cells (n, 2) as row and column, of which a share may fall outside on each side."""
     corners = [xy_m] if len(xy_m) else [np.array([grid.origin_xy_m])]
-    if len(hit):
-        ends = np.quantile(hit, (STRAY_SHARE, 1.0 - STRAY_SHARE), axis=0, method="nearest")
+    if len(cells):
+        ends = np.quantile(cells[:, ::-1], (share, 1.0 - share), axis=0, method="nearest")
         ends[1] += 1
         corners.append(grid.origin_xy_m + ends * grid.cell_m)
     return window_around(np.vstack(corners), least_margin_m=5 * grid.cell_m)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.metrics.wall_spread import WallCuts
+    from mavnav.outputs.run import RunResult
 
 FAILED: Final = "failed"
 
@@ -62,7 +63,7 @@ class Entry(Struct, frozen=True):
 
     ``folder`` is its directory. ``goal_xy_m`` is that of a mission, (1, 2); without one (0, 2). ``view_3d`` is the
     picture of the slices by height, None without. ``sessions`` are the sessions of a merge, of whose scans
-    ``scans`` has one after the other.
+    ``scans`` has one after the other. ``run`` is the run where it has just ended: its scans need not be read again.
     """
 
     log: str
@@ -76,6 +77,7 @@ class Entry(Struct, frozen=True):
     goal_xy_m: NDArray[np.float64]
     view_3d: Image.Image | None = None
     sessions: tuple[SessionPart, ...] = (SessionPart("", "result.mcap", 0),)
+    run: RunResult | None = None
 
 
 class Failure(Struct, frozen=True):
@@ -103,8 +105,11 @@ def setting_of(cell: dict[str, Any]) -> str:
     return f"{cell.get('azimuth')}/{cell.get('grid')} {cell.get('differs') or ''}".rstrip()
 
 
-def load(cell: dict[str, Any], base: Path) -> Entry | Failure:
-    """Read the run of a cell of comparison.json; a directory that cannot be read gives a `Failure` of this run."""
+def load(cell: dict[str, Any], base: Path, run: RunResult | None = None) -> Entry | Failure:
+    """Read the run of a cell of comparison.json; a directory that cannot be read gives a `Failure` of this run.
+
+    ``run`` is the run itself, where it has just ended.
+    """
     log, name = str(cell.get("log")), name_of(cell)
     if cell.get("status") == FAILED or not cell.get("directory"):
         return Failure(log, name, str(cell.get("error") or f"exit code {cell.get('exit_code')}"))
@@ -123,6 +128,7 @@ def load(cell: dict[str, Any], base: Path) -> Entry | Failure:
             true_walls=true_walls,
             goal_xy_m=goal_xy_m,
             view_3d=_view_3d(folder / "map_3d.png"),
+            run=run,
         )
     except (OSError, ValueError, LookupError, TypeError, AttributeError, Image.DecompressionBombError) as error:
         return Failure(log, name, f"its run directory {cell['directory']} cannot be read ({type(error).__name__})")

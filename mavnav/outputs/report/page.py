@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from mavnav.outputs.run import RunResult
+
 SCRIPTS: Final = ("data", "map", "plots", "viewer")
 """The scripts of the interactive map, each of which needs those before it."""
 
@@ -67,8 +69,8 @@ def write_report(comparison: dict[str, Any], directory: Path, path: Path) -> Non
             unfinished.write_text(_page(comparison, sections), "utf-8", "backslashreplace")  # names need not be UTF-8
 
 
-def _sections(comparison: dict[str, Any], directory: Path) -> list[LogSection]:
-    loaded = [load(cell, directory) for cell in comparison.get("cells") or []]
+def _sections(comparison: dict[str, Any], directory: Path, run: RunResult | None = None) -> list[LogSection]:
+    loaded = [load(cell, directory, run) for cell in comparison.get("cells") or []]
     return [_section(log, [e for e in loaded if e.log == log]) for log in dict.fromkeys(e.log for e in loaded)]
 
 
@@ -92,9 +94,9 @@ def _write_pictures(section: LogSection, folder: Path, number: str) -> None:
             unfinished.write_bytes(panels.png(picture))
 
 
-def page_text(comparison: dict[str, Any], directory: Path) -> str:
-    """Return the page of `write_report` alone."""
-    return _page(comparison, _sections(comparison, directory))
+def page_text(comparison: dict[str, Any], directory: Path, run: RunResult | None = None) -> str:
+    """Return the page of `write_report` alone; ``run`` is its one run, where that has just ended."""
+    return _page(comparison, _sections(comparison, directory, run))
 
 
 def list_text(loaded: Sequence[Entry | Failure], title: str) -> str:

@@ -136,6 +136,35 @@ def test_a_single_far_return_does_not_shrink_the_room(run):
     assert window.x0_m < 0
 
 
+def test_walls_seen_often_fill_the_picture_and_far_hits_do_not():
+    hits = np.zeros((3000, 600), np.int32)
+    hits[100:300, 100:300:199] = hits[100:300:199, 100:300] = 40
+    hits[400:2900:25, 300] = 3
+    room, path = Grid(0.02, (0.0, 0.0), hits, np.zeros_like(hits)), np.array([(4.0, 4.0), (4.0, 9.0)])
+    near, seen = (window_of(grid, path) for grid in (room, replace(room, hits=np.minimum(hits, 3))))
+    assert 9.0 < near.y1_m < 10.0  # the path is whole
+    assert seen.y1_m > 57.0  # what was seen as often as the room
+
+
+@pytest.mark.parametrize("shape", [(100, 900), (900, 100), (300, 400)])
+def test_the_shorter_side_of_a_long_map_can_be_read(shape):
+    height, width = shape
+    across, up = Viewport(0.0, 0.1 * width, 0.0, 0.1 * height).size_pixels(7.5, 3.0)
+    assert max(across, up) <= 1650
+    assert min(across, up) == min(450, round(1650 / 9)) or max(across, up) == 1125
+    assert across / up == pytest.approx(width / height, rel=0.01)
+
+
+def test_a_path_with_many_circles_is_a_line(run, tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(Canvas, "text", lambda _, xy, text, *args, **options: drawn.append(text))
+    for most, name in ((1000, "estimated pose"), (1, "estimated path")):
+        monkeypatch.setattr(map_picture, "MOST_CIRCLES", most)
+        drawn.clear()
+        map_picture.write(run, tmp_path / "map.png")
+        assert {"estimated pose", "estimated path"} & set(drawn) == {name}
+
+
 def test_long_paths_are_thinned_evenly_along_their_length():
     xy = np.column_stack((np.concatenate((np.zeros(500), np.linspace(0, 10, 500))), np.zeros(1000)))
     some = map_picture.thin_path(xy, 0.2)

@@ -13,8 +13,10 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 from PIL import Image
 
+from mavnav.logs import Odometry
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, Grid, occupancy
 from mavnav.mapping.slices import Slice, Slices
+from mavnav.outputs.files import replay_log
 from mavnav.outputs.files.gridmap import slice_files, write_npz, write_slice
 from mavnav.outputs.files.trajectory import write_poses, write_scans
 from mavnav.outputs.report.entry import Entry, file_in, load
@@ -23,9 +25,13 @@ from mavnav.outputs.report.view import library
 from mavnav.outputs.report.view.images import SHADES, map_images, slice_images
 from mavnav.outputs.report.view.packing import pack
 from mavnav.outputs.report.view.page_data import view_data
-from mavnav.outputs.report.view.recording import beams
-from mavnav.pose import Trajectory
+from mavnav.outputs.report.view.recording import Recording, beams, odometry_path, read_recording, recording_of
+from mavnav.pose import Pose, Trajectory
 from support.report_runs import leave
+
+
+def recorded(log) -> Recording:
+    return Recording(len(log), log.sensor, log.scans, None)
 
 
 def unpack(packed: dict) -> dict[str, np.ndarray]:
@@ -74,7 +80,7 @@ def test_cells_of_a_large_map_are_pooled_and_no_wall_is_lost():
 
 def test_every_scan_is_packed_with_its_ranges_to_the_millimeter(run):
     stamps_s = np.array([scan.stamp_ns for scan in run.log.scans()]) * 1e-9
-    packed = beams([run.log], stamps_s, [0], 1_000_000)
+    packed = beams([recorded(run.log)], stamps_s, [0], 1_000_000)
     ranges = np.cumsum(packed["range"], axis=1, dtype=np.uint16)
     for k, scan in enumerate(run.log.scans()):
         expected = np.nan_to_num(scan.ranges_m * 1e3).round()
@@ -84,13 +90,36 @@ def test_every_scan_is_packed_with_its_ranges_to_the_millimeter(run):
 
 def test_of_many_ranges_every_so_manieth_beam_is_kept_and_every_scan(run):
     stamps_s = np.array([scan.stamp_ns for scan in run.log.scans()]) * 1e-9
-    packed = beams([run.log], stamps_s, [0], 2000)
+    packed = beams([recorded(run.log)], stamps_s, [0], 2000)
     assert packed["range"].size <= 2000 and (packed["row"] >= 0).all()
 
 
 def test_a_scan_that_was_not_recorded_has_no_row(run):
     stamps_s = np.array([scan.stamp_ns for scan in run.log.scans()]) * 1e-9
-    assert beams([run.log], stamps_s[:3] + np.array([0.0, 0.1, 0.0]), [0], 10_000)["row"].tolist() == [0, -1, 2]
+    assert beams([recorded(run.log)], stamps_s[:3] + np.array([0.0, 0.1, 0.0]), [0], 10_000)["row"].tolist() == [
+        0,
+        -1,
+        2,
+    ]
+
+
+def test_a_run_that_just_ended_shows_what_its_recording_would(run, tmp_path):
+    stamps_ns = np.array([scan.stamp_ns for scan in run.log.scans()])
+    ticks_ns = list(range(int(stamps_ns[0]) - 70_000_000, int(stamps_ns[-1]) + 100_000_000, 130_000_000))
+    ahead = Trajectory.of(ticks_ns, [Pose(0.03 * k, 0.01 * k, 0.02 * k) for k in range(len(ticks_ns))])
+    odometry = Odometry("/odom", "odom", ahead, ahead.compose(run.log.base_T_laser))
+    moved = replace(run, log=replace(run.log, odometry=odometry))
+    replay_log.write(moved, tmp_path / "result.mcap")
+    kept, read = recording_of(moved), read_recording(tmp_path / "result.mcap")
+    memory, file = (beams([log], stamps_ns * 1e-9, [0], 1_000_000) for log in (kept, read))
+    np.testing.assert_array_equal(memory["row"], file["row"])
+    ranges_mm = (np.cumsum(shown["range"], axis=1, dtype=np.uint16).astype(int) for shown in (memory, file))
+    np.testing.assert_allclose(*ranges_mm, atol=1)  # a message holds them in single precision
+    np.testing.assert_allclose(memory["bearing"], file["bearing"], atol=2e-6)
+    first_s = float(run.slam.trajectory.stamps_ns[0]) * 1e-9
+    paths = [odometry_path(log, first_s, run.slam.trajectory[0]) for log in (kept, read)]
+    assert len(paths[0]) == len(run.slam.trajectory) > 10
+    np.testing.assert_allclose(*paths, atol=1e-4)
 
 
 @pytest.mark.parametrize("content", [None, b"no recording"])

@@ -12,7 +12,7 @@ from mavnav.outputs.report.entry import file_in
 from mavnav.outputs.report.map_panel import common_window, ghosts
 from mavnav.outputs.report.view.images import MAX_PIXELS, map_images, slice_images
 from mavnav.outputs.report.view.packing import pack
-from mavnav.outputs.report.view.recording import MAX_RANGES, beams, odometry_path, read_recording
+from mavnav.outputs.report.view.recording import MAX_RANGES, beams, odometry_path, read_recording, recording_of
 from mavnav.pose import Pose
 from mavnav.units import MM
 
@@ -86,7 +86,8 @@ def _walls(entry: Entry) -> Arrays:
 
 def _recordings(entry: Entry, max_ranges: int) -> Arrays:
     """Return what the recordings add: the beams, and ``odometry``, the path by odometry alone, (n, 2) m."""
-    logs = [read_recording(file_in(entry.folder, session.recording)) for session in entry.sessions]
+    files = [file_in(entry.folder, session.recording) for session in entry.sessions]
+    logs = [recording_of(entry.run)] if entry.run else list(map(read_recording, files))
     arrays = beams(logs, entry.scans.stamp_s, [session.first for session in entry.sessions], max_ranges)
     tracked = np.flatnonzero(entry.scans.tracked)
     if len(logs) > 1 or logs[0] is None or not len(tracked):

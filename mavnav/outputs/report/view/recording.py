@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 from math import ceil
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from mavnav.errors import MavnavError
 from mavnav.logs import open_log
-from mavnav.pose import transform_points
+from mavnav.outputs.files.replay_log import nearest_pose, placed_scans
+from mavnav.pose import Trajectory, transform_points
 from mavnav.units import MM, NS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from mavnav.logs import Log
+    from mavnav.outputs.run import RunResult
     from mavnav.pose import Pose
-    from mavnav.scan import LaserSpec
+    from mavnav.scan import LaserSpec, Scan
 
 MAX_RANGES: Final = 2_000_000
 """Maximum number of ranges of a page; of more only every second beam is kept, or every third, and so on."""
@@ -34,16 +35,36 @@ UNREADABLE: Final = (OSError, ValueError, LookupError, TypeError, MavnavError)
 """What reading a recording raises where it is missing, cut or altered."""
 
 
-def read_recording(path: Path) -> Log | None:
+class Recording(NamedTuple):
+    """The scans of a run that have a pose, ``length`` of them, and the laser by odometry, if there is any."""
+
+    length: int
+    sensor: LaserSpec
+    scans: Callable[[], Iterable[Scan]]
+    odom_T_laser: Trajectory | None
+
+
+def read_recording(path: Path) -> Recording | None:
     """Open the recording of a run; None where there is none, or it cannot be read."""
     try:
-        return open_log(path) if path.is_file() else None
+        log = open_log(path) if path.is_file() else None
     except UNREADABLE:
         return None
+    if log is None:
+        return None
+    return Recording(len(log), log.sensor, log.scans, log.odometry.odom_T_laser if log.odometry else None)
+
+
+def recording_of(run: RunResult) -> Recording:
+    """Return what `read_recording` would find in result.mcap, which takes longer than the rest of a page."""
+    stamps_ns, path = run.slam.trajectory.stamps_ns.tolist(), None
+    if odometry := run.log.odometry:
+        path = Trajectory.of(stamps_ns, [nearest_pose(odometry.odom_T_laser, stamp_ns) for stamp_ns in stamps_ns])
+    return Recording(len(stamps_ns), run.log.sensor, lambda: (scan for scan, _ in placed_scans(run)), path)
 
 
 def beams(
-    logs: Sequence[Log | None], stamps_s: NDArray[np.float64], firsts: Sequence[int], max_ranges: int
+    logs: Sequence[Recording | None], stamps_s: NDArray[np.float64], firsts: Sequence[int], max_ranges: int
 ) -> dict[str, NDArray[Any]]:
     """Return what was seen: ``bearing`` (beams,) in rad, ``range`` (rows, beams) in mm, 0 is no return.
 
@@ -54,7 +75,7 @@ def beams(
     spec = next((log.sensor for log in logs if log), None)
     if spec is None:
         return {}
-    step = max(1, ceil(sum(len(log) for log in logs if log) * spec.beams / max_ranges))
+    step = max(1, ceil(sum(log.length for log in logs if log) * spec.beams / max_ranges))
     rows: list[NDArray[np.intp]] = []
     ranges_mm: list[NDArray[np.uint16]] = []
     for log, stamps in zip(logs, np.split(stamps_s, firsts[1:]), strict=True):
@@ -90,11 +111,11 @@ def _nearest(sorted_s: NDArray[np.float64], wanted_s: NDArray[np.float64]) -> ND
     return np.where(np.abs(sorted_s[row] - wanted_s) <= SAME_S, row, -1)
 
 
-def odometry_path(log: Log, stamp_s: float, map_T_laser: Pose) -> NDArray[np.float64]:
+def odometry_path(log: Recording, stamp_s: float, map_T_laser: Pose) -> NDArray[np.float64]:
     """Return the path of the laser by odometry alone, (n, 2) m, which begins at the pose at a time; may be empty."""
-    if log.odometry is None:
+    path = log.odom_T_laser
+    if path is None or not len(path):
         return np.zeros((0, 2))
-    path = log.odometry.odom_T_laser
     start = int(np.searchsorted(path.stamps_ns, round((stamp_s - SAME_S) / NS)).clip(0, len(path) - 1))
     map_T_odom = map_T_laser @ path[start].inverse()
     return transform_points(map_T_odom, path.xyyaw[start:, :2])
