@@ -56,6 +56,7 @@ COMMANDS: Final = {
     "view": "report.md",
     "metrics": "metrics.md",
     "diff": "diff.md",
+    "edit": "cli.md#edit-a-map",
     "merge": "merge.md",
     "calibrate": "calibrate.md",
     "simulate": "scenarios.md",
