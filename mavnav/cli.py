@@ -58,6 +58,7 @@ COMMANDS: Final = {
     "diff": "diff.md",
     "edit": "cli.md#edit-a-map",
     "merge": "merge.md",
+    "plan": "cli.md#floor-plan",
     "calibrate": "calibrate.md",
     "simulate": "scenarios.md",
     "info": "cli.md#examine-and-convert",
