@@ -43,6 +43,7 @@ _COMMANDS: Final = {
     "'mavnav view RUN'": "plot show visualize visualise open gui display report",
     "'mavnav metrics RUN'": "evaluate eval evo ate ape measure quality validate",
     "'mavnav compare LOG --set KEY=A,B'": "sweep tune benchmark grid ablation",
+    "'mavnav edit RUN'": "crop clean erase trim",
     "'mavnav merge RUN RUN'": "join stitch combine multi",
     "'mavnav replay LOG --map MAP'": "localize localise localization amcl",
     "'mavnav simulate SCENARIO'": "sim simulator fly",

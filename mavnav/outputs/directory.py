@@ -39,7 +39,7 @@ def checked_file(directory: Path, name: str, digests: Mapping[str, str]) -> Path
     """Return the path of a file of a run, given the digests by which the run knows its files.
 
     Raises UsageError where it is missing, or another one than was written. A file without a digest is taken as it is:
-    who edits one on purpose deletes its digest.
+    who edits one by hand deletes its digest.
     """
     path = directory / name
     if not path.is_file():

@@ -79,6 +79,8 @@ def earlier_run(directory: Path, *, simulated: bool) -> EarlierRun:
     except (ValueError, ValidationError, LookupError, TypeError, AttributeError) as error:
         reason = "an earlier version may have written it; repeat it by its configuration, with --config"
         raise UsageError(f"{directory / RUN_FILE} does not record how the run was made; {reason}") from error
+    if edits := document["provenance"].get("edits"):
+        raise UsageError(f"{directory} is of another command; write {edits[-1]} -o NEW")
     if "external" in document:
         raise UsageError(f"{directory} is of another command; write {document['provenance']['again']}")
     if (kind == "scenario") != simulated:

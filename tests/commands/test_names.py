@@ -41,7 +41,7 @@ ANSWERS = {
     "plot RUN": "write 'mavnav view RUN'",
     "evaluate RUN": "write 'mavnav metrics RUN'",
     "drive.mcap": "write 'mavnav replay drive.mcap'",
-    "replya LOG": "Did you mean 'replay'?; see 'mavnav --help'",
+    "replya LOG": "Did you mean 'replay', 'plan'?; see 'mavnav --help'",
     "replay drive.mcpa": "drive.mcpa: no such file; did you mean drive.mcap?",
     "info drive.mcpa": "did you mean drive.mcap?",
     "metrics drive.mcap": "map it with 'mavnav replay drive.mcap'",

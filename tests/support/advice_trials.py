@@ -351,6 +351,11 @@ TRIALS = [
         "diff run merged -o new.png --force",
     ),
     (
+        "nothing to change; give --crop, --erase, --unknown or --keep-largest",
+        "edit run",
+        "edit run --crop=-9,-9,9,9 --erase 0,0,1,1 --unknown=-1,-1,0,0 --keep-largest -o new -q",
+    ),
+    (
         "no trajectory; name one with --trajectory, or a program with --external",
         "score log.mcap",
         "score log.mcap --trajectory run -o new -q",

@@ -288,7 +288,8 @@ class Provenance(Struct, frozen=True):
     """Where the run comes from, without user names, passwords and queries of addresses.
 
     ``started`` is the time in UTC (ISO 8601), ``command`` the command line as typed, ``again`` one that repeats this
-    run, both quoted for a shell; ``folder`` is the working directory. ``options`` are those of a replay.
+    run, both quoted for a shell; ``folder`` is the working directory. ``options`` are those of a replay, ``edits`` the
+    command lines by which its map was edited.
     """
 
     started: Annotated[str, text("start in UTC, ISO 8601")]
@@ -297,6 +298,7 @@ class Provenance(Struct, frozen=True):
     folder: Annotated[str | None, text("working directory, null from Python")]
     options: Annotated[Options | None, text("options of a replay that are not in config, null for a mission")]
     host: Host
+    edits: Annotated[list[str], text("command lines by which the map was edited, the first one first")] = OPTIONAL
 
 
 class RunDocument(Struct, frozen=True, kw_only=True):

@@ -46,7 +46,7 @@ _YAML = """\
 image: {image}
 mode: trinary
 resolution: {cell_m!r}
-origin: [{x_m!r}, {y_m!r}, 0.0]
+origin: [{x_m!r}, {y_m!r}, {yaw_rad!r}]
 negate: 0
 occupied_thresh: 0.65
 free_thresh: 0.196
@@ -86,11 +86,11 @@ def write_yaml(run: GridMap | RunResult, path: Path) -> None:
     path.write_text(yaml_text(run), encoding="ascii")
 
 
-def yaml_text(run: GridMap | RunResult, image: str = "map.pgm") -> str:
-    """Return the description of `write_yaml`; ``image`` is the file of the picture."""
+def yaml_text(run: GridMap | RunResult, image: str = "map.pgm", yaw_rad: float = 0.0) -> str:
+    """Return the description of `write_yaml`; ``image`` is the file of the picture, turned by ``yaw_rad``."""
     grid = run.known
     x_m, y_m = (float(v) for v in grid.origin_xy_m)
-    return _YAML.format(image=image, cell_m=float(grid.cell_m), x_m=x_m, y_m=y_m)
+    return _YAML.format(image=image, cell_m=float(grid.cell_m), x_m=x_m, y_m=y_m, yaw_rad=yaw_rad)
 
 
 def read_npz(path: Path) -> Grid:
