@@ -38,7 +38,8 @@ ALLOWED: dict[str, set[str]] = {
     | {"config", "ground_truth", "kernels", "logs", "mapping", "metrics", "outputs"}
     | {"sessions", "simulation", "simulation.world", "slam"},
     "jobs": SHARED | {"config", "ground_truth", "outputs", "pipelines"},
-    "batch": SHARED | {"config", "ground_truth", "jobs", "logs", "mapping", "metrics", "outputs", "pipelines", "slam"},
+    "batch": SHARED
+    | {"config", "ground_truth", "jobs", "kernels", "logs", "mapping", "metrics", "outputs", "pipelines", "slam"},
     "comparison": SHARED
     | {"batch", "config", "jobs", "logs", "metrics", "outputs", "pipelines", "simulation"}
     | {"simulation.world"},

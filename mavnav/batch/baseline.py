@@ -144,20 +144,21 @@ def _baseline_row(row: Mapping[str, Any], watched: Sequence[Tolerance]) -> dict[
 def changes(row: Mapping[str, Any], baseline: Baseline, watched: Sequence[Tolerance]) -> dict[str, Any]:
     """Compare a run with the run of the same name in the baseline.
 
-    Returns the overall ``change``, and ``figures``: the old value, the new value and the change of each metric outside
-    of its tolerance, and of a changed exit code. A number that is missing now counts as worse, and so does a map that
-    is no longer meaningful. A number without a baseline value is not compared.
+    Returns the overall ``change``; ``figures``: the old value, the new value and the change of each metric outside of
+    its tolerance, and of a changed exit code; and ``before``, the old values by their names. A number that is missing
+    now counts as worse, and so does a map that is no longer meaningful. One without a baseline value is not compared.
     """
     before = baseline.runs.get(row["name"])
     if before is None:
-        return {"change": ChangeKind.NEW, "figures": []}
+        return {"change": ChangeKind.NEW, "figures": [], "before": {}}
+    old = {tolerance.name: _before(before, tolerance.name) for tolerance in watched}
     items = [_code_change(before["exit_code"], row["exit_code"])]
     if row["run"]:
-        items += [_figure_change(t, _before(before, t.name), number(row["run"], t.name)) for t in watched]
+        items += [_figure_change(t, old[t.name], number(row["run"], t.name)) for t in watched]
     moved = [item for item in items if item["change"] != ChangeKind.SAME]
     kinds = {item["change"] for item in moved}
     whole = next((kind for kind in (ChangeKind.WORSE, ChangeKind.BETTER) if kind in kinds), ChangeKind.SAME)
-    return {"change": whole, "figures": moved}
+    return {"change": whole, "figures": moved, "before": old}
 
 
 def _before(run: Mapping[str, Any], name: str) -> float | None:

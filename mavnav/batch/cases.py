@@ -11,9 +11,10 @@ from collections import Counter, deque
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from msgspec import Struct
+from msgspec import Struct, field
 from msgspec.structs import replace
 
+from mavnav.batch.pinned import pinned_file
 from mavnav.batch.remote import download
 from mavnav.batch.request import format_value
 from mavnav.config.options import OPTIONS, REFERENCES, reference_files, run_options
@@ -29,7 +30,7 @@ from mavnav.outputs.documents.addresses import is_address, public_address
 from mavnav.pipelines.replay import ReplayRequest
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from mavnav.batch.request import BatchLogs, BatchRequest, Setting
     from mavnav.jobs import Outcome
@@ -137,7 +138,8 @@ class Case(Struct, frozen=True):
 
     ``run`` is None for a log that cannot be read; ``error`` and ``exit_code`` are then the reason. ``log`` is the
     display name. With ``has_references``, the result is compared with ground truth. With ``baseline_gate``, this case
-    may not be worse than in the baseline, whether or not the batch has that gate.
+    may not be worse than in the baseline, whether or not the batch has that gate. ``licence`` and ``peers`` are those
+    of the log. A repetition names the case that it repeats.
     """
 
     name: str
@@ -150,6 +152,9 @@ class Case(Struct, frozen=True):
     baseline_gate: bool = False
     error: str = ""
     exit_code: ExitCode = ExitCode.DONE
+    licence: str = ""
+    peers: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    repeat_of: str = ""
 
 
 class CaseResult(Struct, frozen=True):
@@ -176,9 +181,20 @@ def make_cases(request: BatchRequest, progress: Progress) -> list[Case]:
     cases: dict[str, Case] = {}
     for number, (entry, log) in enumerate(logs):
         progress("reading", number, len(logs) if len(logs) > 1 else None)
-        for case in _cases(request, entry, log, names[log]):
+        for case in _cases(request, entry, log, entry.name or names[log], progress):
             cases[case.name] = _combine_cases(cases[case.name], case) if case.name in cases else case
-    return list(cases.values())
+    return [each for case in cases.values() for each in _repeat(case, request.repeat)]
+
+
+def _repeat(case: Case, times: int) -> Iterator[Case]:
+    """Yield a case as often as given; the repetitions are named ``#2`` and on, with directories of their own."""
+    yield case
+    if (run := case.run) is None:
+        return
+    for k in range(2, times + 1):
+        directory = run.directory.with_name(f"{run.directory.name}-{k}")
+        again = replace(run, request=replace(run.request, directory=directory))
+        yield replace(case, name=f"{case.name} #{k}", run=again, repeat_of=case.name)
 
 
 def display_names(logs: Sequence[str]) -> dict[str, str]:
@@ -216,7 +232,7 @@ def _combine_cases(one: Case, other: Case) -> Case:
     )
 
 
-def _cases(request: BatchRequest, entry: BatchLogs, log: str, name: str) -> Iterator[Case]:
+def _cases(request: BatchRequest, entry: BatchLogs, log: str, name: str, progress: Progress) -> Iterator[Case]:
     """Yield the cases of one log with its display name, one for each setting."""
     shared: dict[str, Any] = {
         "log": name,
@@ -224,8 +240,11 @@ def _cases(request: BatchRequest, entry: BatchLogs, log: str, name: str) -> Iter
         "accept": frozenset(map(read_accept, entry.accept)),
         "has_references": not entry.options.keys().isdisjoint(REFERENCES),
         "baseline_gate": BASELINE_GATE in entry.gates,
+        "licence": entry.licence,
+        "peers": entry.peers,
     }
     try:
+        log = str(pinned_file(log, entry.pin, request.copies, progress).absolute()) if entry.pin else log
         digests = _digest(request, log), references_sha256(load_references(**reference_files(entry.options)))
     except MavnavError as error:
         shared |= {"run": None, "error": str(error), "exit_code": error.exit_code}

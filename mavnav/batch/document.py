@@ -36,7 +36,8 @@ def judged_row(result: CaseResult, request: BatchRequest) -> dict[str, Any]:
     """
     case, rules, outcome = result.case, request.rules, result.outcome
     own = {"log": case.log, "setting": case.setting.name, "seconds": outcome.seconds if outcome else None}
-    row = run_row(result, request.directory) | own
+    row = run_row(result, request.directory) | own | {"licence": case.licence, "peers": case.peers}
+    row["repeat"] = {"of": case.repeat_of, "differs": []} if case.repeat_of else None
     accept = rules.accept | case.accept
     bounds, run = (*rules.gates, *case.gates), result.document
     results = [] if run is None else [*judge_verdict(accept, run), *judge_some(bounds, run)]
@@ -44,7 +45,8 @@ def judged_row(result: CaseResult, request: BatchRequest) -> dict[str, Any]:
     change = None
     if rules.baseline:
         absent = [] if request.new_baseline else lacking(row, rules.baseline, rules.watched)
-        change = changes(row, rules.baseline, rules.watched) | {"lacking": absent}
+        change = changes(row | {"name": case.repeat_of or case.name}, rules.baseline, rules.watched)
+        change |= {"lacking": absent}
         if rules.baseline_gate or (case.baseline_gate and request.new_baseline is None):
             gates.append(_baseline_verdict(change, rules.baseline.path))
     accepted = accepts_code(accept, row["exit_code"])

@@ -18,6 +18,7 @@ from PIL import Image
 
 from mavnav.atomic_files import beside, writing
 from mavnav.batch.document import BATCH_FILE, ENDS, why, worst_first
+from mavnav.batch.repeats import IDENTICAL_GATE
 from mavnav.batch.summary import batch_headline, change_text
 from mavnav.config.named_files import read_json
 from mavnav.errors import ExitCode, UsageError
@@ -31,7 +32,7 @@ from mavnav.outputs.report.markdown import inert
 from mavnav.outputs.writers import REPORT_FILE
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from mavnav.outputs.documents.quantities import Quantity
 
@@ -159,14 +160,28 @@ def _line(row: dict[str, Any], directory: Path) -> dict[str, Any]:
         "end": end,
         "word": word,
         "reason": reason,
-        "facts": _facts(path) if path else "",
-        "reasons": [line for line in why(row) if line not in (end, f"{word}: {reason}")],
+        "facts": " · ".join(filter(None, (_facts(path) if path else "", *_remarks(row)))),
+        "reasons": [line for line in (*why(row), *_unlike(row)) if line not in (end, f"{word}: {reason}")],
         "link": _link(path, row["directory"]) if path else None,
         "picture": thumbnail(path) if path else None,
         "change": str((row["baseline"] or {}).get("change") or ""),
         "change_text": change_text(row),
-        "fields": [_field(column, row["run"]) for column in COLUMNS],
+        "fields": [_field(column, row) for column in COLUMNS],
     }
+
+
+def _remarks(row: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the licence of the log, and that a repetition has the bytes of the first run."""
+    if row["licence"]:
+        yield f"licence {row['licence']}"
+    if row["repeat"] and not row["repeat"]["differs"]:
+        yield f"the same bytes as {row['repeat']['of']}"
+
+
+def _unlike(row: Mapping[str, Any]) -> list[str]:
+    """Return which bytes of a repetition differ, unless its failed gate says so."""
+    gated = any(gate["gate"] == IDENTICAL_GATE for gate in row["gates"])
+    return [] if gated or not row["repeat"] else row["repeat"]["differs"]
 
 
 def _link(path: Path, address: str) -> str | None:
@@ -183,10 +198,15 @@ def _facts(path: Path) -> str:
         return ""
 
 
-def _field(column: Quantity, run: Mapping[str, Any] | None) -> dict[str, str]:
-    """Return the text of a metric and its sort key; both empty if there is no value."""
-    value = column.of(run)
-    return {"text": column.text_of(run), "key": f"{value:.9g}"} if value is not None else {"text": "", "key": ""}
+def _field(column: Quantity, row: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the text of a metric and its sort key, empty without a value, and what the baseline and others have."""
+    others = {"baseline": (row["baseline"] or {}).get("before", {}), **row["peers"]}
+    beside = [f"{name} {column.write(each[column.name])}" for name, each in others.items() if column.name in each]
+    value = column.of(row["run"])
+    known = (
+        {"text": column.text_of(row["run"]), "key": f"{value:.9g}"} if value is not None else {"text": "", "key": ""}
+    )
+    return known | {"beside": beside}
 
 
 MAX_PIXELS: Final = 160

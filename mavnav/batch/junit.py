@@ -69,7 +69,9 @@ def _case(log: str, row: Mapping[str, Any]) -> XML.Element:
         about = {"message": reasons[0], "type": f"exit code {row['code']}"}
         XML.SubElement(case, kind, about).text = "\n".join(reasons)
     figures = ((name, number(row["run"], name)) for name in FIGURES)
-    if known := [f"{name} {value:.6g}" for name, value in figures if value is not None]:
+    old = (row["baseline"] or {}).get("before", {})
+    before = {name: f" baseline {value:.6g}" for name, value in old.items() if value is not None}
+    if known := [f"{name} {value:.6g}{before.get(name, '')}" for name, value in figures if value is not None]:
         word, reason = verdict_texts(row["run"])
         XML.SubElement(case, "system-out").text = _text("\n".join([f"verdict {word}: {reason}", *known]))
     return case

@@ -15,6 +15,7 @@ from mavnav.config.options import OPTIONS
 from mavnav.config.yaml_layers import read_yaml
 from mavnav.errors import ConfigError, UsageError
 from mavnav.metrics.gates import full_name
+from mavnav.outputs.documents.addresses import is_address
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -65,10 +66,23 @@ class LogEntry(_Options, frozen=True):
 
     gates: Annotated[Texts, setting("bounds such as wall_thickness.p95_mm<=150")] = ()
     accept: Annotated[Accepted, setting("what counts as done: exit codes, such as 3, and the worst verdict")] = ()
+    name: Annotated[str, setting("name of a single log, for --only and on the page")] = ""
+    sha256: (
+        Annotated[str, Meta(pattern="^[0-9a-f]{64}$"), setting("of the file at an address: fetched once")] | None
+    ) = None
+    size_bytes: Annotated[int, setting("size of that file", ge=1, le=10**13)] | None = None
+    licence: Annotated[str, setting("licence of the log, shown on the page")] = ""
+    peers: Annotated[dict[str, dict[str, float]], setting("program: its numbers of run.json, shown beside")] = field(
+        default_factory=dict
+    )
 
     def __post_init__(self) -> None:
-        """Make lists of single items; raise ValueError if the pose of the laser cannot be meant."""
+        """Make lists of single items; raise ValueError if pose of the laser, name or digest cannot be meant."""
         _list(self, "log", "gates", "accept")
+        if (self.name or self.sha256) and (len(self.log) != 1 or (not is_address(self.log[0]) and self.sha256)):
+            raise ValueError("log: name and sha256 are of a single log, the latter of one at an address")
+        if (self.sha256 is None) != (self.size_bytes is None):
+            raise ValueError("log: sha256 and size_bytes belong together")
         pose = self.values["extrinsic"]
         if pose and (problem := pose_problem(*pose)):
             raise ValueError(f"extrinsic: {problem}")
@@ -95,7 +109,10 @@ class Manifest(Strict, frozen=True):
 
     logs: Annotated[Entries, setting("paths, or sections with log")] = ()
     runs: Annotated[tuple[dict[str, Any], ...], setting("keys of a configuration, with name and config (a file)")] = ()
-    gates: Annotated[Texts, setting("bounds for every run; the word baseline: no run may be worse than in it")] = ()
+    gates: Annotated[
+        Texts,
+        setting("bounds for every run; baseline: no run is worse than in it; identical: repeats have equal bytes"),
+    ] = ()
     accept: Annotated[
         Accepted, setting("what counts as done: exit codes, and the worst verdict (default suspect)")
     ] = ()
@@ -108,6 +125,7 @@ class Manifest(Strict, frozen=True):
     jobs: Annotated[int, setting("runs at a time", ge=1)] | None = None
     timeout_s: Annotated[float, setting("a run that takes longer is stopped", gt=0, le=1e9)] | None = None
     memory_mb: Annotated[int, setting("memory limit of a run", ge=1, le=10**9)] | None = None
+    repeat: Annotated[int, setting("how often every run is made", ge=1, le=100)] = 1
     tries: Annotated[int, setting("attempts for a run whose process was killed", ge=1)] = 3
 
     def __post_init__(self) -> None:

@@ -12,6 +12,8 @@ from mavnav.batch.baseline import parse_tolerance, read_baseline, tolerances
 from mavnav.batch.cases import BASELINE_GATE
 from mavnav.batch.document import BATCH_FILE
 from mavnav.batch.manifest import GATE_EXAMPLE, Manifest, errors_at, origins_of, read_manifest
+from mavnav.batch.pinned import Pin
+from mavnav.batch.repeats import IDENTICAL_GATE
 from mavnav.batch.request import BatchLogs, BatchPart, BatchRequest, Rules, RunLimits, crossed_settings, listed_settings
 from mavnav.config.layers import Layer
 from mavnav.config.options import ReplayOptions, given_options, restore_options, settings_of
@@ -30,6 +32,8 @@ if TYPE_CHECKING:
     from mavnav.batch.request import Setting
 
 MANIFEST_SUFFIXES = (".yaml", ".yml")
+SETS = Path(__file__).parent / "sets"
+"""Folder of the manifests that are part of the package, known by their names."""
 
 
 class BatchOptions(Struct, frozen=True):
@@ -62,6 +66,9 @@ class BatchOptions(Struct, frozen=True):
     report: bool = False
     update_baseline: bool = False
     files: Mapping[str, Path] = field(default_factory=dict)
+    copies: Path | None = None
+    only: Sequence[str] = ()
+    repeat: int | None = None
 
 
 def request_of(options: BatchOptions) -> BatchRequest:
@@ -90,6 +97,9 @@ def request_of(options: BatchOptions) -> BatchRequest:
         files=dict(options.files) | ({"--baseline": new_baseline} if new_baseline else {}),
         inputs=tuple(_inputs(options, manifest, path, None if new_baseline else baseline)),
         origins=origins,
+        copies=options.copies,
+        only=tuple(options.only),
+        repeat=options.repeat or manifest.repeat,
     )
 
 
@@ -104,24 +114,35 @@ def _inputs(options: BatchOptions, manifest: Manifest, path: Path | None, baseli
 
 
 def _manifest_path(sources: Sequence[str]) -> Path | None:
-    manifests = [source for source in sources if source.endswith(MANIFEST_SUFFIXES)]
+    manifests = [source for source in sources if _is_manifest(source)]
     if len(manifests) > 1:
         raise UsageError(f"{len(manifests)} manifests; name one, and logs besides")
-    return Path(manifests[0]) if manifests else None
+    own = SETS / f"{manifests[0]}.yaml" if manifests else None
+    return own if own is None or own.is_file() else Path(manifests[0])
+
+
+def _is_manifest(source: str) -> bool:
+    """Return whether a source is a manifest: a YAML file, or the name of one of the package, unless it is a path."""
+    own = source.isidentifier() and (SETS / f"{source}.yaml").is_file()
+    return source.endswith(MANIFEST_SUFFIXES) or (own and not Path(source).exists())
 
 
 def _entries(options: BatchOptions, manifest: Manifest, base: Path) -> tuple[BatchLogs, ...]:
     """Return the entries of the manifest and of the command line, whose paths start at the current folder."""
-    logs = [source for source in options.sources if not source.endswith(MANIFEST_SUFFIXES)]
+    names = [entry.name for entry in manifest.logs if entry.name]
+    if unknown := [name for name in options.only if name not in names]:
+        raise UsageError(f"--only {unknown[0]}: no log of the manifest has this name; known are {', '.join(names)}")
+    logs = [source for source in options.sources if not _is_manifest(source)]
     absolute = [log if is_address(log) or not base.parts else str(Path(log).absolute()) for log in logs]
-    entries = [_entry(entry, base) for entry in manifest.logs]
+    entries = [_entry(entry, base) for entry in manifest.logs if not options.only or entry.name in options.only]
     entries += [BatchLogs(tuple(absolute))] if absolute else []
     return tuple(replace(entry, options=given_options({**entry.options, **options.options})) for entry in entries)
 
 
 def _entry(entry: LogEntry, base: Path) -> BatchLogs:
     options = restore_options(entry.values, lambda text: base / text)
-    return BatchLogs(entry.log, options, entry.gates, entry.accept)
+    pin = Pin(entry.sha256, entry.size_bytes) if entry.sha256 and entry.size_bytes else None
+    return BatchLogs(entry.log, options, entry.gates, entry.accept, entry.name, pin, entry.licence, entry.peers)
 
 
 def _settings(options: BatchOptions, manifest: Manifest, layer: Layer, base: Path) -> list[Setting]:
@@ -152,6 +173,8 @@ def _rules(options: BatchOptions, manifest: Manifest, origins: Origins, path: Pa
     needed = gated or options.update_baseline or any(BASELINE_GATE in entry.gates for entry in manifest.logs)
     if path is None and needed:
         raise UsageError("no baseline; name one with --baseline, an earlier batch or a file")
+    if IDENTICAL_GATE in texts and (options.repeat or manifest.repeat) < 2:
+        raise UsageError("gate identical compares repeated runs; add --repeat 2")
     if options.update_baseline and path and path.is_dir():
         raise UsageError(f"{path} is a directory; name a file for --update-baseline to write")
     if options.update_baseline and path and path.name == BATCH_FILE:
@@ -160,11 +183,12 @@ def _rules(options: BatchOptions, manifest: Manifest, origins: Origins, path: Pa
         raise UsageError("--update-baseline is for all runs of a batch, --part for some; give one of them")
     fresh = options.update_baseline and path is not None and not path.exists()
     return Rules(
-        gates=tuple(_gates(texts, origins)),
+        gates=tuple(_gates([text for text in texts if text != IDENTICAL_GATE], origins)),
         accept=frozenset(_accept([*manifest.accept, *options.accept], origins)),
         baseline=None if path is None or fresh else read_baseline(path),
         watched=tolerances([*_parse(manifest.tolerances, origins), *(_tolerance(text) for text in options.tolerances)]),
         baseline_gate=gated and not options.update_baseline,
+        identical_gate=IDENTICAL_GATE in texts,
     )
 
 

@@ -11,6 +11,7 @@ import os
 import socket
 from contextlib import contextmanager, suppress
 from fnmatch import fnmatchcase
+from http import HTTPStatus
 from ipaddress import ip_address
 from math import isfinite
 from pathlib import Path
@@ -88,6 +89,17 @@ def download(address: str) -> Iterator[Path]:
         yield folder
 
 
+def fetch(address: str, file: Path, size_bytes: int, on_bytes: Callable[[int], None]) -> None:
+    """Download an address of known size into a file, from where an earlier call was interrupted.
+
+    ``on_bytes`` is called with the bytes that are there. Raises as `download`; what has come is kept in the file.
+    """
+    check_allowed(address)
+    begin = file.stat().st_size if file.exists() else 0
+    if begin < size_bytes:
+        _Copy(address, file, limits(), size_bytes, begin).run(on_bytes)
+
+
 def check_allowed(address: str) -> None:
     """Raise UsageError for hosts that ``MAVNAV_FETCH_HOSTS`` does not list, and for non-regular local files."""
     allowed = _allowed_hosts()
@@ -125,6 +137,9 @@ class _Copy(Struct):
     address: str
     file: Path
     limits: DownloadLimits
+    size_bytes: int | None = None
+    begin_bytes: int = 0
+    """Bytes that the file has already; a server that cannot begin there sends all."""
     began_s: float = field(default_factory=monotonic)
     latest_s: float = field(default_factory=monotonic)
     done_bytes: int = 0
@@ -132,12 +147,13 @@ class _Copy(Struct):
     ended: Event = field(default_factory=Event)
     error: Exception | None = None
 
-    def run(self) -> None:
+    def run(self, on_bytes: Callable[[int], None] = lambda _: None) -> None:
         """Download the file; raises MavnavError."""
         _fsspec()
         Thread(target=self._work, daemon=True).start()
         try:
             while not self.ended.wait(0.05):
+                on_bytes(self.begin_bytes + self.done_bytes)
                 self._check()
         finally:
             self.stop.set()
@@ -153,9 +169,10 @@ class _Copy(Struct):
             self.ended.set()
 
     def _copy(self) -> None:
-        with _open(self.address, self.limits) as source:
+        with _open(self.address, self.limits, self.begin_bytes) as source:
+            self.begin_bytes = self.begin_bytes if _begins_at(source, self.begin_bytes) else 0
             with _writing(self.address):
-                copy = self.file.open("wb", buffering=0)
+                copy = self.file.open("ab" if self.begin_bytes else "wb", buffering=0)
             with copy:
                 while not self.stop.is_set() and (piece := source.read(PIECE_BYTES)):
                     self.done_bytes += len(piece)
@@ -163,6 +180,8 @@ class _Copy(Struct):
                     if self.done_bytes > self.limits.max_bytes:
                         raise self._refusal(f"larger than {self.limits.max_bytes / 1e6:g} MB", "MAVNAV_FETCH_MAX_MB")
                     self._put(copy, memoryview(piece))
+                    if self.size_bytes and self.begin_bytes + self.done_bytes > self.size_bytes:
+                        return
 
     def _put(self, copy: FileIO, left: memoryview) -> None:
         with _writing(self.address):
@@ -203,11 +222,21 @@ class _Copy(Struct):
         return UsageError(f"{shown}: cannot be read ({reason}); check the address and the permissions")
 
 
-def _open(address: str, bounds: DownloadLimits) -> Any:  # noqa: ANN401  an open file of fsspec
+def _begins_at(source: Any, begin_bytes: int) -> bool:  # noqa: ANN401  an open file of fsspec
+    """Go to a byte of an open address; a stream of a web server begins there if its answer is partial content."""
+    if response := getattr(source, "r", None):
+        return int(response.status) == HTTPStatus.PARTIAL_CONTENT
+    source.seek(begin_bytes)
+    return True
+
+
+def _open(address: str, bounds: DownloadLimits, begin_bytes: int = 0) -> Any:  # noqa: ANN401  an open file of fsspec
     """Open an address; one of a web server is read as a stream, with its redirections checked."""
     options: dict[str, Any] = {}
     if any(part.lower().startswith(("http://", "https://")) for part in address.split("::")):
         options = client_options(address, bounds.total_s, bounds.idle_s, private=bounds.private)
+    for client in options.values() if begin_bytes else ():
+        client["headers"] = {"Range": f"bytes={begin_bytes}-"}
     return _fsspec().open(address, "rb", **options)
 
 

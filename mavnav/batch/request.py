@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from mavnav.batch.baseline import Baseline, Tolerance
     from mavnav.batch.manifest import Origins
+    from mavnav.batch.pinned import Pin
     from mavnav.config.layers import Key
     from mavnav.config.models import Config
     from mavnav.metrics.gates import Gate
@@ -167,7 +168,8 @@ class Rules(Struct, frozen=True):
     """Gates of every run, in addition to those of its log.
 
     ``accept`` are exit codes and verdicts that count as done; ``watched`` are the tolerances of the metrics compared
-    with ``baseline``. With ``baseline_gate``, nothing may be worse than in the baseline.
+    with ``baseline``. With ``baseline_gate``, nothing may be worse than in the baseline; with ``identical_gate``, runs
+    that are repeated must have the same bytes.
     """
 
     gates: tuple[Gate, ...] = ()
@@ -175,6 +177,7 @@ class Rules(Struct, frozen=True):
     baseline: Baseline | None = None
     watched: tuple[Tolerance, ...] = ()
     baseline_gate: bool = False
+    identical_gate: bool = False
 
 
 class BatchPart(Struct, frozen=True):
@@ -199,12 +202,20 @@ class BatchPart(Struct, frozen=True):
 
 
 class BatchLogs(Struct, frozen=True):
-    """Logs with the same options, and gates and what is accepted of them, in addition to those of the batch."""
+    """Logs with the same options, and gates and what is accepted of them, in addition to those of the batch.
+
+    A single log at an address may have a ``name``, and a ``pin``: it is fetched once, and checked. ``licence`` is its
+    own, ``peers`` are the numbers of run.json that other programs reached on it.
+    """
 
     log: tuple[str, ...]
     options: ReplayOptions[Path] = field(default_factory=ReplayOptions[Path])
     gates: tuple[str, ...] = ()
     accept: tuple[int | str, ...] = ()
+    name: str = ""
+    pin: Pin | None = None
+    licence: str = ""
+    peers: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
 
 class BatchRequest(Struct, frozen=True):
@@ -214,7 +225,8 @@ class BatchRequest(Struct, frozen=True):
     single logs. ``force`` repeats finished runs; ``report`` writes a report of every run. The metrics are written to
     the file ``new_baseline`` for later batches. ``typed`` is the command line. ``files`` are the files that are written
     outside of ``directory`` by their options, ``inputs`` those that are read besides logs and references.
-    ``origins`` are the lines of a manifest.
+    ``origins`` are the lines of a manifest. Pinned logs are looked for in the folder ``copies`` first. With ``only``,
+    the entries are some of a manifest. Every run is made ``repeat`` times.
     """
 
     entries: tuple[BatchLogs, ...]
@@ -232,3 +244,6 @@ class BatchRequest(Struct, frozen=True):
     files: Mapping[str, Path] = field(default_factory=dict)
     inputs: tuple[Path, ...] = ()
     origins: Origins = field(default_factory=dict)
+    copies: Path | None = None
+    only: tuple[str, ...] = ()
+    repeat: int = 1

@@ -22,6 +22,7 @@ from mavnav.batch.document import BATCH_FILE, batch_document, judged_row
 from mavnav.batch.files import check_files, write_batch
 from mavnav.batch.manifest import GATE_EXAMPLE, errors_at
 from mavnav.batch.remote import download
+from mavnav.batch.repeats import compare_repeats
 from mavnav.config.options import absolute_options
 from mavnav.errors import ExitCode, MavnavError, UsageError
 from mavnav.jobs import Ended, Event, Job, Outcome, Status, run_jobs, run_with_retries
@@ -242,7 +243,8 @@ def run_batch(
         return row
 
     rows, rules = run_cases(plan, on_event, judge, cluster), request.rules
-    missing_runs = [] if rules.baseline is None or request.part else missing(rows, rules.baseline)
+    compare_repeats(rows, request.directory, gate=rules.identical_gate)
+    missing_runs = [] if rules.baseline is None or request.part or request.only else missing(rows, rules.baseline)
     wall_s = monotonic() - began_s
     document = batch_document(rows, wall_s, rules.baseline, missing_runs, baseline_gate=rules.baseline_gate)
     if request.part is None:

@@ -31,6 +31,8 @@ mavnav batch logs/ -j 4 --gate 'map.accepted_share>=0.95'
 mavnav batch 'drives/**/*.mcap' --method robust --method paper --grid 10x10 --grid 20x20
 mavnav batch nightly.yaml --baseline baseline.json --gate baseline --junit batch.xml --summary batch.md
 mavnav batch nightly.yaml --scheduler tcp://10.0.0.1:8786
+mavnav batch logs/ --repeat 2 --gate identical
+mavnav batch benchmark --only ccny_demo --junit benchmark.xml
 """
 
 
@@ -80,6 +82,19 @@ def batch(
         list[str] | None,
         shared.check_option(
             "--tolerance", metavar="NAME=X[%]", help="Allowed change of a metric against the baseline; repeatable."
+        ),
+    ] = None,
+    copies: Annotated[
+        Path | None,
+        shared.input_option(metavar="DIR", help="Folder with copies of pinned logs, which are not fetched then."),
+    ] = None,
+    only: Annotated[
+        list[str] | None, shared.input_option(metavar="NAME", help="Only this log of the manifest; repeatable.")
+    ] = None,
+    repeat: Annotated[
+        int | None,
+        shared.check_option(
+            min=1, max=100, metavar="N", help="Make every run N times (default 1), for --gate identical."
         ),
     ] = None,
     update_baseline: Annotated[
@@ -150,6 +165,9 @@ def batch(
             report=pages,
             update_baseline=update_baseline,
             files=files,
+            copies=copies,
+            only=only or (),
+            repeat=repeat,
         )
         plan = _plan(options, report)
     document = _run(plan, json=json, quiet=quiet)

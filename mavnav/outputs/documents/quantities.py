@@ -77,6 +77,10 @@ class Quantity(Struct, frozen=True):
             value = number(run, self.otherwise)
         return None if value is None else float(value) * self.factor
 
+    def write(self, value: float | None) -> str:
+        """Write a value of run.json, or a dash for none."""
+        return "-" if value is None else f"{value * self.factor:.{self.digits}f}"
+
     def same(self, a: float, b: float) -> bool:
         """Return whether two values, in the unit they are written in, do not differ by more than the noise."""
         a, b = round(a, self.digits), round(b, self.digits)
