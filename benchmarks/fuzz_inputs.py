@@ -236,20 +236,19 @@ def attack(kind: Kind, rng: Random, folder: Path) -> None:
         replacements[int(rng.integers(3))](path)
     else:
         path.write_bytes(mutated(content, int(rng.integers(2**31))))
-    if (
-        kind.file.startswith("run/")
-        and kind.name != "run/run.json"
-        and path.is_file()
-        and not path.is_symlink()
-        and rng.random() < 0.7
-    ):
+    if kind.file.startswith("run/") and kind.name != "run/run.json" and path.is_file() and not path.is_symlink() and rng.random() < 0.7:
         with_new_digest(path)
+
+
+def _head(path):
+    with path.open("rb") as file:
+        return file.read(1 << 24)
 
 
 def with_new_digest(path: Path) -> None:
     """Write the digest of an altered file to the run.json beside it, as an attacker would: its content is read."""
     document = json.loads((path.parent / "run.json").read_text())
-    document["outputs"][path.name] = sha256(path.read_bytes()[: 1 << 24]).hexdigest()
+    document["outputs"][path.name] = sha256(_head(path)).hexdigest()
     (path.parent / "run.json").write_text(json.dumps(document))
 
 
