@@ -77,9 +77,9 @@ def folder(run, tmp_path_factory):
     """Write a comparison of two runs of one log, with scans to see and places to look at."""
     base = tmp_path_factory.mktemp("view")
     tracking = json.loads(json.dumps({"intervals": [], "doubt": DOUBT, "tracked_share": 0.9, "lost": False}))
-    fine = leave(
-        run, base / "fine", recording=True, grid="20x20", azimuth=40, map_quality=quality(ghosts=1.2), tracking=tracking
-    )
+    loops = {"closures": [{"from_s": 0.5, "to_s": 4.0, "correction_m": 0.012}]}
+    sections = {"map_quality": quality(ghosts=1.2), "tracking": tracking, "loop_closure": loops}
+    fine = leave(run, base / "fine", recording=True, grid="20x20", azimuth=40, **sections)
     coarse = leave(doubled(run), base / "coarse", grid="5x5", map_quality=quality())
     cells = [{**cell, "log": EVIL} for cell in (fine, coarse)]
     write_report({"schema_version": 1, "cells": cells}, base, base / "report.html")
@@ -152,6 +152,17 @@ def test_the_slider_shows_the_scan_where_it_was_seen(page, run):
     np.testing.assert_allclose(seen, expected, atol=2e-3)
 
 
+def test_a_scan_is_reached_by_its_number(page):
+    from selenium.webdriver.common.keys import Keys
+
+    page.keys(Keys.CONTROL + "a", to="#number")
+    page.keys("7", Keys.ENTER, to="#number")
+    assert page.state("scan") == "7" and page.element("#when").text.startswith("scan 7, ")
+    page.keys(Keys.CONTROL + "a", to="#number")
+    page.keys("999", Keys.ENTER, to="#number")
+    assert page.state("scan") == page.element("#number").get_attribute("value") == "19"
+
+
 def test_a_scan_without_a_pose_says_so_and_shows_no_points(page):
     page.script("viewer.goTo(10)")
     assert "no pose" in page.element("#when").text and page.state("points") == "0"
@@ -173,6 +184,15 @@ def test_a_reason_of_doubt_leads_to_its_scans(page):
     assert "Doubt 80 %: reasons (1)" in page.element("#places").text
     page.click("#places .place")
     assert page.state("scan") == "5"
+
+
+def test_a_closed_loop_leads_to_its_scans_and_is_drawn(page):
+    summary = next(s for s in page.driver.find_elements("css selector", "#places summary") if "Loops" in s.text)
+    page.script("arguments[0].click()", summary)
+    loop = next(b for b in page.driver.find_elements("css selector", ".place") if b.text.startswith("loop closed"))
+    assert loop.text == "loop closed, moved by 12 mm, 0.5 to 4.0 s" and "loops" not in page.state("layers").split()
+    page.script("arguments[0].click()", loop)
+    assert page.state("scan") == "8" and "loops" in page.state("layers").split()
 
 
 def test_a_ghost_wall_leads_to_its_place(page):

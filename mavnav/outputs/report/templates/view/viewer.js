@@ -34,6 +34,7 @@ class Viewer {
     $("full").onclick = () => this.fill();
     $("play").onclick = () => this.play(!this.playing);
     $("scan").oninput = () => this.goTo(Number($("scan").value));
+    $("number").onchange = () => this.goTo(this.session(this.scan).first + Number($("number").value));
     map.on("move zoom viewreset", () => this.divide());
     map.on("zoomend", () => { this.root.dataset.zoom = map.getZoom(); this.goTo(this.scan); });
     map.on("mousemove", (event) => this.hover(event));
@@ -139,6 +140,7 @@ class Viewer {
       return;
     }
     const from = scanAt(arrays, place.from_s), to = scanAt(arrays, place.to_s);
+    if (place.kind === "loop" && this.hidden.has("loops")) $("layers").querySelector("[name=loops]").click();
     const ends = place.kind === "loop" ? [from, to] : Array.from({ length: to - from + 1 }, (_, k) => from + k);
     const points = ends.filter((k) => isTracked(arrays, k)).map((k) => [arrays.xy[2 * k + 1], arrays.xy[2 * k]]);
     if (points.length) this.map.fitBounds(L.latLngBounds(points).pad(0.3), { maxZoom: 6.5 });
@@ -163,6 +165,7 @@ class Viewer {
     $("scan").value = this.scan;
     this.scanLayer.draw(arrays, this.scan);
     this.plots.mark(this.scan);
+    $("number").value = this.scan - this.session(this.scan).first;
     $("when").textContent = this.describe(this.scan);
     this.root.dataset.scan = this.scan;
     this.root.dataset.points = this.scanLayer.points.getLatLngs().length;
@@ -209,8 +212,12 @@ class Viewer {
     readout.style.cssText = `top:${containerPoint.y + 16}px;${right ? `right:${width - containerPoint.x + 12}px` : `left:${containerPoint.x + 12}px`}`;
   }
 
+  session(scan) {
+    return this.run.sessions.findLast(({ first }) => first <= scan);
+  }
+
   describe(scan) {
-    const session = this.run.sessions.findLast(({ first }) => first <= scan);
+    const session = this.session(scan);
     return (session.name ? `${session.name}, ` : "") + describe(this.arrays, scan, scan - session.first);
   }
 
