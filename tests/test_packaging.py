@@ -66,6 +66,29 @@ def test_the_github_action_hands_its_inputs_on_as_they_are(stub: Path) -> None:
     assert not (stub.parent / "x").exists()
 
 
+def workflow(name: str) -> dict[str, Any]:
+    return yaml.safe_load((ROOT / f".github/workflows/{name}.yml").read_text())["jobs"]
+
+
+def test_the_workflows_run_every_python_that_is_promised() -> None:
+    promised = {text.rpartition(" ")[2] for text in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", text)}
+    for job in (workflow("test")["test"], workflow("release")["install"]):
+        matrix = job["strategy"]["matrix"]
+        assert promised <= set(matrix["python"])
+        assert [os.partition("-")[0] for os in matrix["os"]] == ["ubuntu", "macos", "windows"]
+    publish = workflow("release")["publish"]
+    assert (publish["needs"], publish["permissions"]) == (["test", "install"], {"id-token": "write"})
+    assert not any("password" in step.get("with", {}) for step in publish["steps"])
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")
+@pytest.mark.parametrize(("tag", "code"), [(f"v{__version__}", 0), ("v9.9.9", 1), (f"v{__version__}0", 1), (".*", 1)])
+def test_a_release_refuses_a_tag_of_another_version(tag: str, code: int) -> None:
+    (step,) = (each for each in workflow("release")["build"]["steps"] if "TAG" in each.get("env", {}))
+    env = os.environ | {"TAG": tag}
+    assert subprocess.run(["bash", "-e", "-c", step["run"]], env=env, cwd=ROOT, check=False).returncode == code
+
+
 def test_the_pre_commit_hook_examines_every_log(stub: Path) -> None:
     (hook,) = yaml.safe_load((ROOT / ".pre-commit-hooks.yaml").read_text())
     done = subprocess.run([*shlex.split(hook["entry"]), "a b.mcap", "bad.bag", "c.bag"], check=False)

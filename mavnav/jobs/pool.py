@@ -34,6 +34,9 @@ On other systems, libraries have threads that do not survive a fork.
 POLL_S = 0.2
 """Maximum time to wait for events before the time limits of jobs are checked, in s."""
 
+KILLED = -9
+"""Exit code of a process that SIGKILL ended, a name that Windows lacks."""
+
 GRACE_S = 3.0
 """Time for a terminated worker to remove its unfinished files before it is killed, in s."""
 
@@ -173,7 +176,7 @@ class _Worker:
         self.process.join(GRACE_S)
         code = self.process.exitcode
         limited = self.memory_mb is not None  # native code aborts if an allocation fails
-        memory = "; the memory may have run out" if limited or code == -signal.SIGKILL else ""
+        memory = "; the memory may have run out" if limited or code == KILLED else ""
         if code is None or code >= 0:
             return f"its process exited with code {code}{memory}"
         return f"its process was killed by {signal.Signals(-code).name}{memory}"
@@ -182,6 +185,9 @@ class _Worker:
 @contextmanager
 def _block_sigint() -> Iterator[None]:
     """Block SIGINT in processes started in this context: a terminal sends Ctrl-C to all, but their parent ends them."""
+    if not hasattr(signal, "pthread_sigmask"):  # on Windows
+        yield
+        return
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

@@ -11,6 +11,7 @@ import textwrap
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -46,6 +47,13 @@ def gone(pid: int) -> bool:
             return True
         time.sleep(0.05)
     return False
+
+
+def test_a_system_without_masks_of_signals_runs_jobs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mavnav.jobs.pool.signal", SimpleNamespace(Signals=signal.Signals))  # as on Windows
+    assert [outcome.value for outcome in run(Job("a", strange.square, (3,)))] == [9]
+    (dead,) = run(Job("b", strange.leave, ()))
+    assert "its process exited with code 3" in dead.error
 
 
 def test_results_come_in_the_order_of_the_jobs() -> None:
