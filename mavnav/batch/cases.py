@@ -139,7 +139,8 @@ class Case(Struct, frozen=True):
     ``run`` is None for a log that cannot be read; ``error`` and ``exit_code`` are then the reason. ``log`` is the
     display name. With ``has_references``, the result is compared with ground truth. With ``baseline_gate``, this case
     may not be worse than in the baseline, whether or not the batch has that gate. ``licence`` and ``peers`` are those
-    of the log. A repetition names the case that it repeats.
+    of the log. A repetition names the case that it repeats, a run at given poses the
+    ``external`` trajectory.
     """
 
     name: str
@@ -155,6 +156,7 @@ class Case(Struct, frozen=True):
     licence: str = ""
     peers: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     repeat_of: str = ""
+    external: str = ""
 
 
 class CaseResult(Struct, frozen=True):

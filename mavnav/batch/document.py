@@ -11,6 +11,7 @@ from mavnav.batch.baseline import ChangeKind, changes, lacking, lacking_text
 from mavnav.errors import SEVERITY, ExitCode, worst
 from mavnav.metrics.gates import VERDICTS, accepts_code, failure_text, judge_some, judge_verdict
 from mavnav.outputs.documents.quantities import verdict_texts
+from mavnav.outputs.documents.verdict import EXTERNAL
 from mavnav.version import __version__
 
 if TYPE_CHECKING:
@@ -62,6 +63,7 @@ def run_row(result: CaseResult, directory: Path) -> dict[str, Any]:
     """
     case, outcome, run, planned = result.case, result.outcome, result.document, result.case.run
     config = case.setting.config
+    given = {"trajectory": case.external, "method": EXTERNAL, "grid": None, "azimuth": None} if case.external else {}
     return {
         "name": case.name,
         "log": str(planned.request.log) if planned else case.log,
@@ -75,7 +77,7 @@ def run_row(result: CaseResult, directory: Path) -> dict[str, Any]:
         "error": (outcome.error if outcome else case.error) or None,
         "directory": Path(relpath(planned.directory, directory)).as_posix() if planned and run else None,
         "run": {name: run[name] for name in SECTIONS if name in run} if run else None,
-    }
+    } | given
 
 
 def _baseline_verdict(change: Mapping[str, Any], path: Path) -> dict[str, Any]:

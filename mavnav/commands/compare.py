@@ -7,16 +7,22 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mavnav.commands import shared
+from mavnav.commands import poses, shared
 from mavnav.commands.comparison_table import print_result_of
 from mavnav.commands.progress import loading_modules, reporting, watching
 from mavnav.config.options import READING, REFERENCES, read_options, settings_of
 from mavnav.errors import UsageError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from mavnav.batch.runner import BatchPlan
     from mavnav.metrics.gates import Gate
+    from mavnav.pipelines.programs import Program
+    from mavnav.pipelines.score import TrajectorySource
     from mavnav.profiling import Progress
+
+    GivenPoses = tuple[Sequence[TrajectorySource], Sequence[Program], float]
 
 EPILOG = """
 [bold]Examples[/bold]
@@ -24,6 +30,7 @@ mavnav compare drive.mcap --grid 5x5 --grid 10x10 --grid 20x20
 mavnav compare --grid 20x20
 mavnav compare drive.mcap --set robust.cell_mm=10,20,50
 mavnav compare runs/before runs/after
+mavnav compare drive.mcap --trajectory toolbox=toolbox.tum --external kiss='python kiss.py {log} {out}'
 mavnav compare a.bag b.mcap --method robust --method paper -j 4 -o grids
 mavnav compare drive.mcap --grid 40x40 --azimuth 40 --gate 'wall_thickness.p95_mm<=150'
 """
@@ -39,6 +46,9 @@ def compare(
         ),
     ] = None,
     *,
+    trajectories: poses.Trajectories = None,
+    programs: poses.Programs = None,
+    limit_s: poses.ProgramLimit = 3600.0,
     methods: shared.Methods = None,
     grids: Annotated[
         list[str] | None,
@@ -77,14 +87,22 @@ def compare(
         with loading_modules():
             from mavnav.batch.runner import load_kernels
             from mavnav.comparison import pipeline
+            from mavnav.comparison.beside import check_given
             from mavnav.jobs import usable_cores
             from mavnav.outputs.documents.provenance import Typed
         target = directory or pipeline.comparison_directory(logs or ())
         if not logs:
             logs, true_map = _sample(target, report)
             options.setdefault("truth_map", true_map)
+        given_poses = _given_poses(trajectories or (), programs or (), limit_s)
         settings = pipeline.comparison_settings(
-            config, sets or (), methods or (), grids or (), azimuths or (), settings_of(options)
+            config,
+            sets or (),
+            methods or (),
+            grids or (),
+            azimuths or (),
+            settings_of(options),
+            usual=() if given_poses else pipeline.PAPER_GRIDS,
         )
         request = pipeline.comparison_request(
             logs,
@@ -97,13 +115,24 @@ def compare(
             typed=Typed(context.obj, config, tuple(sets or ())),
         )
         plan = pipeline.plan_comparison(request, report)
+        if given_poses:
+            check_given(plan, *given_poses[:2])
         load_kernels(plan, report)
-    document, page = _run_and_draw(plan, quiet=quiet)
+    document, page = _run_and_draw(plan, given_poses, quiet=quiet)
     print_result_of(document, page, json=json)
     for cell in document["cells"] if preview else ():
         if cell["directory"]:
             shared.show_preview(target / cell["directory"], cell["name"], stderr=json)
     raise typer.Exit(document["exit_code"])
+
+
+def _given_poses(trajectories: Sequence[str], programs: Sequence[str], limit_s: float) -> GivenPoses | None:
+    """Read what stands beside mavnav's own runs; None for nothing."""
+    from mavnav.pipelines.programs import read_program
+    from mavnav.pipelines.score import read_source
+
+    given = tuple(map(read_source, trajectories)), tuple(map(read_program, programs))
+    return (*given, limit_s) if any(given) else None
 
 
 def _check_alone(context: typer.Context) -> None:
@@ -144,16 +173,19 @@ def _sample(directory: Path, report: Progress) -> tuple[list[Path], Path]:
     return [sample_log(directory, report)], sample_truth(directory)
 
 
-def _run_and_draw(plan: BatchPlan, *, quiet: bool) -> tuple[dict[str, Any], Path]:
+def _run_and_draw(plan: BatchPlan, given_poses: GivenPoses | None, *, quiet: bool) -> tuple[dict[str, Any], Path]:
     """Run what is missing, and draw the report unless it shows these results; return comparison.json and its path."""
-    from mavnav.comparison.pipeline import is_report_current, run_comparison
+    from mavnav.batch.runner import run_cases
+    from mavnav.comparison.beside import compare_with_poses
+    from mavnav.comparison.pipeline import is_report_current, write_results
     from mavnav.outputs.writers import REPORT_FILE, write_page
 
     directory, drawn = plan.request.directory, is_report_current(plan)  # before comparison.json is written again
     with watching([case.name for case in plan.missing], quiet=quiet) as listen:
-        document = run_comparison(plan, listen)
-    if not drawn:
-        with reporting(quiet=quiet) as report:
+        own = run_cases(plan, listen, lambda result: result)
+    with reporting(quiet=quiet) as report:
+        document = compare_with_poses(plan, own, *given_poses, report) if given_poses else write_results(plan, own)
+        if given_poses or not drawn:
             report("drawing the report", 0, None)
             write_page(document, directory)
     return document, directory / REPORT_FILE

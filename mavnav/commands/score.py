@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from mavnav.commands import shared
+from mavnav.commands import poses, shared
 from mavnav.commands.comparison_table import print_result_of
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.sources import local_log
@@ -28,26 +28,9 @@ def score(
     context: typer.Context,
     logs: shared.LogParts,
     *,
-    trajectories: Annotated[
-        list[str] | None,
-        shared.input_option(
-            "--trajectory",
-            metavar="[NAME=]SOURCE",
-            help="FILE[,FRAME] (TUM, CSV, EuRoC, or a run), topic:/T or tf:MAP,FRAME; @first, @middle or @last: where "
-            "in the sweep a pose holds (default middle). Repeatable.",
-        ),
-    ] = None,
-    programs: Annotated[
-        list[str] | None,
-        shared.input_option(
-            "--external",
-            metavar="NAME=COMMAND",
-            help="Run a program that reads the log, {log}, and writes a trajectory, {out}. Repeatable.",
-        ),
-    ] = None,
-    limit_s: Annotated[
-        float, shared.resource_option("--time-limit", min=0.0, metavar="SECONDS", help="Longest time of a program.")
-    ] = 3600.0,
+    trajectories: poses.Trajectories = None,
+    programs: poses.Programs = None,
+    limit_s: poses.ProgramLimit = 3600.0,
     config: shared.ConfigFile = None,
     sets: shared.Sets = None,
     directory: Annotated[
@@ -65,8 +48,7 @@ def score(
     shared.check_gates(bounds, *(["reference"] if {*REFERENCES} & options.keys() else []))
     with local_log(logs) as source, reporting(quiet=quiet) as report:
         with loading_modules():
-            from mavnav.comparison.document import write_comparison
-            from mavnav.comparison.scores import score_document
+            from mavnav.comparison.scores import write_scores
             from mavnav.config.loading import load_config
             from mavnav.logs.formats.detect import log_name
             from mavnav.outputs.documents.provenance import Typed
@@ -88,8 +70,7 @@ def score(
             limit_s,
         )
         scored = score_log(request, report)
-        document = score_document(source.name, scored)
-        write_comparison(document, target)
+        document = write_scores(source.name, scored, target)
         report("drawing the report", 0, None)
         write_page(document, target)
     print_result_of(document, target / REPORT_FILE, json=json)

@@ -9,6 +9,7 @@ from mavnav.batch.cases import Case, CaseResult
 from mavnav.batch.request import Setting
 from mavnav.comparison.document import comparison_document, write_comparison
 from mavnav.comparison.pipeline import check_comparison_directory, short_names
+from mavnav.comparison.scores import external_result
 from mavnav.config.loading import load_config
 from mavnav.errors import UsageError
 from mavnav.jobs.run_cache import PlannedRun
@@ -58,6 +59,8 @@ def _read(path: Path) -> FinishedRun:
 
 def _result(run: FinishedRun, log: str, name: str) -> CaseResult:
     """Describe a run as the case of a comparison; of its configuration only method and search grid are named."""
+    if "external" in run.document:
+        return external_result(log, name, run.directory, run.document, key=file_sha256(run.directory / RUN_FILE))
     config = load_config(overrides={key: run.document.get(key) for key in ("method", "grid", "azimuth")})
     planned = PlannedRun(ReplayRequest(Path(log), run.directory, config), file_sha256(run.directory / RUN_FILE))
     setting = Setting(f"{config.method} {config.azimuth}/{config.grid}", config, name)

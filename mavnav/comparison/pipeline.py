@@ -28,7 +28,7 @@ from mavnav.outputs.writers import REPORT_FILE
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Sequence
 
-    from mavnav.batch.cases import Case
+    from mavnav.batch.cases import Case, CaseResult
     from mavnav.batch.request import Setting
     from mavnav.config.models import Config
     from mavnav.config.options import ReplayOptions
@@ -50,6 +50,7 @@ def comparison_settings(
     grids: Sequence[str],
     azimuths: Sequence[int],
     options: dict[str, object],
+    usual: Sequence[str] = PAPER_GRIDS,
 ) -> list[Setting]:
     """Return a setting for every method and grid, methods in order, grids from coarse to fine.
 
@@ -60,7 +61,7 @@ def comparison_settings(
     methods
         Names of methods; if empty, the method of the configuration.
     grids
-        Search grids ``NxM``; if empty, the three of the paper, in a sweep that of the configuration. A single grid
+        Search grids ``NxM``; if empty, the ``usual`` ones, in a sweep that of the configuration. A single grid
         without a sweep is compared with that of the configuration (10x10).
     azimuths
         Yaw samples: none, one number for all named grids, or one per grid. If empty, those of the configuration, else
@@ -76,7 +77,7 @@ def comparison_settings(
     configs: list[Config] = []
     sweep = len(swept(sets)) > 1
     for method in [[name] for name in methods] or [[]]:
-        settings = crossed_settings(file, sets, method, grids or (() if sweep else PAPER_GRIDS), azimuths, options)
+        settings = crossed_settings(file, sets, method, grids or (() if sweep else usual), azimuths, options)
         if len(grids) == 1 and not sweep:
             settings += crossed_settings(file, sets, method, (), (), options)
         configs += sorted((each.config for each in settings), key=lambda c: (c.grid.points, c.azimuth))
@@ -182,7 +183,11 @@ def run_comparison(plan: BatchPlan, on_event: Callable[[Event], None]) -> dict[s
     ``on_event`` is that of `run_cases`. A run that fails is reported there and does not stop the others. Raises
     OutputError if the comparison cannot be written.
     """
-    results = run_cases(plan, on_event, lambda result: result)
+    return write_results(plan, run_cases(plan, on_event, lambda result: result))
+
+
+def write_results(plan: BatchPlan, results: Sequence[CaseResult]) -> dict[str, Any]:
+    """Write all files of a comparison except report.html, and return comparison.json; raises OutputError."""
     document: dict[str, Any] = plain(comparison_document(results, plan.request.directory, plan.request.rules.gates))
     write_comparison(document, plan.request.directory)
     return document

@@ -1,63 +1,58 @@
-"""The documents of scored trajectories side by side, in the form of a comparison."""
+"""Scored trajectories side by side, alone or beside mavnav's own runs of the log, in the form of a comparison."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from mavnav.batch.document import SECTIONS
-from mavnav.comparison.document import RELATIVE_COSTS, NamedDocument, best, one_best
-from mavnav.errors import ExitCode, worst
-from mavnav.metrics.gates import stored_verdict
-from mavnav.outputs.documents.verdict import Verdict, worst_verdict
+from mavnav.batch.cases import Case, CaseResult
+from mavnav.batch.request import Setting
+from mavnav.comparison.document import comparison_document, write_comparison
+from mavnav.config.loading import load_config
+from mavnav.errors import ExitCode
+from mavnav.jobs import Outcome, Status
+from mavnav.jobs.run_cache import PlannedRun
 from mavnav.outputs.files.document import plain
-from mavnav.outputs.report.entry import FAILED
-from mavnav.outputs.report.headline import headline
-from mavnav.version import __version__
+from mavnav.pipelines.replay import ReplayRequest
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from mavnav.metrics.gates import Gate
     from mavnav.pipelines.score import Scored
 
-SHOWN: Final = [name for name in SECTIONS if name not in {"search", "timing"}]
-"""Sections of run.json that are repeated for every run: nothing is searched, and the time is that of drawing."""
+
+def write_scores(
+    log: str, scored: Sequence[Scored], directory: Path, own: Sequence[CaseResult] = (), gates: Sequence[Gate] = ()
+) -> dict[str, Any]:
+    """Write the documents of the runs of a log at given poses, after mavnav's ``own``; return comparison.json.
+
+    The runs of ``scored`` are in folders of their names in ``directory``, or in its folder ``poses`` beside others.
+    """
+    folder = directory / POSES if own else directory
+    results = [
+        *own,
+        *(external_result(log, each.name, folder / each.name, each.document, each.error) for each in scored),
+    ]
+    document: dict[str, Any] = plain(comparison_document(results, directory, gates))
+    write_comparison(document, directory)
+    return document
 
 
-def score_document(log: str, scored: Sequence[Scored]) -> dict[str, Any]:
-    """Return comparison.json of the runs of a log at the poses of trajectories; costs are not compared."""
-    runs, unknown = [each.document for each in scored], [None] * len(scored)
-    made = [NamedDocument(each.name, each.document) for each in scored if each.document]
-    verdicts = (Verdict(**known) for each in made if (known := stored_verdict(each.document)))
-    summary = headline(made)
-    return {
-        "schema_version": 1,
-        "mavnav_version": __version__,
-        "verdict": plain(worst_verdict(verdicts)),
-        "headline": summary,
-        "profile": next((each.document["map_quality"]["profile"] for each in made), None),
-        "cells": [_cell(log, each) for each in scored],
-        "winners": one_best(runs),
-        "logs": [{"log": log, "headline": summary, "cells": [*range(len(runs))], "best": best(runs)}],
-        "price": dict.fromkeys(("coarsest", *RELATIVE_COSTS), unknown),
-        "gates": [],
-        "exit_code": worst([run["exit_code"] if run else ExitCode.GATE_FAILED for run in runs]),
-    }
+POSES = "poses"
+"""Folder of the runs at given poses in the directory of a comparison."""
 
 
-def _cell(log: str, scored: Scored) -> dict[str, Any]:
-    run = scored.document
-    return {
-        "name": scored.name,
-        "trajectory": scored.name,
-        "log": log,
-        "method": "external",
-        "differs": "",
-        "grid": None,
-        "azimuth": None,
-        "key": None,
-        "status": "done" if run else FAILED,
-        "exit_code": run["exit_code"] if run else ExitCode.GATE_FAILED,
-        "error": scored.error or None,
-        "directory": scored.name if run else None,
-        "run": {name: run[name] for name in SHOWN if name in run} if run else None,
-    }
+def external_result(
+    log: str, name: str, directory: Path, document: dict[str, Any] | None, error: str = "", key: str = ""
+) -> CaseResult:
+    """Describe a run at given poses as the case of a comparison.
+
+    Nothing is searched, and the time is that of drawing: both are left out.
+    """
+    setting = Setting(name, load_config())
+    planned = PlannedRun(ReplayRequest(Path(log), directory, setting.config), key)
+    shown = document and {section: value for section, value in document.items() if section not in {"search", "timing"}}
+    code = ExitCode.DONE if document else ExitCode.GATE_FAILED
+    case = Case(name, log, setting, planned, error=error, exit_code=code, external=name)
+    return CaseResult(case, Outcome(Status.DONE, 0, 0.0) if document else None, shown)

@@ -224,9 +224,9 @@ class TruthTracks(Struct):
             names = ", ".join(f"{name} ({len(track.stamps)})" for name, track in tracks.items())
             raise TopicError(f"several ground truth topics: {names}; choose one with --truth topic:NAME")
         poses = ", ".join(f"{t.name} ({t.type}, {t.count})" for t in topics if t.type in NAMED_TYPES) or "none"
-        on = f"no ground truth on topic {self.wanted!r}"
+        on = f"no poses on topic {self.wanted!r}"
         missing = "no topic is named like a ground truth" if self.wanted == "auto" else on
-        raise TopicError(f"{missing}; topics with poses: {poses}; give --truth topic:NAME, or a file")
+        raise TopicError(f"{missing}; topics with poses: {poses}; give topic:NAME of one with poses, or a file")
 
 
 def laser_truth(

@@ -32,10 +32,10 @@ from mavnav.pose import Pose
 from mavnav.profiling import new_profile
 from mavnav.slam.given_poses import draw_at_poses
 from mavnav.slam.methods.registry import load_kernels
-from mavnav.units import DEG, NS
+from mavnav.units import DEG, MM, NS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from mavnav.ground_truth.references import References
     from mavnav.logs import Log
@@ -132,13 +132,7 @@ def score_log(request: ScoreRequest, progress: Progress) -> list[Scored]:
     What can be wrong with log, files and directories is found before the first program is run. Raises UsageError,
     TopicError, NoScansError and OutputError; a program that fails is a result without a document.
     """
-    names = [*(source.name for source in request.sources), *(program.name for program in request.programs)]
-    if not names:
-        raise UsageError("no trajectory; name one with --trajectory, or a program with --external")
-    if twice := sorted({name for name in names if names.count(name) > 1}):
-        raise UsageError(f"two trajectories are named {twice[0]}; write NAME=FILE with another name for one of them")
-    if PROGRAMS in names:
-        raise UsageError(f"{PROGRAMS} is the folder of what programs write; give the trajectory another name")
+    names = check_names(request.sources, request.programs)
     inputs = (request.log, *request.more, *paths_of(request.options))
     files = [source.path for source in request.sources if source.in_log is None]
     for name in names:
@@ -163,6 +157,18 @@ def score_log(request: ScoreRequest, progress: Progress) -> list[Scored]:
         else:
             scored.append(Scored(program.name, _score(poses_or_error, request, log, references, progress)))
     return scored
+
+
+def check_names(sources: Sequence[TrajectorySource], programs: Sequence[Program]) -> list[str]:
+    """Return the names of trajectories and programs; raises UsageError for none, and for names that cannot be used."""
+    names = [*(source.name for source in sources), *(program.name for program in programs)]
+    if not names:
+        raise UsageError("no trajectory; name one with --trajectory, or a program with --external")
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise UsageError(f"two trajectories are named {twice[0]}; write NAME=FILE with another name for one of them")
+    if PROGRAMS in names:
+        raise UsageError(f"{PROGRAMS} is the folder of what programs write; give the trajectory another name")
+    return names
 
 
 def _written(program: Program, request: ScoreRequest) -> Path:
@@ -235,7 +241,7 @@ def _score(
     """Draw, judge, measure and write one trajectory; return its run.json."""
     wall_s, cpu_s, stages = perf_counter(), process_time(), new_profile(loading=0.0, starting=0.0)
     source, config = poses.source, request.config
-    outcome, world_T_map = draw_at_poses(
+    outcome, world_T_map, misfit_m = draw_at_poses(
         log.scans,
         config,
         log.period_s,
@@ -257,7 +263,14 @@ def _score(
         timing=Timing(perf_counter() - wall_s, process_time() - cpu_s, 0.0, stages),
         provenance=provenance(utc_now(), request.typed, [*_again(request, source)]),
         external=External(
-            source.name, source.text, poses.frame, source.pose_at, len(poses.world_T_laser), origin, **poses.program
+            source.name,
+            source.text,
+            poses.frame,
+            source.pose_at,
+            len(poses.world_T_laser),
+            origin,
+            misfit_mm=misfit_m / MM,
+            **poses.program,
         ),
         reference=compare_to(references, held, occupied_xy_m(outcome.grid)),
         true_map=references.true_map,

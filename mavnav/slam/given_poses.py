@@ -38,9 +38,10 @@ def draw_at_poses(
     scans_ns: NDArray[np.int64],
     holds_ns: int = 0,
     on_step: OnStep | None = None,
-) -> tuple[SlamResult, Pose]:
-    """Draw the map of scans at the poses of a trajectory, judge it, and return the pose of its frame in the world.
+) -> tuple[SlamResult, Pose, float]:
+    """Draw the map of scans at the poses of a trajectory, and judge it.
 
+    Returns that, the pose of the map frame in the world, and how far from its pose, m, the median scan fits the map.
     The map frame is the laser at the first scan with a pose. Neither odometry nor an inertial sensor is evidence.
 
     Parameters
@@ -66,7 +67,13 @@ def draw_at_poses(
         step._replace(match=best.match._replace(map_T_laser=step.match.map_T_laser, evaluations=0, iterations=0))
         for step, best in zip(steps, drawn.steps, strict=True)
     )
-    return summarize(replace(judged, steps=Steps(unmoved))), world_T_map
+    misfit_m = _misfit_m(steps, drawn.steps)
+    return summarize(replace(judged, steps=Steps(unmoved))), world_T_map, misfit_m
+
+
+def _misfit_m(steps: Steps, fitted: Steps) -> float:
+    moved = (fitted.column("map_T_laser") - steps.column("map_T_laser"))[steps.column("tracked"), :2]
+    return float(np.median(np.linalg.norm(moved, axis=1))) if len(moved) else np.nan
 
 
 def _steps(scans_ns: NDArray[np.int64], xyyaw: NDArray[np.float64], map_T_world: Pose) -> Iterator[Step]:

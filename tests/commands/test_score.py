@@ -197,7 +197,10 @@ def test_programs_are_checked_before_the_work(
         (["a={folder}/truth.tum,wheel"], "known are laser, base, laser, base_link"),
         (["../a={folder}/truth.tum"], "names no directory"),
         (["a=tf:map,wheel"], "no transforms lead from 'map' to 'wheel'"),
-        (["a=topic:/nothing"], "no ground truth on topic '/nothing'"),
+        (
+            ["a=topic:/nothing"],
+            "no poses on topic '/nothing'; topics with poses: none; give topic:NAME of one with poses, or a file",
+        ),
     ],
 )
 def test_mistakes_are_found_before_the_work(
@@ -207,3 +210,46 @@ def test_mistakes_are_found_before_the_work(
     assert score(folder, *(word.format(folder=folder) for word in words), out="none") == 2
     assert why in capsys.readouterr().err
     assert not (folder / "none").exists()
+
+
+def compare(folder: Path, *words: str, out: str) -> int:
+    fixed = ("--end", "3", "--online", "-q", "-o", str(folder / out))
+    return run(["compare", str(folder / "log.mcap"), *words, *fixed])
+
+
+def test_given_poses_stand_beside_the_run_and_its_own_poses(folder: Path) -> None:
+    (folder / "copy.py").write_text("import shutil, sys\nshutil.copy(*sys.argv[1:])\n")
+    copy = f"copy={sys.executable} {folder}/copy.py {folder}/truth.tum {{out}}"
+    words = ("--trajectory", f"true={folder}/truth.tum@first", "--external", copy, "--external", "fails=false {out}")
+    assert compare(folder, *words, out="beside") == 1
+    page = json.loads((folder / "beside" / "comparison.json").read_text())
+    assert [cell.get("trajectory") for cell in page["cells"]] == [None, "mavnav", "true", "copy", "fails"]
+    assert [cell["status"] for cell in page["cells"]] == ["done"] * 4 + ["failed"]
+    assert page["cells"][0]["method"] == "robust"
+    assert [cost is None for cost in page["price"]["cpu"]] == [False, True, True, True, True]
+    own, posed = (page["cells"][k]["run"]["map_quality"]["revisits"]["nn_l_mm"] for k in (0, 1))
+    assert posed == pytest.approx(own, rel=0.02) if own else posed is None
+    assert "copy" in (folder / "beside" / "report.html").read_text()
+    folders = [str(folder / "beside" / cell["directory"]) for cell in page["cells"][:3]]
+    assert run(["compare", *folders, "-q", "-o", str(folder / "finished")]) == 0
+    finished = json.loads((folder / "finished" / "comparison.json").read_text())
+    assert [cell.get("trajectory") for cell in finished["cells"]] == [None, "mavnav", "true"]
+    for one, other in zip(page["cells"], finished["cells"], strict=False):
+        assert one["run"] == other["run"]
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["--trajectory", "mavnav={folder}/truth.tum"], "mavnav names the poses of mavnav's own run"),
+        (["--trajectory", "a={folder}/truth.tum", "{folder}/other.mcap"], "are about one log"),
+        (["--external", "a=program {{log}}"], "has no {out}"),
+    ],
+)
+def test_what_cannot_stand_beside_a_run_is_refused(
+    folder: Path, words: list[str], why: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_mcap(folder / "other.mcap", drive_log(path=Trajectory(PATH.stamps_ns[:40], PATH.xyyaw[:40]), beams=90))
+    assert compare(folder, *(word.format(folder=folder) for word in words), out="refused") == 2
+    assert why in capsys.readouterr().err
+    assert not (folder / "refused" / "cells").exists()

@@ -109,7 +109,7 @@ def test_none_or_several_are_refused(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a", [*drive(SCANS), *poses("/gt", POSE), *poses("/vicon/robot/robot", TRANSFORM)])
     with pytest.raises(TopicError, match=r"several ground truth topics: /gt \(10\), /vicon/robot/robot \(10\)"):
         open_log(path, truth="auto")
-    with pytest.raises(TopicError, match="no ground truth on topic '/gone'"):
+    with pytest.raises(TopicError, match="no poses on topic '/gone'"):
         open_log(path, truth="/gone")
     with pytest.raises(TopicError, match="topics with poses: none;"):
         open_log(write_mcap(tmp_path / "b", [laser(k) for k in range(3)]), truth="auto")

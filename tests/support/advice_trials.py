@@ -248,7 +248,7 @@ TRIALS = [
         f"replay log.mcap --attitude off -o new {FAST}",
     ),
     (
-        "give --truth topic:NAME, or a file",
+        "give topic:NAME of one with poses, or a file",
         "replay log.mcap --truth auto",
         f"replay log.mcap --truth topic:/odom -o new {FAST}",
     ),

@@ -166,6 +166,7 @@ class External(Struct, frozen=True):
     pose_at: Annotated[str, text("beam of a scan, first, middle or last, at whose time a pose with its stamp holds")]
     poses: Annotated[int, number("poses of the trajectory")]
     origin: StartPose
+    misfit_mm: Annotated[Measured, number("how far from its pose the median scan fits the map of all best")] = OPTIONAL
     command: Annotated[str, text("command that wrote the poses")] = OPTIONAL
     wall_s: Annotated[float, number("time that the command took by the clock")] = OPTIONAL
     cpu_s: Annotated[Measured, number("processor time of the command")] = OPTIONAL

@@ -60,6 +60,9 @@ TORN, LEAST_PAIRS = 2.2, 100
 Of 127 good runs of 81 logs the largest ratio was 2.06.
 """
 
+MISFIT_CELLS: Final = 0.75
+"""Distance in cells from where it fits the map that the median scan of a good track does not reach."""
+
 EVERYWHERE: Final = 0.9
 """Share of a log from which a reason holds everywhere."""
 
@@ -270,6 +273,14 @@ def _torn(run: Run) -> Cause:
     return f"places that are seen again are drawn {apart_mm:.0f} mm apart, scans in a row {usual_mm:.0f} mm", LOOK
 
 
+def _beside(run: Run) -> Cause:
+    """Say of given poses that the scans themselves say otherwise."""
+    misfit_mm = (run.get("external") or {}).get("misfit_mm")
+    if not misfit_mm or misfit_mm <= MISFIT_CELLS * run["config"]["robust"]["cell_mm"]:
+        return None
+    return f"the median scan fits the map {misfit_mm:.0f} mm beside its pose", LOOK
+
+
 def _unchecked(run: Run) -> Cause:
     """Say of a track without a doubt why it has none."""
     if run["tracking"]["doubt"]["probability"] is not None:
@@ -288,6 +299,7 @@ RULES: Final[tuple[tuple[Literal["suspect", "wrong", "lost"], Callable[[Run], Ca
     ("suspect", _left_out),
     ("suspect", _meaningless),
     ("suspect", _torn),
+    ("suspect", _beside),
     ("suspect", _unchecked),
 )
 """Verdicts with what they rest on, the worst first; a run to which none applies is good."""

@@ -101,6 +101,7 @@ def run_verdict(run: RunResult) -> Verdict:
         partial=run.stopped is not None,
         mission=run.mission is not None,
         method=run.method,
+        external=run.external,
     )
 
 

@@ -40,6 +40,12 @@ def external(pairs: int, revisits_mm: float | None, neighbors_mm: float | None) 
     return GOOD | {"method": "external", "map_quality": GOOD["map_quality"] | {"revisits": known}}
 
 
+def beside(misfit_mm: float | None) -> dict[str, Any]:
+    """Return a run at given poses, in cells of 20 mm."""
+    config = GOOD["config"] | {"robust": {"cell_mm": 20.0}}
+    return external(0, None, None) | {"config": config, "external": {"misfit_mm": misfit_mm}}
+
+
 def lost(share: float = 0.3, **more: Any) -> dict[str, Any]:
     return run(lost=True, tracked_share=share, **more)
 
@@ -64,6 +70,8 @@ def test_the_doubt_decides(probability: float, word: str) -> None:
         external(99, 90.0, 10.0),
         external(100, None, 10.0),
         external(100, 90.0, 10.0) | {"method": "robust"},
+        beside(14.9),
+        beside(None),
     ],
 )
 def test_revisits_that_fit_as_well_as_those_of_good_tracks_do_no_harm(sections: dict[str, Any]) -> None:
@@ -133,6 +141,11 @@ def test_every_reason_of_the_doubt_has_a_meaning() -> None:
                 }
             },
             "the map cannot be measured: 0.3 m of its occupied cells lie on straight lines, 2 m are needed",
+            "compare map.png with the place",
+        ),
+        (
+            beside(15.1),
+            "the median scan fits the map 15 mm beside its pose",
             "compare map.png with the place",
         ),
         (

@@ -1,0 +1,74 @@
+"""mavnav's own runs of a log beside trajectories of other programs, all drawn and measured alike."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, cast
+
+from mavnav.comparison.scores import POSES, write_scores
+from mavnav.config.options import REFERENCES
+from mavnav.errors import UsageError
+from mavnav.pipelines.score import LASER, RUN_POSES, ScoreRequest, TrajectorySource, check_names, score_log
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mavnav.batch.cases import CaseResult
+    from mavnav.batch.runner import BatchPlan
+    from mavnav.config.options import ReplayOptions
+    from mavnav.pipelines.programs import Program
+    from mavnav.profiling import Progress
+
+OWN: Final = "mavnav"
+"""Name of the poses of mavnav's run; several are numbered."""
+
+SCORED_OPTIONS: Final = ("topic", "start_s", "end_s", "attitude", "extrinsic", "strict", *REFERENCES)
+"""Options of a replay that hold for given poses, too."""
+
+
+def check_given(plan: BatchPlan, sources: Sequence[TrajectorySource], programs: Sequence[Program]) -> None:
+    """Raise UsageError for several logs, and for names that cannot be used, before any run."""
+    if len({case.log for case in plan.cases}) > 1:
+        raise UsageError("--trajectory and --external are about one log; compare one log at a time with them")
+    if own := [name for name in check_names(sources, programs) if name.partition("-")[0] == OWN]:
+        raise UsageError(f"{own[0]} names the poses of mavnav's own run; write NAME=FILE with another name")
+
+
+def compare_with_poses(
+    plan: BatchPlan,
+    own: Sequence[CaseResult],
+    sources: Sequence[TrajectorySource],
+    programs: Sequence[Program],
+    limit_s: float,
+    progress: Progress,
+) -> dict[str, Any]:
+    """Score the poses of mavnav's ``own`` runs and those that are given, and return comparison.json of all.
+
+    The map of a run may be sharper than that of its poses, because its last step fits each scan to the whole map: so
+    the poses of each run have a row, too. Raises as `score_log`.
+    """
+    request = plan.request
+    given = request.entries[0].options.items()
+    scored = score_log(
+        ScoreRequest(
+            Path(plan.cases[0].log),
+            request.directory / POSES,
+            plan.cases[0].setting.config,
+            (*_own_poses(own), *sources),
+            cast("ReplayOptions[Path]", {name: value for name, value in given if name in SCORED_OPTIONS}),
+            force=True,
+            typed=request.typed,
+            programs=tuple(programs),
+            limit_s=limit_s,
+        ),
+        progress,
+    )
+    return write_scores(plan.cases[0].log, scored, request.directory, own, request.rules.gates)
+
+
+def _own_poses(own: Sequence[CaseResult]) -> list[TrajectorySource]:
+    """Return the poses of the runs that have some."""
+    folders = [result.case.run.directory for result in own if result.case.run and result.document]
+    files = [folder / RUN_POSES for folder in folders if (folder / RUN_POSES).is_file()]
+    names = [f"{OWN}-{k}" for k in range(1, len(files) + 1)] if len(files) > 1 else [OWN]
+    return [TrajectorySource(name, str(file), LASER) for name, file in zip(names, files, strict=False)]
