@@ -3,7 +3,8 @@
     make bench-peers LOGS="LOG ..."        # or, if kiss-icp and small-gicp are installed:
     python benchmarks/peers.py [LOG ...] [--rounds N]
 
-All run in this process, in turn, on one core. mavnav's time includes reading the log; the others get points in memory.
+Loop: all run in this process, in turn, on one core; mavnav's time includes reading the log, the others get points in
+memory. Whole process: ``mavnav replay`` and the recipes of ``docs/recipes``, from log to trajectory, with imports.
 Accuracy is mavnav's revisit metric of the poses: the distance between scans of one place at different times. The peers
 match 3D points: kiss-icp gets the scan unchanged, small_gicp the scan at three heights, so that walls have normals.
 """
@@ -14,6 +15,7 @@ import argparse
 import os
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from time import process_time
 from typing import TYPE_CHECKING
 
@@ -22,9 +24,11 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 from mavnav.config.loading import load_config
+from mavnav.ground_truth.tables import read_trajectory
 from mavnav.logs import open_log
 from mavnav.metrics.journey import Journey, placed_scans
 from mavnav.metrics.revisits import pairs_of, revisits
+from mavnav.pipelines.programs import Program, run_program
 from mavnav.pose import Trajectory
 from mavnav.slam.methods.registry import load_kernels
 from mavnav.slam.pipeline import run_slam
@@ -95,6 +99,38 @@ def high(cloud: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.concatenate([cloud + np.array((0.0, 0.0, height)) for height in HEIGHTS_M])
 
 
+RECIPES = Path(__file__).parent.parent / "docs" / "recipes"
+PROGRAMS = (
+    Program(
+        "mavnav", f"{sys.executable} -m mavnav replay {{log}} --odom off --outputs trajectory -q --force -o {{out}}.run"
+    ),
+    Program("kiss-icp", f"{sys.executable} {RECIPES / 'kiss_icp_poses.py'} {{log}} {{out}}"),
+    Program("small_gicp", f"{sys.executable} {RECIPES / 'small_gicp_poses.py'} {{log}} {{out}}"),
+)
+"""Whole processes, from a log to a trajectory."""
+
+
+def whole_process(path: Path, rounds: int) -> None:
+    """Print what the programs take for a log, with start, imports and reading, the accuracy of their poses beside."""
+    log = open_log(path, odom="off")
+    with TemporaryDirectory() as folder:
+        for program in PROGRAMS:
+            out = Path(folder, f"{program.name}.tum")
+            costs = [run_program(program, path, out, 3600.0) for _ in range(rounds)]
+            poses = Path(f"{out}.run", "trajectory.tum") if program.name == "mavnav" else out
+            if not poses.is_file():
+                sys.stdout.write(f"  {program.name:<11} failed: {costs[-1].problem}\n")
+                continue
+            cpu_s, memory_mb = (float(np.median([getattr(cost, name) for cost in costs])) for name in MEASURED)
+            there = measured(log, read_trajectory(poses))
+            sys.stdout.write(
+                f"  {program.name:<11}{cpu_s:>7.2f} CPU-s, {memory_mb:>4.0f} MB, revisits {there.nn_l_mm:.2f} mm, "
+                f"neighbours {there.nn_s_mm:.2f} mm\n"
+            )
+
+
+MEASURED = ("cpu_s", "peak_memory_mb")
+
 PEERS: dict[str, Callable[[Clouds], Clouds]] = {"kiss-icp": with_kiss_icp, "small_gicp": with_small_gicp}
 
 
@@ -146,6 +182,8 @@ def main() -> None:
         sys.exit(f"{error}; 'make bench-peers' installs kiss-icp and small-gicp with pip, which needs a network once")
     for path in options.logs:
         compare(path, options.rounds)
+        sys.stdout.write("  whole process:\n")
+        whole_process(path, options.rounds)
 
 
 if __name__ == "__main__":
