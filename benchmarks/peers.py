@@ -3,9 +3,11 @@
     make bench-peers LOGS="LOG ..."        # or, if kiss-icp and small-gicp are installed:
     python benchmarks/peers.py [LOG ...] [--rounds N]
 
-All run in this process, in turn, on one core. mavnav's time includes reading the log; the others get points in memory.
+Loop: all run in this process, in turn, on one core; mavnav's time includes reading the log, the others get points in
+memory. Whole process: ``mavnav replay`` and the recipes of ``docs/recipes``, from log to trajectory, with imports;
+memory is at least that of this process, which starts them.
 Accuracy is mavnav's revisit metric of the poses: the distance between scans of one place at different times. The peers
-match 3D points: kiss-icp gets the scan unchanged, small_gicp the scan at three heights, so that walls have normals.
+match 3D points, all of one height; their settings are those of the recipes.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ import argparse
 import os
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from time import process_time
 from typing import TYPE_CHECKING
 
@@ -22,9 +25,11 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 from mavnav.config.loading import load_config
+from mavnav.ground_truth.tables import read_trajectory
 from mavnav.logs import open_log
 from mavnav.metrics.journey import Journey, placed_scans
 from mavnav.metrics.revisits import pairs_of, revisits
+from mavnav.pipelines.programs import Program, run_program
 from mavnav.pose import Trajectory
 from mavnav.slam.methods.registry import load_kernels
 from mavnav.slam.pipeline import run_slam
@@ -40,9 +45,6 @@ if TYPE_CHECKING:
     Clouds = list[NDArray[np.float64]]
 
 SAMPLE = Path(__file__).parent.parent / "sample_logs" / "corridor.mcap"
-HEIGHTS_M = (-0.1, 0.0, 0.1)
-KEY_M, KEY_RAD, KEYS = 0.1, 0.1, 30
-"""Motion, m and rad, after which a scan is inserted into small_gicp's map, and number of scans in that map."""
 
 
 def clouds_of(log: Log) -> tuple[NDArray[np.int64], Clouds]:
@@ -72,28 +74,62 @@ def with_kiss_icp(clouds: Clouds) -> Clouds:
 
 
 def with_small_gicp(clouds: Clouds) -> Clouds:
-    """Return the pose of each cloud, (4, 4), matched to a map of the last key scans with a constant-velocity prior."""
+    """Return the pose of each cloud, (4, 4), matched to Gaussian voxels of all scans, at first at constant velocity."""
     import small_gicp  # noqa: PLC0415
 
-    poses, keys, key, velocity = [np.eye(4)], [high(clouds[0])], np.eye(4), np.eye(4)
-    target, tree = small_gicp.preprocess_points(keys[0], downsampling_resolution=0.02)
-    for cloud in clouds[1:]:
-        source, _ = small_gicp.preprocess_points(high(cloud), downsampling_resolution=0.02)
-        found = small_gicp.align(target, source, tree, poses[-1] @ velocity, max_correspondence_distance=0.3)
-        pose = np.array(found.T_target_source)
-        velocity = np.linalg.inv(poses[-1]) @ pose
-        poses.append(pose)
-        moved = np.linalg.inv(key) @ pose
-        if np.hypot(moved[0, 3], moved[1, 3]) > KEY_M or abs(np.arctan2(moved[1, 0], moved[0, 0])) > KEY_RAD:
-            key, keys = pose, [*keys[-KEYS:], high(cloud) @ pose[:3, :3].T + pose[:3, 3]]
-            target, tree = small_gicp.preprocess_points(np.concatenate(keys), downsampling_resolution=0.02)
-    return poses
+    model, poses = small_gicp.GaussianVoxelMap(0.2), [np.eye(4), np.eye(4)]
+    model.set_lru(horizon=10**6, clear_cycle=10**6)
+    for k, points in enumerate(clouds):
+        cloud, _ = small_gicp.preprocess_points(points, 0.02, num_neighbors=8, num_threads=1)
+        if k:
+            guess = poses[-1] @ np.linalg.inv(poses[-2]) @ poses[-1]
+            match = small_gicp.align(model, cloud, guess, max_correspondence_distance=0.5, num_threads=1)
+            poses.append(planar(match.T_target_source))
+        model.insert(cloud, poses[-1])
+    return poses[1:]
 
 
-def high(cloud: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return copies of the points at all heights."""
-    return np.concatenate([cloud + np.array((0.0, 0.0, height)) for height in HEIGHTS_M])
+def planar(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a pose, (4, 4), without roll, pitch and height."""
+    yaw = np.arctan2(pose[1, 0], pose[0, 0])
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    return np.array([[cos, -sin, 0.0, pose[0, 3]], [sin, cos, 0.0, pose[1, 3]], [0, 0, 1.0, 0], [0, 0, 0, 1.0]])
 
+
+RECIPES = Path(__file__).parent.parent / "docs" / "recipes"
+PROGRAMS = (
+    Program(
+        "mavnav", f"{sys.executable} -m mavnav replay {{log}} --odom off --outputs trajectory -q --force -o {{out}}.run"
+    ),
+    Program("kiss-icp", f"{sys.executable} {RECIPES / 'kiss_icp_poses.py'} {{log}} {{out}}"),
+    Program("small_gicp", f"{sys.executable} {RECIPES / 'small_gicp_poses.py'} {{log}} {{out}}"),
+)
+"""Whole processes, from a log to a trajectory."""
+
+
+def whole_process(path: Path, rounds: int) -> None:
+    """Print what the programs take for a log, with start, imports and reading, the accuracy of their poses beside."""
+    log = open_log(path, odom="off")
+    with TemporaryDirectory() as folder:
+        for program in PROGRAMS:
+            out = Path(folder, f"{program.name}.tum")
+            costs = [run_program(program, path, out, 3600.0) for _ in range(rounds)]
+            poses = Path(f"{out}.run", "trajectory.tum") if program.name == "mavnav" else out
+            if not poses.is_file():
+                sys.stdout.write(f"  {program.name:<11} failed: {costs[-1].problem}\n")
+                continue
+            cpu_s, memory_mb = (float(np.median([getattr(cost, name) for cost in costs])) for name in MEASURED)
+            path_of = read_trajectory(poses)
+            if len(path_of) == len(log.stamps_ns):  # stamps in a text file may be rounded
+                path_of = Trajectory(log.stamps_ns, path_of.xyyaw)
+            there = measured(log, path_of)
+            sys.stdout.write(
+                f"  {program.name:<11}{cpu_s:>7.2f} CPU-s, {memory_mb:>4.0f} MB, revisits {there.nn_l_mm:.2f} mm, "
+                f"neighbours {there.nn_s_mm:.2f} mm\n"
+            )
+
+
+MEASURED = ("cpu_s", "peak_memory_mb")
 
 PEERS: dict[str, Callable[[Clouds], Clouds]] = {"kiss-icp": with_kiss_icp, "small_gicp": with_small_gicp}
 
@@ -146,6 +182,8 @@ def main() -> None:
         sys.exit(f"{error}; 'make bench-peers' installs kiss-icp and small-gicp with pip, which needs a network once")
     for path in options.logs:
         compare(path, options.rounds)
+        sys.stdout.write("  whole process:\n")
+        whole_process(path, options.rounds)
 
 
 if __name__ == "__main__":

@@ -43,10 +43,9 @@ def pinned_file(address: str, pin: Pin, copies: Path | None, progress: Progress)
 
 
 def _files_below(folder: Path | None) -> Iterator[Path]:
-    try:
-        yield from sorted(path for path in folder.rglob("*") if path.is_file()) if folder else ()
-    except OSError as error:
-        raise UsageError(f"{folder} cannot be read: {error.strerror}; name another folder with --copies") from error
+    if folder and not folder.is_dir():
+        raise UsageError(f"{folder} is no folder; name that of your copies with --copies")
+    yield from sorted(path for path in folder.rglob("*") if path.is_file()) if folder else ()
 
 
 def _has(path: Path, pin: Pin) -> bool:

@@ -91,6 +91,8 @@ def test_a_copy_is_used_by_its_content_whatever_its_name(server: Server, tmp_pat
     (tmp_path / "copies" / "deep").mkdir(parents=True)
     (tmp_path / "copies" / "good.mcap").write_bytes(bytes(len(server.content)))
     (tmp_path / "copies" / "deep" / "x").write_bytes(server.content)
+    with pytest.raises(UsageError, match="is no folder; name that of your copies"):
+        fetched(server, tmp_path / "copies" / "good.mcap")
     assert fetched(server, tmp_path / "copies") == tmp_path / "copies" / "deep" / "x"
     assert server.ranges == []
 

@@ -45,6 +45,11 @@ TRIED = {
     "logs/test_bounds.py": {
         "are left out, name one by --topic": "test_of_hundreds_of_topics_the_first_hundred_are_read"
     },
+    "batch/test_pinned.py": {
+        "no log of the manifest has this name": "test_names_and_digests_that_cannot_be_meant_are_refused",
+        "is no folder; name that of your copies with": "test_a_copy_is_used_by_its_content_whatever_its_name",
+        "try again, or give a copy with --copies": "test_other_content_is_refused_and_removed",
+    },
     "commands/test_view.py": {"no browser could be started; open": "test_a_browser_that_does_not_start_is_named"},
     "commands/test_strange_runs.py": {
         "; repeat its command with --force": "test_a_file_that_is_a_pipe_or_mostly_holes_is_not_read"

@@ -295,6 +295,11 @@ TRIALS = [
         f"batch log.mcap --baseline made.json --update-baseline {SHORT} -o new -j 1",
     ),
     (
+        "compares repeated runs; add --repeat 2",
+        "batch log.mcap --gate identical",
+        f"batch log.mcap --gate identical --repeat 2 {SHORT} -o new -j 1",
+    ),
+    (
         "give one of them",
         "batch log.mcap --part 1/2 --baseline made.json --update-baseline",
         f"batch log.mcap --part 1/1 {SHORT} -o new -j 1",

@@ -143,11 +143,7 @@ def test_every_reason_of_the_doubt_has_a_meaning() -> None:
             "the map cannot be measured: 0.3 m of its occupied cells lie on straight lines, 2 m are needed",
             "compare map.png with the place",
         ),
-        (
-            beside(15.1),
-            "the median scan fits the map 15 mm beside its pose",
-            "compare map.png with the place",
-        ),
+        (beside(15.1), "the median scan fits the map 15 mm beside its pose", "compare map.png with the place"),
         (
             external(100, 22.1, 10.0),
             "places that are seen again are drawn 22 mm apart, scans in a row 10 mm",
