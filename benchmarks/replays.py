@@ -1,6 +1,7 @@
 """Measure scans per second of CPU time, and memory, of the whole program.
 
     python benchmarks/replays.py [LOG ...] [--rounds N] [--row TEXT] [--output FILE.json]
+    python benchmarks/replays.py [LOG] --start [ARGUMENT ...]
 
 Each row is the command ``mavnav replay LOG`` with all its outputs, in a process of its own on one core. Start-up
 (imports, kernels from the disk, pictures) is the same command on a log of the first second only; its time and its scans
@@ -8,6 +9,10 @@ are subtracted. The rate uses the minimum of the rounds. Two other rates are pri
 less the start-up right before it, and the rate less only the imports of an empty process. The rows of a round
 alternate. Because machines differ, times are also given as multiples of a fixed workload timed in the same run, and
 these are compared with the results in replays.json.
+
+The second form prints where the time of a start goes, that of a replay of the first second or of another command line:
+the time of importing each package without what it imports, those of mavnav by their second name, then the stages of the
+replay. Each is the minimum of the rounds, by the clock, which on an idle machine is that of the processor.
 """
 
 from __future__ import annotations
@@ -16,8 +21,10 @@ import argparse
 import json
 import os
 import platform
+import subprocess
 import sys
 import tempfile
+from itertools import chain
 from pathlib import Path
 from time import process_time
 from typing import Any
@@ -37,6 +44,9 @@ ROWS = {
     "robust 20 / 10x10, exhaustive": ["--search", "exhaustive"],
     "paper 20 / 10x10": ["--method", "paper"],
 }
+
+LONGEST = 24
+"""Number of packages and of stages that are printed of a start."""
 
 
 def run(log: Path, options: list[str], directory: str) -> tuple[float, float, dict[str, Any]]:
@@ -123,6 +133,38 @@ def measured(logs: list[Path], rounds: int, wanted: str) -> dict[str, Any]:
     }
 
 
+def import_ms(arguments: list[str]) -> dict[str, float]:
+    """Return the time of importing packages in a run of the program, ms; raises CalledProcessError if that fails."""
+    command = [sys.executable, "-X", "importtime", "-m", "mavnav", *arguments]
+    done = subprocess.run(command, env=environment(), capture_output=True, text=True, check=True)
+    spent: dict[str, float] = {}
+    for line in done.stderr.splitlines():
+        own, _, module = line.removeprefix("import time:").split("|") if line.count("|") == 2 else ("", "", "")
+        if own.strip().isdecimal():
+            package, *rest = module.strip().split(".")
+            name = "Python" if package.lstrip("_") in sys.stdlib_module_names else package
+            name = ".".join((name, *rest[:1])) if name == "mavnav" else name
+            spent[name] = spent.get(name, 0.0) + 1e-3 * int(own)
+    return spent
+
+
+def print_start(log: Path, arguments: list[str], rounds: int) -> None:
+    """Print the packages and the stages of a start that take longest."""
+    imports, stages = [], []
+    with tempfile.TemporaryDirectory() as directory:
+        command = arguments or ["replay", str(log), "--end", "1", "-q", "--force", "-o", directory]
+        for _ in range(rounds):
+            imports.append(import_ms(command))
+            if not arguments:
+                timing = json.loads(Path(directory, "run.json").read_text())["timing"]
+                stages.append({f"stage {name}": 1e3 * spent_s for name, spent_s in timing["stages"].items()})
+    for times in (imports, stages):
+        least = {name: min(each.get(name, 0.0) for each in times) for name in {*chain(*times)}}
+        for name, spent_ms in sorted(least.items(), key=lambda item: -item[1])[:LONGEST]:
+            print(f"{name:24}{spent_ms:8.1f} ms")
+        print(f"{'sum':24}{sum(least.values()):8.1f} ms")
+
+
 def processor() -> str:
     """Return the name of the processor."""
     path = Path("/proc/cpuinfo")
@@ -146,13 +188,17 @@ def table(now: dict[str, Any], before: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    """Measure the requested rows, print the table, and write the results to ``--output``."""
+    """Measure what the arguments ask for, and print it."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("logs", nargs="*", type=Path, default=[SAMPLE])
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--row", default="", help="measure only rows whose name begins so")
     parser.add_argument("--output", type=Path)
+    parser.add_argument("--start", nargs=argparse.REMAINDER, help="print where the time of a start goes")
     args = parser.parse_args()
+    if args.start is not None:
+        print_start(args.logs[0], args.start, args.rounds)
+        return
     now = measured(args.logs, args.rounds, args.row)
     print(table(now, json.loads(KEPT.read_text()) if KEPT.exists() else {}))
     if args.output:

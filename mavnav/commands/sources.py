@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from contextlib import contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from mavnav.errors import MavnavError, UsageError
@@ -41,6 +40,8 @@ def local_log(sources: list[str]) -> Iterator[LocalLog]:
     if more and any(each == STDIN or "://" in each for each in sources):
         raise UsageError("parts of a log are files; fetch what lies elsewhere, or run several logs with mavnav batch")
     if source == STDIN:
+        from tempfile import TemporaryDirectory
+
         with TemporaryDirectory(prefix="mavnav-") as made, _named(LocalLog(Path(made) / "stdin", STDIN)) as log:
             _copy_stdin(log.path)
             yield log

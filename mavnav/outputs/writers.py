@@ -13,7 +13,6 @@ from mavnav.errors import UsageError
 from mavnav.outputs.directory import RUN_FILE, atomic_directory, file_sha256
 from mavnav.outputs.files import trajectory
 from mavnav.outputs.files.document import plain, plain_json, run_document, with_picture, write_metrics
-from mavnav.outputs.files.extras import write_layout
 from mavnav.outputs.files.gridmap import slice_files, write_npz, write_pgm, write_slice, write_yaml
 from mavnav.profiling import Stage
 
@@ -48,7 +47,7 @@ GROUPS: Final[dict[str, dict[str, Writer]]] = {
         "map.png": partial(_late, "pictures.map_picture"),
         "true_map.png": partial(_late, "pictures.mission_picture"),
     },
-    "mcap": {"result.mcap": partial(_late, "files.replay_log"), "foxglove_layout.json": write_layout},
+    "mcap": {"result.mcap": partial(_late, "files.replay_log"), "foxglove_layout.json": partial(_late, "files.extras")},
     "report": {},
     "slices": {"map_3d.png": partial(_late, "pictures.slices_picture")},
     "svg": {"map.svg": partial(_late, "pictures.vector_map")},

@@ -58,7 +58,7 @@ def link(entry: MachineCode, module: str, name: str) -> Callable[..., Any]:
 
     engine, dynamic = _engine(), _extension("_dynfunc")
     for symbol in entry.symbols:
-        llvm.add_symbol(symbol, _address(symbol))  # LLVM would end the process without it
+        _define(symbol)
     engine.add_object_file(llvm.ObjectFileRef.from_data(entry.code))
     address = engine.get_function_address(entry.wrapper)  # MCJIT finalizes the object before it gives its address
     if not address:
@@ -96,6 +96,13 @@ def _engine() -> Any:  # noqa: ANN401
 
 
 @cache
+def _define(symbol: str) -> None:
+    """Tell LLVM the address of a symbol; without it LLVM would end the process. Raises LookupError."""
+    from llvmlite import binding as llvm  # noqa: PLC0415
+
+    llvm.add_symbol(symbol, _address(symbol))
+
+
 def _address(symbol: str) -> int:
     """Return the address of what machine code calls a symbol; raises LookupError."""
     if symbol in (known := _c_functions()):

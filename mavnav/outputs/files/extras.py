@@ -108,7 +108,7 @@ def _lost_markers(run: RunResult) -> list[Marker]:
     return markers
 
 
-def write_layout(run: RunResult, path: Path) -> None:
+def write(run: RunResult, path: Path) -> None:
     """Write how Foxglove shows result.mcap, as it imports it: on the left the map, on the right plots of the pose.
 
     The camera looks at the whole map from above.
