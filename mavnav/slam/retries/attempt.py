@@ -36,8 +36,10 @@ class Attempt(Struct, frozen=True):
 
 def try_again(track: Track, attempts: Iterable[Attempt]) -> Track:
     """Make the attempts that apply, in order, each with the track kept so far; none counts if the run is stopped."""
+    useless: list[Attempt] = []  # of this track
     for attempt in attempts:
-        changed = attempt.change(track)
+        changed = None if attempt in useless else attempt.change(track)
+        useless = [*useless, attempt] if changed is None else []
         other = changed and changed.over(changed.log_scans(), "track again")
         if other is None or len(other.steps) < len(track.steps):
             continue

@@ -41,6 +41,17 @@ def test_an_attempt_that_does_not_apply_is_not_made() -> None:
     assert try_again(first, [Attempt("none", lambda _: None)]) is first
 
 
+def test_an_attempt_is_looked_at_again_only_where_the_track_has_changed() -> None:
+    asked: list[int] = []
+
+    def never(track: Track) -> None:
+        asked.append(track.begin)
+
+    none, one = Attempt("none", never), Attempt("one", later)
+    try_again(tracked(), [none, none, one, none])
+    assert asked == [0, 1]
+
+
 def test_an_attempt_does_not_count_if_the_run_is_stopped() -> None:
     def stopped() -> Iterator[Scan]:
         return iter(SCANS[:3])
