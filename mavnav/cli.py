@@ -208,9 +208,9 @@ def _open_streams() -> None:
 
 def main(args: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit with its code (docs/cli.md, "Exit codes")."""
-    signals.listen()
     _open_streams()
     rest, debug = _split_debug(sys.argv[1:] if args is None else args)
+    signals.listen()  # last, as `run` answers what it raises
     code = run(rest or ["--help"], debug=debug)
     signals.ignore()
     try:

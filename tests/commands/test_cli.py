@@ -431,3 +431,15 @@ cli.main(["info", "x"])
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
     assert (done.returncode, done.stderr) == (ExitCode.TERMINATED, "mavnav: terminated\n")
+
+
+def test_a_signal_before_the_command_runs_ends_silently() -> None:
+    """One that came while the streams were opened was a traceback with exit code 1, "a gate failed"."""
+    script = """
+import mavnav.__main__, os, signal
+from mavnav import cli
+cli._open_streams = lambda: os.kill(os.getpid(), signal.SIGINT)
+mavnav.__main__.main()
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (-signal.SIGINT, b"")

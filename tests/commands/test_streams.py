@@ -169,3 +169,18 @@ def test_the_document_of_a_calibration(mavnav: Callable, here: Path, sample: Pat
     found = Reader(here / "found")
     code, _, _ = mavnav("calibrate", sample, "-o", "found", "-q")
     assert json.loads(found.end())["exit_code"] == code
+
+
+def test_nothing_is_sent_and_no_port_is_opened(mavnav, sample, tmp_path, monkeypatch) -> None:
+    """Not one socket is made, whatever it would be for: no telemetry, no check for updates."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("a socket is made")
+
+    monkeypatch.setattr(socket, "socket", refuse)
+    monkeypatch.setattr("_socket.socket", refuse)
+    run_directory = tmp_path / "run"
+    assert mavnav("info", sample)[0] == 0
+    assert mavnav("replay", sample, "-o", run_directory, "--end", "1", "-q")[0] == 0
+    for words in (("metrics", run_directory), ("check", run_directory), ("diff", run_directory, run_directory)):
+        assert mavnav(*words)[0] == 0
