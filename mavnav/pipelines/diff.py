@@ -22,6 +22,7 @@ from mavnav.outputs.files.gridmap import HITS_FILE, read_npz
 from mavnav.outputs.pictures import difference_picture
 from mavnav.outputs.report.summary_page import diff_summary, draw_png, write_summary
 from mavnav.pipelines.maps import rounded_pose
+from mavnav.pose import Pose
 from mavnav.sessions.map_alignment import align
 from mavnav.slam.matching.prior_map import PriorMap, prior_map_of
 from mavnav.units import MM, pluralize
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from pathlib import Path
 
+    from mavnav.mapping.occupancy_grid import Grid
     from mavnav.metrics.map_difference import Difference
     from mavnav.profiling import Progress
     from mavnav.sessions.map_alignment import Alignment
@@ -88,6 +90,14 @@ def _write(request: DiffRequest, document: dict[str, Any], picture: Callable[[Pa
     if request.report:
         summary = diff_summary(document, draw_png(picture) if picture else None)
         write_file(request.report, partial(write_summary, summary), force=request.force)
+
+
+def read_grid(path: Path) -> tuple[Grid, Pose]:
+    """Return the map of a run directory or a map_server YAML file and its pose in the map frame; raises UsageError."""
+    if path.is_dir() or not path.exists():
+        return read_walls(path).grid, Pose()
+    file = read_map(path)
+    return file.grid, file.map_T_grid
 
 
 def read_walls(path: Path) -> PriorMap:

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from msgspec import Struct
-from msgspec.structs import astuple, replace
+from msgspec.structs import replace
 
 from mavnav.config.named_files import read_json
-from mavnav.errors import UsageError, missing
-from mavnav.ground_truth.map_file import map_files, read_map
+from mavnav.errors import UsageError
+from mavnav.ground_truth.map_file import map_files
 from mavnav.mapping.map_edits import MapEdits, Rectangle, edit_grid
 from mavnav.mapping.occupancy_grid import OCCUPIED, UNKNOWN, occupancy
 from mavnav.outputs.directory import (
@@ -33,7 +33,7 @@ from mavnav.outputs.files.finished_run import finished_run
 from mavnav.outputs.files.gridmap import HITS_FILE, GridMap, write_npz, write_pgm, write_yaml, yaml_text
 from mavnav.outputs.files.map_document import map_section
 from mavnav.outputs.pictures.map_picture import write_merged
-from mavnav.pipelines.diff import read_walls
+from mavnav.pipelines.diff import read_grid
 from mavnav.pipelines.sessions import poses_of
 from mavnav.pose import Pose
 from mavnav.version import __version__
@@ -94,19 +94,17 @@ class EditRequest(Struct, frozen=True):
         edits = self.edits
         pairs = [*(("erase", r) for r in edits.erase), *(("unknown", r) for r in edits.unknown)]
         pairs += [("crop", edits.crop)] if edits.crop else []
-        words = [f"--{name}={','.join(f'{v:g}' for v in rectangle)}" for name, rectangle in pairs]
+        words = [f"--{name}={','.join(map(repr, rectangle))}" for name, rectangle in pairs]
         words += ["--keep-largest"] * edits.keep_largest
         return shell_line(["mavnav", "edit", str(self.path.absolute()), *words])
 
 
 def edit_map(request: EditRequest, progress: Progress) -> dict[str, Any]:
     """Edit a map and return the document; raises UsageError, also where no wall is left, and OutputError."""
-    if not request.path.exists():
-        raise UsageError(missing(request.path, "name a run directory, or the YAML file of a map"))
     is_run = request.path.is_dir()
     _check_target(request, is_run=is_run)
     progress("editing", 0, None)
-    grid, map_T_grid = (read_walls(request.path).grid, Pose()) if is_run else astuple(read_map(request.path))
+    grid, map_T_grid = read_grid(request.path)
     edited = edit_grid(grid, request.edits, map_T_grid)
     old, new = occupancy(grid), occupancy(edited)
     if not (new == OCCUPIED).any():

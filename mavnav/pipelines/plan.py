@@ -6,16 +6,14 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from msgspec.structs import astuple
 
-from mavnav.errors import UsageError, missing
-from mavnav.ground_truth.map_file import map_files, read_map
+from mavnav.errors import UsageError
+from mavnav.ground_truth.map_file import map_files
 from mavnav.kernels.machine.building import prepare
 from mavnav.metrics.floor_plan import floor_plan
 from mavnav.outputs.directory import check_apart, check_file, write_file
 from mavnav.outputs.pictures.plan_drawing import write_dxf, write_svg
-from mavnav.pipelines.diff import read_walls, run_verdict_at
-from mavnav.pose import Pose
+from mavnav.pipelines.diff import read_grid, run_verdict_at
 from mavnav.units import DEG
 from mavnav.version import __version__
 
@@ -30,12 +28,10 @@ def draw_plan(source: Path, target: Path, ratio: float, progress: Progress, *, f
 
     Raises UsageError for what is no map, where no straight wall is found, and OutputError.
     """
-    if not source.exists():
-        raise UsageError(missing(source, "name a run directory, or the YAML file of a map"))
     suffix = target.suffix.lower()
     check_file(target, suffix if suffix in {".svg", ".dxf"} else ".svg", force=force)
     check_apart({"--output": target}, map_files(source))
-    grid, map_T_grid = (read_walls(source).grid, Pose()) if source.is_dir() else astuple(read_map(source))
+    grid, map_T_grid = read_grid(source)
     prepare(progress)
     progress("finding walls", 0, None)
     plan = floor_plan(grid, map_T_grid)

@@ -78,9 +78,10 @@ def test_edits_of_edits_are_all_recorded_and_repeat(mavnav, made, tmp_path, monk
     monkeypatch.chdir(tmp_path)
     shutil.copytree(made, "run")
     assert mavnav("edit", "run", "--unknown", BOX)[0] == 0
-    assert mavnav("edit", "run-edited", "--keep-largest", "-o", "twice")[0] == 0
+    assert mavnav("edit", "run-edited", "--keep-largest", "--crop", "-1234.56789,-99,99,99", "-o", "twice")[0] == 0
     edits = json.loads(Path("twice/run.json").read_text())["provenance"]["edits"]
     assert [line.split()[2] for line in edits] == [str(tmp_path / "run"), str(tmp_path / "run-edited")]
+    assert "--crop=-1234.56789,-99.0,99.0,99.0" in edits[-1]
     code, _, err = mavnav("replay", "--again", "twice")
     assert (code, err.count(edits[-1])) == (2, 1)
     assert mavnav(*edits[-1].split()[1:], "-o", "thrice")[0] == 0
