@@ -32,7 +32,7 @@ ALLOWED: dict[str, set[str]] = {
     "simulation.planner": SHARED | {"config", "kernels", "mapping"},
     "simulation.world": SHARED | {"config"},
     "metrics": SHARED | {"kernels", "mapping"},
-    "outputs": SHARED | {"config", "logs", "mapping", "metrics", "sessions", "slam"},
+    "outputs": SHARED | {"config", "kernels", "logs", "mapping", "metrics", "sessions", "slam"},
     "ground_truth": SHARED | {"config", "mapping", "metrics", "simulation.world"},
     "pipelines": SHARED
     | {"config", "ground_truth", "kernels", "logs", "mapping", "metrics", "outputs"}

@@ -11,12 +11,16 @@ from hashlib import sha256
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+from jinja2 import BytecodeCache, ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from msgspec import Struct
 
+from mavnav.kernels.machine.cache import read_code, write_code
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+
+    from jinja2.bccache import Bucket
 
 
 class Inlined(Struct, frozen=True):
@@ -26,11 +30,29 @@ class Inlined(Struct, frozen=True):
     source: str
 
 
+class CompiledTemplates(BytecodeCache):
+    """Compiled templates, kept beside the compiled kernels and trusted as those are: a third of the time of a page."""
+
+    def load_bytecode(self, bucket: Bucket) -> None:
+        """Fill in the code of a template, if it is there."""
+        if code := read_code(_entry(bucket)):
+            bucket.bytecode_from_string(bytes(code))
+
+    def dump_bytecode(self, bucket: Bucket) -> None:
+        """Keep the code of a template."""
+        write_code(_entry(bucket), bucket.bytecode_to_string())
+
+
+def _entry(bucket: Bucket) -> str:
+    return f"page_{bucket.key}-{bucket.checksum}"
+
+
 def environment(*packages: str) -> Environment:
     """Return the templates of packages; the first that has a name wins. ``path | url`` makes a link, of any bytes."""
     templates = Environment(
         loader=ChoiceLoader([PackageLoader(package) for package in packages]),
         autoescape=True,
+        bytecode_cache=CompiledTemplates(),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

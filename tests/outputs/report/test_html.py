@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from jinja2 import Environment
+
 from mavnav.outputs.files.document import plain, run_document
-from mavnav.outputs.report.html import facts
+from mavnav.outputs.report.html import environment, facts
 
 
 def test_date_length_and_sensor(run) -> None:
@@ -30,3 +32,20 @@ def test_what_is_not_known_is_left_out() -> None:
     assert facts([]) == facts([{}]) == facts([{"input": {"path": "a"}}]) == ""
     sensor = {"beams": 3, "field_of_view_deg": 90.0, "range_min_m": None, "range_max_m": None, "rate_hz": None}
     assert facts([{"input": {"sensor": sensor, "frame_id": ""}}]) == "3 beams, 90 deg, from 0 m"
+
+
+def test_templates_are_compiled_once_and_never_run_altered(tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("MAVNAV_CACHE_DIR", str(tmp_path))
+    compiled, compile_template = [], Environment.compile
+    monkeypatch.setattr(Environment, "compile", lambda *args: compiled.append(args[2]) or compile_template(*args))
+
+    def times_compiled() -> int:
+        environment("mavnav.outputs.report").get_template("page.html")
+        return len(compiled)
+
+    assert [times_compiled() for _ in range(3)] == [1, 1, 1]
+    (entry,) = tmp_path.rglob("page_*")
+    entry.write_bytes(entry.read_bytes()[:-1])
+    assert [times_compiled() for _ in range(2)] == [2, 2]
+    entry.chmod(0o666)  # anybody could have written it
+    assert times_compiled() == 3
