@@ -10,7 +10,7 @@ from msgspec import Struct
 from mavnav.errors import UsageError
 from mavnav.metrics.fields import ABSENT
 from mavnav.metrics.reference import TOLERANCE_NS, Reference, TrueMap, map_distance, pose_errors, relation_errors
-from mavnav.pose import correct_path
+from mavnav.pose import Pose, correct_path, transform_points
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -18,8 +18,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from mavnav.ground_truth.map_file import MapFile
     from mavnav.metrics.reference import Relations
-    from mavnav.pose import Pose, Trajectory
+    from mavnav.pose import Trajectory
     from mavnav.simulation.world import Scenario, World
 
 START_POSE: Final = "start pose"
@@ -33,11 +34,13 @@ class References(Struct, frozen=True):
     """The references of a run, each None if it is not given.
 
     ``truth`` is the true trajectory of the laser in any frame; ``true_map`` the true walls in the map frame.
+    ``map_file`` is the file of the true walls, if they are of one: it may have another frame.
     """
 
     truth: Trajectory | None = None
     true_map: TrueMap | None = None
     relations: Relations | None = None
+    map_file: MapFile | None = None
 
     @property
     def of_poses(self) -> bool:
@@ -58,19 +61,20 @@ def load_references(
         return References()
     from mavnav.ground_truth.tables import read_relations, read_tum  # noqa: PLC0415  few runs need it
 
+    true_map, map_file = (None, None) if truth_map is None else read_true_map(truth_map)
     return References(
         truth=None if truth is None else read_tum(truth),
-        true_map=None if truth_map is None else read_true_map(truth_map),
+        true_map=true_map,
         relations=None if relations is None else read_relations(relations),
+        map_file=map_file,
     )
 
 
-def read_true_map(path: Path) -> TrueMap:
-    """Read a scenario (with ``walls``) or a map_server map (with an ``image``).
+def read_true_map(path: Path) -> tuple[TrueMap, MapFile | None]:
+    """Read a scenario (with ``walls``) or a map_server map (with an ``image``), which is returned besides.
 
-    A scenario's walls are given relative to the laser's first pose, which is the origin of a map. A map file must have
-    the frame of the map that it is compared with. The name of a shipped scenario is used if there is no such file.
-    Raises UsageError.
+    A scenario's walls are given relative to the laser's first pose, which is the origin of a map; those of a map file
+    are in its own frame. The name of a shipped scenario is used if there is no such file. Raises UsageError.
     """
     from mavnav.simulation.world.scenario_file import load_scenario, scenario_path  # noqa: PLC0415  models take time to build
 
@@ -80,11 +84,16 @@ def read_true_map(path: Path) -> TrueMap:
 
     keys = {key[0] for key in read_yaml(path, "the YAML file of a map, or a scenario").values}
     if "image" in keys:
-        return _of_map(path)
+        from mavnav.ground_truth.map_file import read_map  # noqa: PLC0415  few runs need it
+
+        file = read_map(path)
+        if not len(file.occupied_xy_m()):
+            raise UsageError(f"{path} has no occupied cell; name a map with walls")
+        return of_map(file, Pose(), "same frame"), file
     if "walls" not in keys:
         raise UsageError(f"{path} is neither a scenario (walls) nor a map (image); name one of them")
     scenario = load_scenario(path)
-    return of_scenario(scenario, scenario.world_T_base @ scenario.base_T_laser)
+    return of_scenario(scenario, scenario.world_T_base @ scenario.base_T_laser), None
 
 
 def of_scenario(scenario: Scenario, world_T_map: Pose) -> TrueMap:
@@ -97,16 +106,13 @@ def of_scenario(scenario: Scenario, world_T_map: Pose) -> TrueMap:
     return TrueMap(every.distance_m, points_on(walls), START_POSE, walls.segments, walls.arcs)
 
 
-def _of_map(path: Path) -> TrueMap:
+def of_map(file: MapFile, map_T_file: Pose, alignment: str) -> TrueMap:
+    """Return the occupied cells of a map file as true walls, with the pose of its frame in the map frame."""
     from scipy.spatial import cKDTree  # noqa: PLC0415  takes 0.3 s to load
 
-    from mavnav.ground_truth.map_file import read_map  # noqa: PLC0415  few runs need it
-
-    xy_m = read_map(path).occupied_xy_m()
-    if not len(xy_m):
-        raise UsageError(f"{path} has no occupied cell; name a map with walls")
+    xy_m = transform_points(map_T_file, file.occupied_xy_m())
     tree: Any = cKDTree(xy_m)
-    return TrueMap(lambda points: tree.query(points)[0], xy_m, "same frame")
+    return TrueMap(lambda points: tree.query(points)[0], xy_m, alignment)
 
 
 def points_on(world: World) -> NDArray[np.float64]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 from msgspec import Struct
 from msgspec.structs import replace
 
+from mavnav.config.models import Config
 from mavnav.errors import MavnavError, UsageError, missing, reason_of
 from mavnav.ground_truth.map_file import read_map
 from mavnav.ground_truth.references import References, check_times, compare_to, in_time_of_truth
@@ -26,6 +27,7 @@ from mavnav.outputs.directory import MERGE_FILE, RUN_FILE
 from mavnav.outputs.files.document import plain
 from mavnav.outputs.files.finished_run import RunRecord, finished_run
 from mavnav.outputs.files.gridmap import HITS_FILE, read_npz
+from mavnav.pipelines.maps import with_true_map_placed
 from mavnav.pipelines.sessions import mapped_share, poses_of
 from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.slam.findings import NOT_PLANAR
@@ -177,6 +179,7 @@ def _document(path: Path, what: Subject, references: References) -> dict[str, An
         )
     sections = measured.sections if what.has_counts else {}  # a map file has no counts
     held = what.trajectory and in_time_of_truth(what.trajectory, what.holds_s, what.truth_at)
+    references = with_true_map_placed(references, grid, Config(), None if what.has_counts else what.map_T_grid)
     reference = compare_to(references, held, transform_points(what.map_T_grid, occupied_xy_m(grid)))
     document: dict[str, Any] = plain(
         {

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
 from msgspec.structs import replace
 
 from mavnav.errors import UsageError
-from mavnav.ground_truth.references import check_times
-from mavnav.mapping.occupancy_grid import known_area, measured_area
+from mavnav.ground_truth.references import check_times, of_map
+from mavnav.mapping.occupancy_grid import known_area, measured_area, occupied_xy_m
 from mavnav.mapping.slices import scans_with_heights, slice_map
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import measure_map
+from mavnav.metrics.reference import COVERED_M
 from mavnav.outputs.directory import checked_file, digests_of
 from mavnav.outputs.documents.run_json import FoundPose, Localisation, StartPose
 from mavnav.pose import MAX_GAP_NS
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
     from mavnav.config.models import Config
     from mavnav.ground_truth.references import References
     from mavnav.logs import Log
+    from mavnav.mapping.occupancy_grid import Grid
     from mavnav.mapping.slices import PlacedScan, Slices
     from mavnav.metrics.map_quality import MeasuredMap
     from mavnav.pose import Pose
@@ -107,6 +110,31 @@ def references_in_map(references: References, log: Log, begin_ns: int | None) ->
     if references.of_first_scan and begin_ns not in {None, log.first_ns}:
         return replace(references, true_map=None), (NO_WALLS,)
     return references, ()
+
+
+def with_true_map_placed(
+    references: References, grid: Grid, config: Config, map_T_grid: Pose | None = None
+) -> References:
+    """Return the references with the true map of a file placed in a map, if that has another frame.
+
+    Their frame is the same if half of the occupied cells are close to true walls. It is taken for the same, and named
+    so, if the file has no clear place. A map from a file is given with ``map_T_grid``.
+    """
+    file, true = references.map_file, references.true_map
+    if file is None or true is None:
+        return references
+    from mavnav.sessions.map_alignment import align  # noqa: PLC0415  few runs need them
+    from mavnav.slam.matching.prior_map import PriorMap, prior_map_of  # noqa: PLC0415
+
+    drawn = prior_map_of(grid, map_T_grid) if map_T_grid else PriorMap(known_area(grid), occupied_xy_m(grid))
+    if not len(drawn.walls_xy_m) or np.median(true.distance_m(drawn.walls_xy_m)) <= COVERED_M:
+        return references
+    alignment = align(drawn, prior_map_of(file.grid, file.map_T_grid), config)
+    if alignment is None:
+        return replace(references, true_map=replace(true, alignment=f"{true.alignment}, no clear place"))
+    place = alignment.a_T_b
+    text = f"found at {place.x_m:.2f} m, {place.y_m:.2f} m, {place.yaw_rad / DEG:.1f} deg"
+    return replace(references, true_map=of_map(file, place, text))
 
 
 def _with_recorded_truth(references: References, log: Log, begin_ns: int | None) -> References:

@@ -27,7 +27,15 @@ from mavnav.outputs.documents.sections import options_section
 from mavnav.outputs.run import RunResult, Timing, half_sweep_s
 from mavnav.outputs.writers import check_groups, write_run
 from mavnav.pipelines.again import replay_words
-from mavnav.pipelines.maps import check_references, known_map, localisation, measured_map, references_in_map, slices_of
+from mavnav.pipelines.maps import (
+    check_references,
+    known_map,
+    localisation,
+    measured_map,
+    references_in_map,
+    slices_of,
+    with_true_map_placed,
+)
 from mavnav.pipelines.reach import with_reach
 from mavnav.pose import Pose, correct_path
 from mavnav.profiling import Progress, Stage, new_profile, scans_s, timed
@@ -203,6 +211,7 @@ def _track_and_write(
     later_ns = held.stamps_ns[:1].sum() - outcome.trajectory.stamps_ns[:1].sum()
     begin_ns = outcome.begin_ns + int(later_ns) if given.own_frame and outcome.begin_ns is not None else None
     references, warnings = references_in_map(given.references, log, begin_ns)
+    references = with_true_map_placed(references, outcome.grid, config)
     outcome = changed(outcome, warnings=(*outcome.warnings, *warnings))
     measured = measured_map(outcome, log)
     timing = changed(began, wall_s=perf_counter() - began.wall_s, cpu_s=process_time() - began.cpu_s)

@@ -25,7 +25,7 @@ from mavnav.outputs.documents.run_json import External, StartPose
 from mavnav.outputs.run import RunResult, Timing, half_sweep_s
 from mavnav.outputs.writers import write_run
 from mavnav.pipelines.again import changed_values
-from mavnav.pipelines.maps import check_references, measured_map, references_in_map
+from mavnav.pipelines.maps import check_references, measured_map, references_in_map, with_true_map_placed
 from mavnav.pipelines.programs import run_program
 from mavnav.pipelines.reach import with_reach
 from mavnav.pose import Pose
@@ -252,6 +252,7 @@ def _score(
     )
     held = in_time_of_truth(outcome.trajectory, half_sweep_s(log, outcome), config.truth_at)
     references, warnings = references_in_map(references, log, int(held.stamps_ns[0]) if len(held) else None)
+    references = with_true_map_placed(references, outcome.grid, config)
     outcome = replace(outcome, warnings=(*outcome.warnings, *warnings))
     origin = StartPose(world_T_map.x_m, world_T_map.y_m, world_T_map.yaw_rad / DEG)
     measured = measured_map(outcome, log)

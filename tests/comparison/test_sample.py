@@ -38,7 +38,7 @@ def test_elsewhere_it_is_flown_once(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 def test_its_true_map_is_where_the_walls_are(tmp_path: Path) -> None:
-    true = read_true_map(sample.sample_truth(tmp_path))
+    true, _ = read_true_map(sample.sample_truth(tmp_path))
     scan = next(iter(open_log(ROOT / "sample_logs" / "corridor.mcap").scans()))
     assert np.median(true.distance_m(scan.points())) < 0.02  # the noise; the laser stands 0.06 m before the base
     assert len(true.segments_map) > 10

@@ -163,7 +163,8 @@ def test_shipped_scenarios_are_truths(name, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     from pathlib import Path
 
-    truth = read_true_map(Path(name))
+    truth, file = read_true_map(Path(name))
+    assert file is None
     assert len(truth.xy_m) > 100
     assert truth.distance_m(truth.xy_m).max() < 1e-9
 
@@ -184,7 +185,7 @@ def test_neither_scenario_nor_map(tmp_path) -> None:
 def test_a_map_file_is_true_in_its_own_frame(tmp_path) -> None:
     (tmp_path / "map.pgm").write_bytes(pgm(np.array([[254, 0], [254, 254]])))
     (tmp_path / "map.yaml").write_text("image: map.pgm\nresolution: 0.5\norigin: [1, 2, 0]\n")
-    truth = read_true_map(tmp_path / "map.yaml")
+    truth, _ = read_true_map(tmp_path / "map.yaml")
     assert truth.xy_m.tolist() == [[1.75, 2.75]]
     assert truth.distance_m(np.array([(1.75, 2.25), (1.75, 2.75)])).tolist() == [0.5, 0.0]
     assert not References(true_map=truth).of_first_scan
