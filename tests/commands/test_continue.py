@@ -55,7 +55,7 @@ def test_three_parts_one_after_another(mavnav, parts, first, tmp_path) -> None:
     assert digests(first) == before
     found, hall = document(runs[2]), tour("hall")
     assert [session["name"] for session in found["continued"]["sessions"]] == ["part0", "part1"]
-    assert set(digests(runs[2])) == {*found["outputs"], "run.json"}
+    assert set(digests(runs[2])) == {*found["outputs"], "run.json", "report.html"}
     files = ["session_part0.tum", "session_part1.tum", "trajectory.tum"]
     for file, part in zip(files, cut(hall, PARTS), strict=True):
         assert errors_m(read_tum(runs[2] / file), part, hall.world_T_laser[0]) < 0.05
