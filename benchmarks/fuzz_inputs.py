@@ -236,7 +236,13 @@ def attack(kind: Kind, rng: Random, folder: Path) -> None:
         replacements[int(rng.integers(3))](path)
     else:
         path.write_bytes(mutated(content, int(rng.integers(2**31))))
-    if kind.file.startswith("run/") and kind.name != "run/run.json" and path.is_file() and not path.is_symlink() and rng.random() < 0.7:
+    if (
+        kind.file.startswith("run/")
+        and kind.name != "run/run.json"
+        and path.is_file()
+        and not path.is_symlink()
+        and rng.random() < 0.7
+    ):
         with_new_digest(path)
 
 
