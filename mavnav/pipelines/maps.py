@@ -129,7 +129,7 @@ def with_true_map_placed(
     drawn = prior_map_of(grid, map_T_grid) if map_T_grid else PriorMap(known_area(grid), occupied_xy_m(grid))
     if not len(drawn.walls_xy_m) or np.median(true.distance_m(drawn.walls_xy_m)) <= COVERED_M:
         return references
-    alignment = align(drawn, prior_map_of(file.grid, file.map_T_grid), config)
+    alignment, _ = align(drawn, prior_map_of(file.grid, file.map_T_grid), config)
     if alignment is None:
         return replace(references, true_map=replace(true, alignment=f"{true.alignment}, no clear place"))
     place = alignment.a_T_b
