@@ -72,7 +72,7 @@ class LogEntry(_Options, frozen=True):
     ) = None
     size_bytes: Annotated[int, setting("size of that file", ge=1, le=10**13)] | None = None
     licence: Annotated[str, setting("licence of the log, shown on the page")] = ""
-    peers: Annotated[dict[str, dict[str, float]], setting("program: its numbers of run.json, shown beside")] = field(
+    peers: Annotated[dict[str, dict[str, Size]], setting("program: its numbers of run.json, shown beside")] = field(
         default_factory=dict
     )
 

@@ -266,7 +266,7 @@ def test_no_stage_is_silent_for_long(monkeypatch: pytest.MonkeyPatch, capsys: py
         sleep(0.2)
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) >= 2
-    assert set(lines) <= {"mavnav: close loops (3 of 7)", "mavnav: close loops (3 of 7), for 0 s"}
+    assert set(lines) <= {"mavnav: close loops (3 of 6)", "mavnav: close loops (3 of 6), for 0 s"}
 
 
 def test_quiet_is_silent(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
