@@ -60,9 +60,8 @@ def reason_of(error: Exception) -> str:
 
 def lacks_memory(error: BaseException) -> bool:
     """Return whether the system refused memory: for data, for a file, or for a library that is loaded."""
-    if isinstance(error, OSError):
-        return error.errno == ENOMEM
-    return isinstance(error, MemoryError) or (isinstance(error, ImportError) and "failed to map segment" in str(error))
+    of_library = isinstance(error, (ImportError, OSError)) and "failed to map segment" in f"{error} {error.__context__}"
+    return of_library or isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno == ENOMEM)
 
 
 def missing(path: Path, advice: str) -> str:

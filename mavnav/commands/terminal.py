@@ -49,8 +49,9 @@ def _visible(text: object) -> str:
     from mavnav.outputs.documents.addresses import public_line
 
     text = public_line(str(text))
-    shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
-    return re.sub(r"##(?=\w*\[)", r"#\\x23", shown)
+    if not text.isprintable():
+        text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    return re.sub(r"##(?=\w*\[)", r"#\\x23", text)
 
 
 def can_print(text: str, stream: TextIO) -> bool:

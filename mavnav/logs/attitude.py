@@ -89,7 +89,7 @@ class AttitudeTracks(Struct):
 
     def sources(self, imus: dict[str, ImuTrack], log: Log) -> list[TopicAttitude]:
         """Return what can be used, the best first; raises TopicError where the named topic holds no attitude."""
-        if self.wanted == "off":
+        if self.wanted == "off" or not (self.is_named or self.topics or imus):
             return []
         lasers, topics = laser_topics(log.topics), log.topics
         names = self.topics if self.is_named else of_same_robot(self.topics, log.topic, lasers)

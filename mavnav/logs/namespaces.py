@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 FRAME: Final = "@"
 """Between a topic and a frame, where one topic has the scans of several lasers; no ROS name contains it."""
 
+_OF_LASERS = frozenset({SCAN, FOXGLOVE_SCAN, MULTI_ECHO})
+
 
 def namespace(name: str) -> str:
     """Return the namespace of a frame or a topic, empty for none: all before its last slash."""
@@ -39,7 +41,7 @@ def _levels(name: str) -> list[str]:
 
 def laser_topics(topics: Iterable[Topic]) -> list[str]:
     """Return the topics that have messages of lasers."""
-    return [topic.name for topic in topics if topic.type in (SCAN, FOXGLOVE_SCAN, MULTI_ECHO) and topic.count]
+    return [topic.name for topic in topics if topic.type in _OF_LASERS and topic.count]
 
 
 def is_of_another_robot(name: str, topic: str, scan_topics: Iterable[str]) -> bool:

@@ -15,7 +15,7 @@ from mavnav.logs.log import Log
 from mavnav.logs.merging import FRAME, partners, virtual_laser
 from mavnav.logs.messages.decode import LASER_TYPES, scan_topics
 from mavnav.logs.messages.other_scans import OTHER_TYPES
-from mavnav.logs.namespaces import laser_topics, topic_and_frame
+from mavnav.logs.namespaces import topic_and_frame
 from mavnav.logs.periods import comes_in_bursts, period_and_gaps
 from mavnav.logs.preprocessing import KINDS
 from mavnav.logs.records import ScanCounts
@@ -288,10 +288,13 @@ def _with_motion(log: Log, survey: Survey, odom: str, extrinsic: Pose | None, *,
     """Add mounting and odometry, and what there is to warn about time."""
     motion, warnings = survey.motion, [*log.warnings, *_scan_warnings(log)]
     laser = frame_name((log._merged or (log,))[0].frame_id)  # noqa: SLF001  the log is made here
-    lasers = laser_topics(log.topics)
-    frames = transforms_for(motion.frames, log.topic, lasers)
+    frames = transforms_for(motion.frames, log.topic, survey.lasers)
     track = motion.odometry.choose(
-        odom, warnings.append, lambda base: bool(base) and frames.find(base, laser) is not None, log.topic, lasers
+        odom,
+        warnings.append,
+        lambda base: bool(base) and frames.find(base, laser) is not None,
+        log.topic,
+        survey.lasers,
     )
     bases = [track.base_frame] if track and track.base_frame else frames.bases(laser)
     place, of_mounting = len(warnings), list[str]()

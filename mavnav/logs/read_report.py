@@ -139,6 +139,8 @@ def _mend(channel: Channel) -> Channel:
 
 def _nearest(word: str, known: tuple[str, ...], most: int) -> str | None:
     """Return the known word that is as long and has at most so many other letters."""
+    if word in known:
+        return word
     wrong = {name: sum(map(ne, name, word)) for name in known if len(name) == len(word)}
     name = min(wrong, key=wrong.__getitem__, default=None)
     return name if name and wrong[name] <= most else None

@@ -21,7 +21,7 @@ from mavnav.logs.messages.definitions import IMU, ODOMETRY, PATH, POSE
 from mavnav.logs.messages.other_scans import OTHER_TYPES
 from mavnav.logs.messages.records import DecodeError
 from mavnav.logs.messages.waiting import Waiting
-from mavnav.logs.namespaces import FRAME, namespace
+from mavnav.logs.namespaces import FRAME, laser_topics, namespace
 from mavnav.logs.preprocessing import ScanFilter
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel, Damage, RawMessage, Topic
@@ -44,7 +44,8 @@ MOST_SCAN_TOPICS = 100
 class Survey(Struct, frozen=True):
     """What one pass over a log found, whether or not it can be used.
 
-    ``scans`` holds the scan topics that have messages; a topic that was asked for alone.
+    ``scans`` holds the scan topics that have messages; a topic that was asked for alone. ``lasers`` are all topics that
+    have messages of lasers.
     """
 
     path: Path
@@ -52,6 +53,7 @@ class Survey(Struct, frozen=True):
     size_bytes: int
     sha256: str
     topics: tuple[Topic, ...]
+    lasers: tuple[str, ...]
     scans: dict[str, TopicScans]
     motion: Motion
     damage: tuple[Damage, ...]
@@ -262,13 +264,14 @@ def _survey(
         size_bytes, sha256 = size_and_sha256(path, more)
     except OSError as error:
         raise unreadable(path, error) from error
-    scans_of = dict(_by_laser(state, report))
+    scans_of, topics = dict(_by_laser(state, report)), _topics(report, state.kinds)
     return Survey(
         path=path,
         format=name,
         size_bytes=size_bytes,
         sha256=sha256,
-        topics=_topics(report, state.kinds),
+        topics=topics,
+        lasers=tuple(laser_topics(topics)),
         scans=scans_of,
         motion=state.motion,
         damage=report.damages(),

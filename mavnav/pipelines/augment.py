@@ -14,7 +14,6 @@ from mavnav.logs.formats import detect
 from mavnav.logs.frame_poses import TF_PREFIX, FramePoses, follow
 from mavnav.logs.messages import cdr, ros
 from mavnav.logs.messages.definitions import TF, definition
-from mavnav.logs.namespaces import laser_topics
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel, RawMessage, Schema
 from mavnav.logs.transforms import frame_name, transforms_for
@@ -62,7 +61,7 @@ def messages_of_run(directory: Path, log: Path) -> list[RawMessage]:
 
 def _frames_below(surveyed: Survey, log: Log) -> FramePoses:
     """Return the transforms of the log from its root frame to the laser, or of several merged lasers to their base."""
-    frames = transforms_for(surveyed.motion.frames, log.topic, laser_topics(log.topics))
+    frames = transforms_for(surveyed.motion.frames, log.topic, surveyed.lasers)
     body = log.base_frame if "," in log.topic else log.frame_id
     return FramePoses(TF_PREFIX, frame_name(body or "") or "laser", frames, surveyed.motion.truth.moving)
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 import re
 import socket
 import sys
+import time
 from collections.abc import Iterator
 from hashlib import sha256
 from pathlib import Path
@@ -161,6 +163,23 @@ def test_workers_of_another_version_are_refused(processes: Cluster, tmp_path, mo
         connect(processes.client.scheduler.address, tmp_path, 1, None, 1),
     ):
         pass
+
+
+def test_a_lost_scheduler_is_no_matter_of_dasks_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For one that was killed it printed 38 lines, two tracebacks among them."""
+    monkeypatch.setattr(cluster_client, "CONNECT_S", 1.0)
+    heard: list[logging.LogRecord] = []
+    monkeypatch.setattr(logging.getLogger("distributed.client"), "handle", heard.append)
+    with (
+        distributed.LocalCluster(n_workers=1, processes=False, dashboard_address=":0") as local,
+        connect(local.scheduler_address, tmp_path, 1, None, 1) as found,
+    ):
+        local.close()
+        with pytest.raises(UsageError, match="the scheduler is gone"):
+            found.run_jobs([Job("square", strange_jobs.square, (3,))], ignore)
+        time.sleep(1.5)  # until the client gives up
+    assert not heard
+    assert logging.getLogger("distributed.client").level < logging.CRITICAL
 
 
 def test_where_nobody_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

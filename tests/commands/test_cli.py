@@ -443,3 +443,39 @@ mavnav.__main__.main()
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, check=False)
     assert (done.returncode, done.stderr) == (-signal.SIGINT, b"")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the C library of another system")
+def test_a_library_that_ends_the_process_fails_no_gate() -> None:
+    """OpenBLAS calls ``exit(1)`` where it gets no memory, and 1 is a gate that failed."""
+    script = """
+import ctypes, mavnav.__main__
+from mavnav import cli
+cli.main = lambda: ctypes.CDLL(None).exit(1)
+mavnav.__main__.main()
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (ExitCode.USAGE, b"")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="RLIMIT_AS is another elsewhere")
+@pytest.mark.parametrize("limit_mb", [120, 250])
+def test_without_memory_for_a_library_there_is_one_line(repo_root: Path, tmp_path: Path, limit_mb: int) -> None:
+    """For OpenBLAS, and for llvmlite, which was a bug: exit code 70."""
+    import resource
+
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_AS, (limit_mb << 20, limit_mb << 20))
+
+    line = [
+        sys.executable,
+        "-m",
+        "mavnav",
+        "replay",
+        repo_root / "sample_logs" / "corridor.mcap",
+        "-o",
+        tmp_path / "run",
+    ]
+    done = subprocess.run(line, capture_output=True, text=True, check=False, preexec_fn=limit)
+    assert (done.returncode, done.stderr.count("\n")) == (ExitCode.USAGE, 1)
+    assert "emory" in done.stderr

@@ -116,12 +116,20 @@ def test_memory_is_limited() -> None:
     assert modest.value == 2**20
 
 
+def unmapped() -> OSError:
+    """Return what llvmlite raises where its library is refused memory."""
+    error = OSError("Could not find/load shared object file 'libllvmlite.so'")
+    error.__context__ = OSError("libllvmlite.so: failed to map segment from shared object")
+    return error
+
+
 @pytest.mark.parametrize(
     "error",
     [
         MemoryError(),
         OSError(errno.ENOMEM, "Cannot allocate memory", "a.bag"),
         ImportError("a.so: failed to map segment from shared object"),
+        unmapped(),
     ],
 )
 def test_a_lack_of_memory_is_no_bug(error: Exception) -> None:

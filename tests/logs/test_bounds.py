@@ -22,6 +22,7 @@ from mavnav.logs.formats import decompress
 from mavnav.logs.formats.mcap_records import HEAD, Op
 from mavnav.logs.read_report import MAX_DAMAGE, MAX_TEXT, MAX_WARNINGS, ReadReport
 from mavnav.logs.writing.convert import convert_log
+from mavnav.pipelines.log_documents import info_document
 from support.log_files import (
     ODOM,
     PERIOD_NS,
@@ -209,6 +210,18 @@ def test_of_hundreds_of_topics_the_first_hundred_are_read(tmp_path: Path) -> Non
     assert sum(len(log.warnings) for log in logs) <= (MAX_WARNINGS + 3) * len(logs)
     assert list(survey(path, topic="/scan399").scans) == ["/scan399"]
     assert time.process_time() - began_s < 4.0
+
+
+@pytest.mark.slow
+def test_thirty_thousand_scan_topics_cost_seconds(tmp_path: Path) -> None:
+    """They cost 46 CPU-s: every topic that was examined went through all others."""
+    scans = [laser(k, topic=f"/scan{k}", angle_max=3.0) for k in range(30_000)]
+    path = write_mcap(tmp_path / "a.mcap", scans, chunk_size=1 << 20)
+    began_s = time.process_time()
+    document, error = info_document(path, None)
+    assert time.process_time() - began_s < 5.0
+    assert error is None
+    assert (len(document["scan_topics"]), len(document["topics"])) == (100, 30_000)
 
 
 @pytest.mark.parametrize("kind", ["reset", "one wrong pose"])

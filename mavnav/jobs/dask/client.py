@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import pickle
 from contextlib import ExitStack, contextmanager
-from logging import CRITICAL
+from logging import CRITICAL, getLogger
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from tempfile import NamedTemporaryFile
@@ -154,7 +154,7 @@ def connect(scheduler: str, directory: Path, workers: int, memory_mb: int | None
         or no access to the directory.
     """
     distributed = _import_distributed()
-    with ExitStack() as stack:
+    with _silence(), ExitStack() as stack:
         try:
             address = scheduler
             if scheduler == LOCAL:
@@ -170,6 +170,19 @@ def connect(scheduler: str, directory: Path, workers: int, memory_mb: int | None
             raise UsageError(f"{scheduler}: no scheduler with workers answers; {advice}") from error
         _check_workers(client, directory)
         yield Cluster(client, client.dashboard_link)
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Keep the tracebacks that Dask logs for a lost scheduler from stderr; what is raised says that it is lost."""
+    levels = {logger: logger.level for logger in map(getLogger, ("distributed", "distributed.client"))}
+    for logger in levels:
+        logger.setLevel(CRITICAL)
+    try:
+        yield
+    finally:
+        for logger, level in levels.items():
+            logger.setLevel(level)
 
 
 def _check_scheduler(address: str) -> None:

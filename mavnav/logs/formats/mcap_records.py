@@ -24,6 +24,7 @@ MAGIC: Final = b"\x89MCAP0\r\n"
 HEAD: Final = struct.Struct("<BQ")
 MESSAGE_HEAD: Final = struct.Struct("<HIQQ")
 _CHUNK_HEAD = struct.Struct("<QQQI")
+_NUMBERS = {kind: struct.Struct(f"<{kind}") for kind in "HIQ"}
 _COMPRESSION = re.compile(rb"\x04\0\0\0zstd|\x03\0\0\0lz4|\x03\0\0\0bz2")
 _NAME_LENGTH = slice(_CHUNK_HEAD.size, _CHUNK_HEAD.size + 4)
 _NAME_LENGTHS = frozenset(len(name).to_bytes(4, "little") for name in COMPRESSIONS)
@@ -77,8 +78,9 @@ class RecordFields:
 
     def number(self, kind: str) -> int:
         """Read a number of a ``struct`` format."""
-        (value,) = struct.unpack_from(f"<{kind}", self._content, self.offset)
-        self.offset += struct.calcsize(f"<{kind}")
+        number = _NUMBERS[kind]
+        (value,) = number.unpack_from(self._content, self.offset)
+        self.offset += number.size
         return int(value)
 
     def block(self) -> bytes:
