@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shlex
 import signal
 import subprocess
 import sys
+from pathlib import Path
 from subprocess import DEVNULL, PIPE, STDOUT
 from threading import Timer
 from time import perf_counter
 from typing import IO, TYPE_CHECKING, Final
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from mavnav.errors import UsageError, reason_of
 from mavnav.profiling import MAXRSS_MB
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
 LOG, OUT = "{log}", "{out}"
 
@@ -30,6 +32,16 @@ class Program(Struct, frozen=True):
 
     name: str
     command: str
+
+    def with_absolute_paths(self) -> Program:
+        """Return the same command for any folder: its words that name files have their whole paths."""
+        words = (str(Path(word).absolute()) if Path(word).is_file() else word for word in shlex.split(self.command))
+        return replace(self, command=shlex.join(words))
+
+    def key(self) -> list[str]:
+        """Return the words of the command, in place of files the SHA-256 of their content."""
+        words = map(Path, shlex.split(self.command))
+        return [hashlib.sha256(word.read_bytes()).hexdigest() if word.is_file() else str(word) for word in words]
 
 
 class ProgramCost(Struct, frozen=True):
