@@ -4,8 +4,8 @@
     python benchmarks/peers.py [LOG ...] [--rounds N]
 
 Loop: all run in this process, in turn, on one core; mavnav's time includes reading the log, the others get points in
-memory. Whole process: ``mavnav replay`` and the recipes of ``docs/recipes``, from log to trajectory, with imports;
-memory is at least that of this process, which starts them.
+memory. Whole process: ``mavnav replay`` and the recipes of ``docs/recipes``, from log to trajectory, with imports,
+and the memory of the largest.
 Accuracy is mavnav's revisit metric of the poses: the distance between scans of one place at different times. The peers
 match 3D points, all of one height; their settings are those of the recipes.
 """

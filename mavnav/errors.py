@@ -10,6 +10,7 @@
     │       └── SeveralTopicsError     2  several topics to choose from
     ├── NoScansError                   4  the input has no usable scan, or is no log
     ├── StoppedError                 130  a signal stopped the work before any result (143: SIGTERM)
+    ├── ProgramError                   1  another program gave no poses that can be used
     └── OutputError                    6  the output cannot be written, or exists
 
 Each message is one line: what is wrong, where, and what to do next. Only ``cli.main`` prints it.
@@ -119,6 +120,12 @@ class StoppedError(MavnavError):
     def __init__(self, text: str, exit_code: ExitCode) -> None:
         super().__init__(text)
         self.exit_code = exit_code
+
+
+class ProgramError(MavnavError):
+    """Another program gave no poses that can be used."""
+
+    exit_code = ExitCode.GATE_FAILED
 
 
 class OutputError(MavnavError):

@@ -238,6 +238,15 @@ def test_every_page_is_in_the_navigation() -> None:
     assert pages(nav) == {path.name for path in DOCS.glob("*.md")} | {"commands.md", "run_json.md"}
 
 
+def test_the_search_of_the_site_needs_no_network() -> None:
+    config = yaml.load((ROOT / "mkdocs.yml").read_text(), Loader=yaml.BaseLoader)
+    (script,) = config["extra"]["polyfills"]
+    assert "iframe-worker" in script  # the plugin offline adds an address unless one has this name
+    text = (DOCS / script).read_text()
+    assert "Copyright (c) 2020-2022 Martin Donath" in text
+    assert "window.Worker=" in text
+
+
 def shown_gates() -> set[str]:
     """Return every gate on a page: of a command or of a manifest."""
     commands = [words for page in PAGES for words in shown_commands(page)]

@@ -28,6 +28,7 @@ from mavnav.metrics.gates import Gate, parse_gate, read_accept
 from mavnav.outputs.directory import document_of
 from mavnav.outputs.documents.addresses import is_address, public_address
 from mavnav.pipelines.replay import ReplayRequest
+from mavnav.pipelines.score import ProgramRequest
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -140,7 +141,7 @@ class Case(Struct, frozen=True):
     display name. With ``has_references``, the result is compared with ground truth. With ``baseline_gate``, this case
     may not be worse than in the baseline, whether or not the batch has that gate. ``licence`` and ``peers`` are those
     of the log. A repetition names the case that it repeats, a run at given poses the
-    ``external`` trajectory.
+    ``given`` trajectory.
     """
 
     name: str
@@ -156,7 +157,12 @@ class Case(Struct, frozen=True):
     licence: str = ""
     peers: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     repeat_of: str = ""
-    external: str = ""
+    given: str = ""
+
+    @property
+    def external(self) -> str:
+        """The name of the program or the ``given`` trajectory that the poses are of; empty for mavnav's own."""
+        return self.setting.program.name if self.setting.program else self.given
 
 
 class CaseResult(Struct, frozen=True):
@@ -255,7 +261,12 @@ def _cases(request: BatchRequest, entry: BatchLogs, log: str, name: str, progres
     path, address = (Path(public_address(log)), log) if is_address(log) else (request.base / log, None)
     more: dict[str, Any] = {"force": True, "report": request.report, "address": address, "typed": request.typed}
     for setting in request.settings:
-        wanted = ReplayRequest(path, request.directory, setting.config, entry.options, **more)
+        given = (path, request.directory, setting.config, entry.options)
+        if setting.program:
+            limit_s = request.limits.program_s
+            wanted: ReplayRequest = ProgramRequest(*given, program=setting.program, limit_s=limit_s, **more)
+        else:
+            wanted = ReplayRequest(*given, **more)
         yield Case(_name(entry, name, setting), setting=setting, run=make_run(wanted, *digests), **shared)
 
 

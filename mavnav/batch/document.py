@@ -80,6 +80,17 @@ def run_row(result: CaseResult, directory: Path) -> dict[str, Any]:
     } | given
 
 
+def without_search(document: dict[str, Any]) -> dict[str, Any]:
+    """Return run.json of a run at given poses without what is mavnav's own: no search, and the time of drawing."""
+    return {section: value for section, value in document.items() if section not in {"search", "timing"}}
+
+
+def of_program(document: dict[str, Any]) -> dict[str, Any]:
+    """Return run.json of a run at the poses of a program without what is mavnav's own: its time is the program's."""
+    spent = {name: document["external"].get(name) for name in ("wall_s", "cpu_s", "peak_memory_mb")}
+    return without_search(document) | {"timing": spent}
+
+
 def _baseline_verdict(change: Mapping[str, Any], path: Path) -> dict[str, Any]:
     worse = [item for item in change["figures"] if item["change"] == ChangeKind.WORSE]
     reasons = [f"{item['name']} went from {_text(item['before'])} to {_text(item['now'])}" for item in worse]

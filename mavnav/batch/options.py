@@ -14,7 +14,17 @@ from mavnav.batch.document import BATCH_FILE
 from mavnav.batch.manifest import GATE_EXAMPLE, Manifest, errors_at, origins_of, read_manifest
 from mavnav.batch.pinned import Pin
 from mavnav.batch.repeats import IDENTICAL_GATE
-from mavnav.batch.request import BatchLogs, BatchPart, BatchRequest, Rules, RunLimits, crossed_settings, listed_settings
+from mavnav.batch.request import (
+    BatchLogs,
+    BatchPart,
+    BatchRequest,
+    Rules,
+    RunLimits,
+    Setting,
+    crossed_settings,
+    listed_settings,
+    unique,
+)
 from mavnav.config.layers import Layer
 from mavnav.config.options import ReplayOptions, given_options, restore_options, settings_of
 from mavnav.errors import UsageError
@@ -23,13 +33,13 @@ from mavnav.jobs.dask import LOCAL
 from mavnav.metrics.gates import Gate, full_name, parse_gate, read_accept
 from mavnav.outputs.documents.addresses import is_address
 from mavnav.outputs.documents.provenance import Typed
+from mavnav.pipelines.programs import read_program
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from mavnav.batch.baseline import Tolerance
     from mavnav.batch.manifest import LogEntry, Origins
-    from mavnav.batch.request import Setting
 
 MANIFEST_SUFFIXES = (".yaml", ".yml")
 SETS = Path(__file__).parent / "sets"
@@ -40,7 +50,7 @@ class BatchOptions(Struct, frozen=True):
     """The command line; an option that was not given is None or empty.
 
     ``words`` is the whole command line as typed. ``sources`` are a manifest and logs, ``options`` those of all
-    replays. ``files`` are additional files to write by their options.
+    replays. ``files`` are additional files to write by their options. Each of the ``programs`` runs on every log.
     """
 
     words: Sequence[str] = ()
@@ -69,6 +79,8 @@ class BatchOptions(Struct, frozen=True):
     copies: Path | None = None
     only: Sequence[str] = ()
     repeat: int | None = None
+    programs: Sequence[str] = ()
+    program_s: float = 3600.0
 
 
 def request_of(options: BatchOptions) -> BatchRequest:
@@ -146,6 +158,13 @@ def _entry(entry: LogEntry, base: Path) -> BatchLogs:
 
 
 def _settings(options: BatchOptions, manifest: Manifest, layer: Layer, base: Path) -> list[Setting]:
+    """Return the settings of mavnav, then the programs; their maps are drawn with the first of its configurations."""
+    own = _own_settings(options, manifest, layer, base)
+    programs = [read_program(text).with_absolute_paths() for text in options.programs]
+    return unique([*own, *(Setting(each.name, own[0].config, program=each) for each in programs)])
+
+
+def _own_settings(options: BatchOptions, manifest: Manifest, layer: Layer, base: Path) -> list[Setting]:
     overrides = settings_of(options.options)
     if manifest.runs and not (options.methods or options.grids or options.azimuths or options.config):
         return listed_settings(manifest.runs, layer, base, options.sets, overrides)
@@ -161,6 +180,7 @@ def _limits(options: BatchOptions, manifest: Manifest) -> RunLimits:
         memory_mb=options.memory_mb or manifest.memory_mb,
         tries=options.tries or manifest.tries,
         scheduler=options.scheduler,
+        program_s=options.program_s,
     )
 
 

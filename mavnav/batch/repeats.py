@@ -38,7 +38,10 @@ def _differences(one: dict[str, Any], other: dict[str, Any], directory: Path) ->
 
 
 def file_differences(one: Path, other: Path) -> list[str]:
-    """Return a line for each output file of two run directories whose bytes differ; run.json has times and is none."""
+    """Return a line for each output file of two run directories whose bytes differ.
+
+    run.json and the page are left out: they have times.
+    """
     names = sorted({*digests_of(one), *digests_of(other)})
     return [f"{name}: {text}" for name in names if (text := _byte_difference(one / name, other / name))]
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from mavnav.config.layers import Key
     from mavnav.config.models import Config
     from mavnav.metrics.gates import Gate
+    from mavnav.pipelines.programs import Program
 
 
 SEARCH: Final = {("grid",), ("azimuth",)}
@@ -30,11 +31,15 @@ SEARCH: Final = {("grid",), ("azimuth",)}
 
 
 class Setting(Struct, frozen=True):
-    """A configuration and its name; ``differs`` is in what it differs from others, besides method and search grid."""
+    """A configuration and its name; ``differs`` is in what it differs from others, besides method and search grid.
+
+    A ``program`` finds the poses in place of mavnav.
+    """
 
     name: str
     config: Config
     differs: str = ""
+    program: Program | None = None
 
 
 def crossed_settings(
@@ -82,7 +87,7 @@ def named_settings(configs: Iterable[Config]) -> list[Setting]:
     """Return configurations with their names and what differs, without duplicates."""
     several = list(configs)
     pairs = zip(several, differences(several), strict=True)
-    return _unique(Setting(setting_name(config), config, differs) for config, differs in pairs)
+    return unique(Setting(setting_name(config), config, differs) for config, differs in pairs)
 
 
 def differences(configs: Sequence[Config]) -> list[str]:
@@ -106,7 +111,7 @@ def listed_settings(
     A run has the keys of a configuration, and optionally ``name`` and ``config``, a preset or a file relative to
     ``base``. Raises ConfigError with the manifest's line.
     """
-    return _unique(_setting(number, run, layer, base, sets, options) for number, run in enumerate(runs))
+    return unique(_setting(number, run, layer, base, sets, options) for number, run in enumerate(runs))
 
 
 def _setting(
@@ -130,11 +135,12 @@ def format_value(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def _unique(settings: Iterable[Setting]) -> list[Setting]:
-    """Return the settings without duplicates; raises ConfigError if two configurations have the same name."""
+def unique(settings: Iterable[Setting]) -> list[Setting]:
+    """Return the settings without duplicates; raises ConfigError if two of them have the same name."""
     by_name: dict[str, Setting] = {}
     for setting in settings:
-        if by_name.setdefault(setting.name, setting).config != setting.config:
+        kept = by_name.setdefault(setting.name, setting)
+        if (kept.config, kept.program) != (setting.config, setting.program):
             raise ConfigError(f"two runs are named {setting.name!r}; give each a name of its own")
     return list(by_name.values())
 
@@ -154,7 +160,7 @@ def setting_name(config: Config) -> str:
 class RunLimits(Struct, frozen=True):
     """Number of runs at a time, their time and memory limits, and the number of attempts if a run's process dies.
 
-    ``scheduler`` is a Dask cluster to run on, None for this machine.
+    ``scheduler`` is a Dask cluster to run on, None for this machine. Other programs end after ``program_s``.
     """
 
     workers: int = 1
@@ -162,6 +168,7 @@ class RunLimits(Struct, frozen=True):
     memory_mb: int | None = None
     tries: int = 3
     scheduler: str | None = None
+    program_s: float = 3600.0
 
 
 class Rules(Struct, frozen=True):

@@ -18,7 +18,7 @@ from msgspec.structs import asdict, replace
 from mavnav.atomic_files import discard
 from mavnav.batch.baseline import EXAMPLE, missing, write_baseline
 from mavnav.batch.cases import Case, CaseResult, make_cases, read_paths
-from mavnav.batch.document import BATCH_FILE, batch_document, judged_row
+from mavnav.batch.document import BATCH_FILE, batch_document, judged_row, of_program
 from mavnav.batch.files import check_files, write_batch
 from mavnav.batch.manifest import GATE_EXAMPLE, errors_at
 from mavnav.batch.remote import download
@@ -32,6 +32,7 @@ from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.documents.addresses import public_address
 from mavnav.outputs.documents.schema import number_names
 from mavnav.pipelines.replay import replay_log
+from mavnav.pipelines.score import ProgramRequest, score_program
 from mavnav.slam.methods import registry
 
 if TYPE_CHECKING:
@@ -121,7 +122,10 @@ def check_gates(request: BatchRequest, cases: Sequence[Case], more: Sequence[str
 
 def replay_local(request: ReplayRequest, report: Progress) -> None:
     """Replay one log into its run directory; the kernels are compiled already, and nothing is returned."""
-    replay_log(request, report, compile_s=0.0)
+    if isinstance(request, ProgramRequest):
+        score_program(request, report)
+    else:
+        replay_log(request, report, compile_s=0.0)
 
 
 def replay_remote(request: ReplayRequest, report: Progress) -> None:
@@ -171,6 +175,7 @@ def run_cases(
         document = finished_document(case.run) if case.run and has_run else None
         if case.run and has_run and document is None:
             outcome = _spoilt(case.run, outcome)
+        document = of_program(document) if document and case.external else document
         described[case.name] = describe(CaseResult(case, outcome, document))
 
     for case in plan.cases:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mavnav.commands import shared, signals
+from mavnav.commands import poses, shared, signals
 from mavnav.commands.batch_rows import print_batch, row_printer
 from mavnav.commands.progress import loading_modules, reporting, watching
 from mavnav.commands.terminal import emit_json, note
@@ -32,6 +32,7 @@ mavnav batch 'drives/**/*.mcap' --method robust --method paper --grid 10x10 --gr
 mavnav batch nightly.yaml --baseline baseline.json --gate baseline --junit batch.xml --summary batch.md
 mavnav batch nightly.yaml --scheduler tcp://10.0.0.1:8786
 mavnav batch logs/ --repeat 2 --gate identical
+mavnav batch logs/ --external kiss='python kiss.py {log} {out}' --time-limit 600
 mavnav batch benchmark --only ccny_demo --junit benchmark.xml
 """
 
@@ -54,6 +55,8 @@ def batch(
     azimuths: shared.Azimuths = None,
     config: shared.ConfigFile = None,
     sets: shared.Sets = None,
+    programs: poses.Programs = None,
+    limit_s: poses.ProgramLimit = 3600.0,
     directory: Annotated[
         Path | None, shared.directory_option(help="Output directory (default runs/batch, or runs/batch-MANIFEST).")
     ] = None,
@@ -168,6 +171,8 @@ def batch(
             copies=copies,
             only=only or (),
             repeat=repeat,
+            programs=programs or (),
+            program_s=limit_s,
         )
         plan = _plan(options, report)
     document = _run(plan, json=json, quiet=quiet)

@@ -3,27 +3,30 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.comparison.scores import POSES, write_scores
-from mavnav.config.options import REFERENCES
 from mavnav.errors import UsageError
-from mavnav.pipelines.score import LASER, RUN_POSES, ScoreRequest, TrajectorySource, check_names, score_log
+from mavnav.pipelines.score import (
+    LASER,
+    RUN_POSES,
+    ScoreRequest,
+    TrajectorySource,
+    check_names,
+    score_log,
+    scored_options,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mavnav.batch.cases import CaseResult
     from mavnav.batch.runner import BatchPlan
-    from mavnav.config.options import ReplayOptions
     from mavnav.pipelines.programs import Program
     from mavnav.profiling import Progress
 
 OWN: Final = "mavnav"
 """Name of the poses of mavnav's run; several are numbered."""
-
-SCORED_OPTIONS: Final = ("topic", "start_s", "end_s", "attitude", "extrinsic", "strict", *REFERENCES)
-"""Options of a replay that hold for given poses, too."""
 
 
 def check_given(plan: BatchPlan, sources: Sequence[TrajectorySource], programs: Sequence[Program]) -> None:
@@ -48,14 +51,13 @@ def compare_with_poses(
     the poses of each run have a row, too. Raises as `score_log`.
     """
     request = plan.request
-    given = request.entries[0].options.items()
     scored = score_log(
         ScoreRequest(
             Path(plan.cases[0].log),
             request.directory / POSES,
             plan.cases[0].setting.config,
             (*_own_poses(own), *sources),
-            cast("ReplayOptions[Path]", {name: value for name, value in given if name in SCORED_OPTIONS}),
+            scored_options(request.entries[0].options),
             force=True,
             typed=request.typed,
             programs=tuple(programs),

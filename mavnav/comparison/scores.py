@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mavnav.batch.cases import Case, CaseResult
+from mavnav.batch.document import without_search
 from mavnav.batch.request import Setting
 from mavnav.comparison.document import comparison_document, write_comparison
 from mavnav.config.loading import load_config
@@ -46,13 +47,10 @@ POSES = "poses"
 def external_result(
     log: str, name: str, directory: Path, document: dict[str, Any] | None, error: str = "", key: str = ""
 ) -> CaseResult:
-    """Describe a run at given poses as the case of a comparison.
-
-    Nothing is searched, and the time is that of drawing: both are left out.
-    """
+    """Describe a run at given poses as the case of a comparison."""
     setting = Setting(name, load_config())
     planned = PlannedRun(ReplayRequest(Path(log), directory, setting.config), key)
-    shown = document and {section: value for section, value in document.items() if section not in {"search", "timing"}}
+    shown = document and without_search(document)
     code = ExitCode.DONE if document else ExitCode.GATE_FAILED
-    case = Case(name, log, setting, planned, error=error, exit_code=code, external=name)
+    case = Case(name, log, setting, planned, error=error, exit_code=code, given=name)
     return CaseResult(case, Outcome(Status.DONE, 0, 0.0) if document else None, shown)

@@ -19,7 +19,7 @@ from mavnav.errors import ExitCode, OutputError
 from mavnav.outputs.directory import RUN_FILE, check_link, file_sha256
 from mavnav.outputs.documents.run_json import RunDocument
 from mavnav.outputs.writers import REPORT_FILE
-from mavnav.pipelines.replay import replay_directory
+from mavnav.pipelines.score import ProgramRequest
 from mavnav.version import __version__
 
 if TYPE_CHECKING:
@@ -53,12 +53,12 @@ class PlannedRun(Struct, frozen=True):
 def make_run(request: ReplayRequest, log_sha256: str, references: str) -> PlannedRun:
     """Return the run of a request, given the hashes of its log and of its references.
 
-    Its run directory is ``<log>-<method>-<yaw samples>-<grid>-<the first 8 digits of its key>``, below
-    ``request.directory/cells``.
+    Its run directory is ``<log>-<method>-<yaw samples>-<grid>-<the first 8 digits of its key>``, that of another
+    program ``<log>-<program>-<digits>``, below ``request.directory/cells``.
     """
     key = run_key(request, log_sha256, references)
-    name = f"{replay_directory(request.log, request.config).name}-{key[:8]}"
-    return PlannedRun(replace(request, directory=request.directory / RUNS_FOLDER / name, log_sha256=log_sha256), key)
+    directory = request.directory / RUNS_FOLDER / f"{request.usual_name}-{key[:8]}"
+    return PlannedRun(replace(request, directory=directory, log_sha256=log_sha256), key)
 
 
 def check_cache_directory(directory: Path, own_files: Sequence[str]) -> None:
@@ -90,6 +90,7 @@ def run_key(request: ReplayRequest, log_sha256: str, references: str) -> str:
         "config": request.config.document(),
         "options": {name: value for name, value in run_options(request.options) if name not in files},
         "references": references,
+        **({"program": request.program.key()} if isinstance(request, ProgramRequest) else {}),
     }
     return hashlib.sha256(json.dumps(document, sort_keys=True, default=str).encode()).hexdigest()
 

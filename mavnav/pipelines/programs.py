@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import shlex
 import signal
 import subprocess
+import sys
+from pathlib import Path
+from subprocess import DEVNULL, PIPE, STDOUT
 from threading import Timer
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, Final
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from mavnav.errors import UsageError, reason_of
 from mavnav.profiling import MAXRSS_MB
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from collections.abc import Sequence
 
 LOG, OUT = "{log}", "{out}"
 
@@ -26,6 +32,16 @@ class Program(Struct, frozen=True):
 
     name: str
     command: str
+
+    def with_absolute_paths(self) -> Program:
+        """Return the same command for any folder: its words that name files have their whole paths."""
+        words = (str(Path(word).absolute()) if Path(word).is_file() else word for word in shlex.split(self.command))
+        return replace(self, command=shlex.join(words))
+
+    def key(self) -> list[str]:
+        """Return the words of the command, in place of files the SHA-256 of their content."""
+        words = map(Path, shlex.split(self.command))
+        return [hashlib.sha256(word.read_bytes()).hexdigest() if word.is_file() else str(word) for word in words]
 
 
 class ProgramCost(Struct, frozen=True):
@@ -54,6 +70,25 @@ def read_program(text: str) -> Program:
     return Program(name, command)
 
 
+_WAIT: Final = """
+import json, os, signal, sys, _thread
+def end_with_parent():
+    sys.stdin.buffer.read()
+    os.killpg(0, signal.SIGKILL)
+_thread.start_new_thread(end_with_parent, ())
+files = [(os.POSIX_SPAWN_OPEN, 0, os.devnull, os.O_RDONLY, 0), (os.POSIX_SPAWN_DUP2, 2, 1)]
+try:
+    _, status, used = os.wait4(os.posix_spawnp(sys.argv[1], sys.argv[1:], os.environ, file_actions=files), 0)
+    print(json.dumps([os.waitstatus_to_exitcode(status), used.ru_utime + used.ru_stime, used.ru_maxrss]))
+except OSError as error:
+    print(json.dumps(error.strerror))
+"""
+"""What starts a program and waits for it, in a small process of its own.
+
+The memory of a process counts from that of the one which starts it. The program also ends when mavnav dies.
+"""
+
+
 def run_program(program: Program, log: Path, out: Path, limit_s: float) -> ProgramCost:
     """Run a program, without a shell, in a group of processes that ends with it or after ``limit_s``.
 
@@ -66,11 +101,9 @@ def run_program(program: Program, log: Path, out: Path, limit_s: float) -> Progr
     started_s, stopped = perf_counter(), []
     with out.with_suffix(".txt").open("wb") as printed:
         try:
-            process = subprocess.Popen(  # noqa: S603  the user typed it
-                words, stdin=subprocess.DEVNULL, stdout=printed, stderr=subprocess.STDOUT, start_new_session=True
-            )
+            process = _start(words, printed)
         except OSError as error:
-            return ProgramCost(0.0, None, None, f"{words[0]} cannot be started: {reason_of(error)}")
+            return _not_started(words[0], reason_of(error))
 
         def stop() -> None:
             stopped.append(True)
@@ -78,24 +111,36 @@ def run_program(program: Program, log: Path, out: Path, limit_s: float) -> Progr
 
         timer = Timer(limit_s, stop)
         timer.start()
-        try:
-            code, cpu_s, memory_mb = _wait(process)
-        finally:
-            timer.cancel()
-            _kill(process)
+        with process:
+            try:
+                said = process.stdout.read() if process.stdout else b""
+                code = process.wait()
+            finally:
+                timer.cancel()
+                _kill(process)
+    told = json.loads(said or "null")
+    if isinstance(told, str):
+        return _not_started(words[0], told)
+    code, cpu_s, memory = told or (code, None, None)
     problem = f"it ended with code {code}" if code else "" if out.is_file() else "it wrote no trajectory"
     problem = f"it took over {limit_s:g} s" if stopped else problem
     kept = f"; see {out.with_suffix('.txt')}" if problem else ""
-    return ProgramCost(perf_counter() - started_s, cpu_s, memory_mb, problem + kept)
+    return ProgramCost(perf_counter() - started_s, cpu_s, memory and memory * MAXRSS_MB, problem + kept)
 
 
-def _wait(process: subprocess.Popen[bytes]) -> tuple[int, float | None, float | None]:
-    """Return exit code, processor time, s, and largest memory, MB, of a process; None where the system has neither."""
-    if not hasattr(os, "wait4"):
-        return process.wait(), None, None
-    _, status, used = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    return process.returncode, used.ru_utime + used.ru_stime, used.ru_maxrss * MAXRSS_MB
+def _start(words: Sequence[str], printed: IO[bytes]) -> subprocess.Popen[bytes]:
+    """Start a program; raises OSError. Where the system can tell what it took, `_WAIT` prints that when it has ended.
+
+    Otherwise only its exit code is known.
+    """
+    if hasattr(os, "wait4"):
+        helper = (sys.executable, "-I", "-S", "-c", _WAIT, *words)
+        return subprocess.Popen(helper, stdin=PIPE, stdout=PIPE, stderr=printed, start_new_session=True)  # noqa: S603
+    return subprocess.Popen(words, stdin=DEVNULL, stdout=printed, stderr=STDOUT)  # noqa: S603  the user typed it
+
+
+def _not_started(word: str, why: str) -> ProgramCost:
+    return ProgramCost(0.0, None, None, f"{word} cannot be started: {why}")
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:

@@ -84,6 +84,11 @@ class ReplayRequest(Struct, frozen=True):
     more: tuple[Path, ...] = ()
 
     @property
+    def usual_name(self) -> str:
+        """The usual name of the run's directory."""
+        return replay_directory(self.log, self.config).name
+
+    @property
     def inputs(self) -> tuple[Path | None, ...]:
         """The paths that the run reads; None for those that are not given."""
         config = Path(self.typed.config) if self.typed.config else None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from time import perf_counter, process_time
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
 from msgspec import Struct, field
 from msgspec.structs import replace
@@ -12,11 +12,12 @@ from msgspec.structs import replace
 from mavnav.config.loading import to_scalar
 from mavnav.config.models import Config
 from mavnav.config.option_kinds import recorded_topic
-from mavnav.config.options import ReplayOptions, paths_of, reference_files, words_of
-from mavnav.errors import UsageError
+from mavnav.config.options import REFERENCES, ReplayOptions, paths_of, reference_files, words_of
+from mavnav.errors import ProgramError, UsageError
 from mavnav.ground_truth.references import SWEEPS, compare_to, in_time_of_truth, load_references
 from mavnav.ground_truth.tables import read_trajectory
 from mavnav.logs import open_log
+from mavnav.logs.formats.detect import log_name
 from mavnav.mapping.occupancy_grid import occupied_xy_m
 from mavnav.metrics.reference import position_errors
 from mavnav.outputs.directory import check_directory
@@ -26,8 +27,9 @@ from mavnav.outputs.run import RunResult, Timing, half_sweep_s
 from mavnav.outputs.writers import write_run
 from mavnav.pipelines.again import changed_values
 from mavnav.pipelines.maps import check_references, measured_map, references_in_map, with_true_map_placed
-from mavnav.pipelines.programs import run_program
+from mavnav.pipelines.programs import Program, run_program
 from mavnav.pipelines.reach import with_reach
+from mavnav.pipelines.replay import ReplayRequest
 from mavnav.pose import Pose
 from mavnav.profiling import new_profile
 from mavnav.slam.given_poses import draw_at_poses
@@ -39,7 +41,7 @@ if TYPE_CHECKING:
 
     from mavnav.ground_truth.references import References
     from mavnav.logs import Log
-    from mavnav.pipelines.programs import Program, ProgramCost
+    from mavnav.pipelines.programs import ProgramCost
     from mavnav.pose import Trajectory
     from mavnav.profiling import Progress
 
@@ -95,7 +97,10 @@ def read_source(text: str) -> TrajectorySource:
 
 
 class ScoreRequest(Struct, frozen=True):
-    """A log, the trajectories to score on it, how maps are drawn, and the directory of their runs."""
+    """A log, the trajectories to score on it, how maps are drawn, and the directory of their runs.
+
+    ``only`` is the directory of the run where there is but one; with ``report`` each run has a page.
+    """
 
     log: Path
     directory: Path
@@ -107,6 +112,33 @@ class ScoreRequest(Struct, frozen=True):
     more: tuple[Path, ...] = ()
     programs: tuple[Program, ...] = ()
     limit_s: float = 3600.0
+    report: bool = False
+    only: Path | None = None
+
+    def directory_of(self, name: str) -> Path:
+        """Return the directory of the run of a trajectory."""
+        return self.only or self.directory / name
+
+
+SCORED_OPTIONS: Final = ("topic", "start_s", "end_s", "attitude", "extrinsic", "strict", *REFERENCES)
+"""Options of a replay that hold for given poses, too."""
+
+
+def scored_options(options: ReplayOptions[Path]) -> ReplayOptions[Path]:
+    """Return those of the options of a replay that hold for given poses."""
+    return cast("ReplayOptions[Path]", {name: value for name, value in options.items() if name in SCORED_OPTIONS})
+
+
+class ProgramRequest(ReplayRequest, frozen=True, kw_only=True):
+    """A run in which another program finds the poses, within ``limit_s``."""
+
+    program: Program
+    limit_s: float
+
+    @property
+    def usual_name(self) -> str:
+        """The usual name of the run's directory."""
+        return f"{log_name(self.log)}-{self.program.name}"
 
 
 class Scored(NamedTuple):
@@ -136,7 +168,7 @@ def score_log(request: ScoreRequest, progress: Progress) -> list[Scored]:
     inputs = (request.log, *request.more, *paths_of(request.options))
     files = [source.path for source in request.sources if source.in_log is None]
     for name in names:
-        check_directory(request.directory / name, force=request.force, inputs=(*inputs, *files))
+        check_directory(request.directory_of(name), force=request.force, inputs=(*inputs, *files))
     references = load_references(**reference_files(request.options))
     progress("reading", 0, None)
     truth = request.options.get("truth")
@@ -159,6 +191,19 @@ def score_log(request: ScoreRequest, progress: Progress) -> list[Scored]:
     return scored
 
 
+def score_program(request: ProgramRequest, progress: Progress) -> None:
+    """Run a program on a log, and judge its poses in the directory of the request.
+
+    Raises as `score_log`, and ProgramError for a program without poses.
+    """
+    place, options = request.directory, scored_options(request.options)
+    given = ScoreRequest(request.log, place.parent, request.config, (), options, force=True, typed=request.typed)
+    alone = {"programs": (request.program,), "limit_s": request.limit_s, "report": request.report, "only": place}
+    (scored,) = score_log(replace(given, **alone), progress)
+    if scored.document is None:
+        raise ProgramError(scored.error)
+
+
 def check_names(sources: Sequence[TrajectorySource], programs: Sequence[Program]) -> list[str]:
     """Return the names of trajectories and programs; raises UsageError for none, and for names that cannot be used."""
     names = [*(source.name for source in sources), *(program.name for program in programs)]
@@ -172,7 +217,7 @@ def check_names(sources: Sequence[TrajectorySource], programs: Sequence[Program]
 
 
 def _written(program: Program, request: ScoreRequest) -> Path:
-    return request.directory / PROGRAMS / f"{program.name}.tum"
+    return request.directory / PROGRAMS / f"{request.directory_of(program.name).name}.tum"
 
 
 def _written_poses(program: Program, cost: ProgramCost, request: ScoreRequest, log: Log) -> _GivenPoses | str:
@@ -184,7 +229,7 @@ def _written_poses(program: Program, cost: ProgramCost, request: ScoreRequest, l
     except UsageError as error:
         return str(error)
     measured = {"wall_s": cost.wall_s, "cpu_s": cost.cpu_s, "peak_memory_mb": cost.peak_memory_mb}
-    return replace(poses, program={"command": program.command, **measured})
+    return replace(poses, program={"source": program.command, **measured})
 
 
 def _open(request: ScoreRequest, recorded: str | None) -> Log:
@@ -264,20 +309,19 @@ def _score(
         timing=Timing(perf_counter() - wall_s, process_time() - cpu_s, 0.0, stages),
         provenance=provenance(utc_now(), request.typed, [*_again(request, source)]),
         external=External(
-            source.name,
-            source.text,
-            poses.frame,
-            source.pose_at,
-            len(poses.world_T_laser),
-            origin,
+            name=source.name,
+            frame=poses.frame,
+            pose_at=source.pose_at,
+            poses=len(poses.world_T_laser),
+            origin=origin,
             misfit_mm=misfit_m / MM,
-            **poses.program,
+            **{"source": source.text, **poses.program},
         ),
         reference=compare_to(references, held, occupied_xy_m(outcome.grid)),
         true_map=references.true_map,
         position_errors_m=position_errors(held, references.truth, aligned=True) if references.truth else None,
     )
-    return write_run(run, request.directory / source.name, force=request.force)
+    return write_run(run, request.directory_of(source.name), force=request.force, report=request.report)
 
 
 def _again(request: ScoreRequest, source: TrajectorySource) -> Iterator[str]:

@@ -161,13 +161,12 @@ class External(Struct, frozen=True):
     """The trajectory at which the scans were drawn and judged; ``origin`` is the pose of the map frame in its frame."""
 
     name: Annotated[str, text("name of the trajectory")]
-    source: Annotated[str, text("file, topic or frames of the poses")]
+    source: Annotated[str, text("file, topic or frames of the poses, or the command that wrote them")]
     frame: Annotated[str, text("what the poses are of: laser, base or a frame of the log")]
     pose_at: Annotated[str, text("beam of a scan, first, middle or last, at whose time a pose with its stamp holds")]
     poses: Annotated[int, number("poses of the trajectory")]
     origin: StartPose
     misfit_mm: Annotated[Measured, number("how far from its pose the median scan fits the map of all best")] = OPTIONAL
-    command: Annotated[str, text("command that wrote the poses")] = OPTIONAL
     wall_s: Annotated[float, number("time that the command took by the clock")] = OPTIONAL
     cpu_s: Annotated[Measured, number("processor time of the command")] = OPTIONAL
     peak_memory_mb: Annotated[Measured, number("largest memory of a process of the command")] = OPTIONAL

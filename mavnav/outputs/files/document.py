@@ -89,6 +89,14 @@ def run_document(run: RunResult, outputs: dict[str, str]) -> model.RunDocument:
     )
 
 
+def document_without_cost(run: RunResult) -> model.RunDocument:
+    """Return run.json without what another program took, for files that are the same each time."""
+    document = run_document(run, {})
+    if not run.external:
+        return document
+    return replace(document, external=replace(run.external, wall_s=ABSENT, cpu_s=ABSENT, peak_memory_mb=ABSENT))
+
+
 def run_verdict(run: RunResult) -> Verdict:
     """Judge a run by the sections of its run.json."""
     return track_verdict(
@@ -124,7 +132,7 @@ def track_verdict(slam: SlamResult, log: Log, config: Config, **more: object) ->
 
 def write_metrics(run: RunResult, path: Path) -> None:
     """Write metrics.json: other tracks of the log are no metric of this one."""
-    document = run_document(run, {})
+    document = document_without_cost(run)
     document = replace(document, tracking=replace(document.tracking, attempts=ABSENT))
     path.write_text(to_json({name: getattr(document, name) for name in model.METRICS}), encoding="utf-8")
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from mavnav.logs.messages.cdr import LINE_LIST, LINE_STRIP, TEXT, Marker
 from mavnav.logs.writing.mcap_writer import Attachment, Extras
-from mavnav.outputs.files.document import plain, plain_json, run_document, to_json
+from mavnav.outputs.files.document import document_without_cost, plain, plain_json, to_json
 from mavnav.outputs.files.gridmap import pgm_rows, yaml_text
 from mavnav.slam.result import doubtful_parts
 from mavnav.units import DEG, NS
@@ -42,7 +42,7 @@ def extras(run: RunResult) -> Extras:
     Of run.json the sections are left out that differ from run to run, and the path of the log, or the whole file of a
     scenario: equal runs have equal bytes.
     """
-    document: dict[str, Any] = plain(run_document(run, {}))
+    document: dict[str, Any] = plain(document_without_cost(run))
     document = {name: section for name, section in document.items() if name not in _CHANGING}
     del document["input"]["path"]
     for key in ("sha256", "size_bytes") if run.mission else ():
