@@ -157,6 +157,14 @@ class Localisation(Struct, frozen=True):
     found: Annotated[FoundPose | None, text("first accepted pose, null if the laser was found nowhere")]
 
 
+class Alignment(Struct, frozen=True):
+    """Where the scan that begins the map was put (``--align``); without this it is at the origin, heading along x."""
+
+    x_m: Annotated[float, number("position in the map frame")]
+    y_m: Annotated[float, number("position in the map frame")]
+    yaw_deg: Annotated[float, number("heading in the map frame, counter-clockwise")]
+
+
 class External(Struct, frozen=True):
     """The trajectory at which the scans were drawn and judged; ``origin`` is the pose of the map frame in its frame."""
 
@@ -325,6 +333,7 @@ class RunDocument(Struct, frozen=True, kw_only=True):
     tracking: Tracking
     loop_closure: LoopClosure
     localisation: Localisation = OPTIONAL
+    alignment: Alignment = OPTIONAL
     external: External = OPTIONAL
     continued: Continued = OPTIONAL
     search: Search
