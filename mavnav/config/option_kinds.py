@@ -108,7 +108,7 @@ COUNT: Final = ValueKind(int | None, int)
 SWITCH: Final = ValueKind(bool, bool)
 POSE: Final = ValueKind(str | None, tuple[float, float, float], _read_pose, _restore_pose)
 FILE: Final = ValueKind(Path | None, str, _same, lambda text, path: path(text))
-ALIGNMENT: Final = ValueKind(str | None, str, read_alignment, lambda text, _: read_alignment(text, "align:"))
+PLACE: Final = ValueKind(str | None, str, read_alignment, lambda text, _: read_alignment(text, "align:"))
 """How a map is placed: a text, as `read_alignment` returns it."""
 TRUTH: Final = ValueKind(str | None, str, lambda text, _: _restore_truth(text, Path), _restore_truth)
 """A trajectory: a path, or a text that names a topic of the log."""

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Generic, TypedDict, TypeVar, cast, get_args, get_type_hints
 
 from mavnav.config.option_kinds import (
-    ALIGNMENT,
     COUNT,
     FILE,
     NUMBER,
     OUTPUT,
+    PLACE,
     POSE,
     SWITCH,
     TEXT,
@@ -162,7 +162,7 @@ _KINDS: Final[dict[Any, Any]] = {
     int | None: COUNT,
     bool: SWITCH,
     Sequence[float] | None: POSE,
-    str | Sequence[float] | None: ALIGNMENT,
+    str | Sequence[float] | None: PLACE,
     PathType | None: FILE,
     PathType | str | None: TRUTH,
 }

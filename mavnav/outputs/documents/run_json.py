@@ -133,7 +133,7 @@ class LoopClosure(Struct, frozen=True):
 
 
 class StartPose(Struct, frozen=True):
-    """A pose of the laser in the given map."""
+    """A pose of the laser in a map."""
 
     x_m: Annotated[float, number("position in the map frame")]
     y_m: Annotated[float, number("position in the map frame")]
@@ -155,14 +155,6 @@ class Localisation(Struct, frozen=True):
     map: Annotated[str, text("the given map")]
     start_pose: Annotated[StartPose | None, text("start pose as given, null without")]
     found: Annotated[FoundPose | None, text("first accepted pose, null if the laser was found nowhere")]
-
-
-class Alignment(Struct, frozen=True):
-    """Where the scan that begins the map was put (``--align``); without this it is at the origin, heading along x."""
-
-    x_m: Annotated[float, number("position in the map frame")]
-    y_m: Annotated[float, number("position in the map frame")]
-    yaw_deg: Annotated[float, number("heading in the map frame, counter-clockwise")]
 
 
 class External(Struct, frozen=True):
@@ -333,7 +325,7 @@ class RunDocument(Struct, frozen=True, kw_only=True):
     tracking: Tracking
     loop_closure: LoopClosure
     localisation: Localisation = OPTIONAL
-    alignment: Alignment = OPTIONAL
+    alignment: Annotated[StartPose, text("where --align put the scan that begins the map")] = OPTIONAL
     external: External = OPTIONAL
     continued: Continued = OPTIONAL
     search: Search

@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from mavnav.logs.records import Odometry
     from mavnav.outputs.documents.verdict import Verdict
     from mavnav.outputs.run import RunResult
-    from mavnav.pose import Pose
     from mavnav.slam.findings import Doubt, Reason
     from mavnav.slam.matching.odometry_fit import OdometryFit
     from mavnav.slam.matching.steps import LostInterval, Steps
@@ -52,7 +51,7 @@ OTHER_PICTURE: Final = f"{MAP_PICTURE} of a run with --outputs pictures"
 
 def run_document(run: RunResult, outputs: dict[str, str]) -> model.RunDocument:
     """Describe a run; ``outputs`` maps the files written to their SHA-256."""
-    mission = run.mission
+    mission, at = run.mission, run.slam.map_T_begin
     return model.RunDocument(
         schema_version=1,
         mavnav_version=__version__,
@@ -70,7 +69,7 @@ def run_document(run: RunResult, outputs: dict[str, str]) -> model.RunDocument:
         tracking=_tracking(run.slam, run.log, run.config),
         loop_closure=_loop_closure(run),
         localisation=run.localisation or ABSENT,
-        alignment=_alignment(run.slam.map_T_begin),
+        alignment=model.StartPose(at.x_m, at.y_m, at.yaw_rad / DEG) if at else ABSENT,
         external=run.external or ABSENT,
         continued=run.continued or ABSENT,
         search=_search(run.slam),
@@ -276,11 +275,6 @@ def _doubt(doubt: Doubt | None, first_ns: int) -> sections.DoubtSection:
         return sections.DoubtSection(np.nan, [], [])
     reasons = [sections.DoubtReason(r.name, *_span_s(r, first_ns), r.value) for r in doubt.reasons]
     return sections.DoubtSection(doubt.probability, reasons, list(doubt.tried))
-
-
-def _alignment(map_T_begin: Pose | None) -> model.Alignment:
-    at = map_T_begin
-    return model.Alignment(at.x_m, at.y_m, at.yaw_rad / DEG) if at else ABSENT
 
 
 def _loop_closure(run: RunResult) -> model.LoopClosure:
