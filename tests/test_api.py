@@ -217,6 +217,10 @@ def test_a_mission(tmp_path: Path) -> None:
         (lambda: mavnav.replay("a", settings=["robust.cell_mm=3"]), "give a dictionary"),
         (lambda: mavnav.replay("a", settings={"robust.cell_mm": np.array(3)}), "no plain type"),
         (lambda: mavnav.replay("a", start_pose=(0, 0, 0)), "give that with map"),
+        (lambda: mavnav.replay("a", align="wall"), "^align 'wall' is neither walls"),
+        (lambda: mavnav.replay("a", align=(0, 0)), "^align '0,0' is neither walls"),
+        (lambda: mavnav.replay("a", align=3), "align is 3; give a list"),
+        (lambda: mavnav.replay(LOG, align="walls", online=True), "align draws the finished map again"),
         (lambda: mavnav.compare(3), "log is 3; give a list"),
         (lambda: mavnav.compare("a", grids=3.5), "grids is 3.5; give a list"),
         *(

@@ -17,7 +17,7 @@ from pathlib import Path
 from textwrap import fill, indent
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
-from mavnav.config.option_kinds import FILE, POSE, SWITCH, TOPICS, TRUTH, ValueKind, pose_problem, recorded_topic
+from mavnav.config.option_kinds import FILE, PLACE, POSE, SWITCH, TOPICS, TRUTH, ValueKind, pose_problem, recorded_topic
 from mavnav.config.options import OPTIONS, TYPES, File, given_options
 from mavnav.errors import MavnavError, UsageError
 from mavnav.pose import Pose
@@ -144,12 +144,17 @@ def options_of(options: Mapping[str, Any]) -> ReplayOptions[Path]:
     )
 
 
+def _place_of(values: str | Sequence[float], name: str) -> Any:  # noqa: ANN401
+    return PLACE.read(values if isinstance(values, str) else ",".join(map(str, _as_list(values, name))), name)
+
+
 def _truth_of(truth: File, name: str) -> str | Path:
     return truth if isinstance(truth, str) and recorded_topic(truth) is not None else path_of(truth, name)
 
 
 _CHECKS: dict[ValueKind, Callable[[Any, str], Any]] = {
     FILE: path_of,
+    PLACE: _place_of,
     POSE: pose_of,
     TOPICS: topics_of,
     TRUTH: _truth_of,

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from mavnav.errors import UsageError
-from mavnav.units import LARGEST_COORDINATE_M
+from mavnav.units import DEG, LARGEST_COORDINATE_M
 
 
 def pose_problem(x_m: float, y_m: float, yaw_rad: float) -> str:
@@ -79,6 +79,24 @@ def _restore_pose(pose: Any, _: object) -> tuple[float, float, float]:  # noqa: 
     return x_m, y_m, yaw_rad
 
 
+WALLS: Final = "walls"
+
+
+def read_alignment(text: str, flag: str) -> str | None:
+    """Read ``walls``, ``none`` (None), or ``x,y,yaw`` in m, m, deg; raises UsageError."""
+    if text in {WALLS, "none"}:
+        return text if text == WALLS else None
+    try:
+        x_m, y_m, yaw_deg = map(float, text.split(","))
+        known = not pose_problem(x_m, y_m, yaw_deg * DEG)
+    except ValueError:
+        known = False
+    if not known:
+        wrong = f"is neither {WALLS}, none nor X,Y,YAW in m, m, deg of at most a turn"
+        raise UsageError(f"{flag} {text!r} {wrong}; write for example {flag} 2.5,1,90")
+    return f"{x_m},{y_m},{yaw_deg}"
+
+
 def _restore_truth(text: str, path: Callable[[str], Path]) -> str | Path:
     return path(text) if recorded_topic(text) is None else text
 
@@ -90,6 +108,8 @@ COUNT: Final = ValueKind(int | None, int)
 SWITCH: Final = ValueKind(bool, bool)
 POSE: Final = ValueKind(str | None, tuple[float, float, float], _read_pose, _restore_pose)
 FILE: Final = ValueKind(Path | None, str, _same, lambda text, path: path(text))
+PLACE: Final = ValueKind(str | None, str, read_alignment, lambda text, _: read_alignment(text, "align:"))
+"""How a map is placed: a text, as `read_alignment` returns it."""
 TRUTH: Final = ValueKind(str | None, str, lambda text, _: _restore_truth(text, Path), _restore_truth)
 """A trajectory: a path, or a text that names a topic of the log."""
 

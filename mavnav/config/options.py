@@ -11,13 +11,26 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Generic, TypedDict, TypeVar, cast, get_args, get_type_hints
 
-from mavnav.config.option_kinds import COUNT, FILE, NUMBER, POSE, SWITCH, TEXT, TOPICS, TRUTH, Check, Input, Search
+from mavnav.config.option_kinds import (
+    COUNT,
+    FILE,
+    NUMBER,
+    OUTPUT,
+    PLACE,
+    POSE,
+    SWITCH,
+    TEXT,
+    TOPICS,
+    TRUTH,
+    Check,
+    Input,
+    Option,
+    Search,
+)
 from mavnav.errors import UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
-
-    from mavnav.config.option_kinds import Option
 
 File = str | PathLike[str]
 """What names a file in Python."""
@@ -118,6 +131,16 @@ class ReplayOptions(SearchOptions, Generic[PathType], total=False):
         Sequence[float] | None,
         Search("--start-pose X,Y,YAW", "Approximate first pose in the map, m, m, rad (default searched for)."),
     ]
+    align: Annotated[
+        str | Sequence[float] | None,
+        Option(
+            OUTPUT,
+            "--align walls|none|X,Y,YAW",
+            "Turn the walls along the axes, or put the first pose there, m, m, deg (default none).",
+            absent=True,
+            manifest=True,
+        ),
+    ]
     truth: Annotated[
         PathType | str | None,
         Check(
@@ -139,6 +162,7 @@ _KINDS: Final[dict[Any, Any]] = {
     int | None: COUNT,
     bool: SWITCH,
     Sequence[float] | None: POSE,
+    str | Sequence[float] | None: PLACE,
     PathType | None: FILE,
     PathType | str | None: TRUTH,
 }

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from mavnav.errors import UsageError
 from mavnav.metrics.fields import ABSENT
@@ -104,6 +105,19 @@ def of_scenario(scenario: Scenario, world_T_map: Pose) -> TrueMap:
     """
     walls, every = scenario.obstacles.seen_from(world_T_map), scenario.world.seen_from(world_T_map)
     return TrueMap(every.distance_m, points_on(walls), START_POSE, walls.segments, walls.arcs)
+
+
+def place_walls(true: TrueMap, map_T_walls: Pose) -> TrueMap:
+    """Return true walls in a map frame in which their own frame has this pose."""
+    segments, (centres, rest) = true.segments_map.reshape(-1, 2), np.split(true.arcs_map, [2], axis=1)
+    turned = rest + np.array([0.0, map_T_walls.yaw_rad, 0.0])
+    return replace(
+        true,
+        distance_m=lambda points: true.distance_m(transform_points(map_T_walls.inverse(), points)),
+        xy_m=transform_points(map_T_walls, true.xy_m),
+        segments_map=transform_points(map_T_walls, segments).reshape(-1, 4),
+        arcs_map=np.hstack((transform_points(map_T_walls, centres), turned)),
+    )
 
 
 def of_map(file: MapFile, map_T_file: Pose, alignment: str) -> TrueMap:

@@ -95,6 +95,13 @@ def floor_plan(grid: Grid, map_T_grid: Pose) -> FloorPlan:
     return FloorPlan(closed + shift, doors + shift, plan_T_map)
 
 
+def turn_to_walls(grid: Grid) -> Pose | None:
+    """Return the turn of at most an eighth that brings most walls of a grid along the axes; None without any."""
+    straight = _straight_lines(grid)
+    off_rad = _main_direction(straight, occupied_xy_m(grid))
+    return Pose(0.0, 0.0, (np.pi / 4.0 - off_rad) % (np.pi / 2.0) - np.pi / 4.0) if len(straight) else None
+
+
 def _straight_lines(grid: Grid) -> Array:
     """Return the straight walls of a grid, the longest first: x, y and length in m, direction in rad, (n, 4)."""
     walls = straight_walls(wall_sections(only_occupied(grid), grid.cell_m, 1), grid)

@@ -27,7 +27,7 @@ from mavnav.outputs.directory import MERGE_FILE, RUN_FILE
 from mavnav.outputs.files.document import plain
 from mavnav.outputs.files.finished_run import RunRecord, finished_run
 from mavnav.outputs.files.gridmap import HITS_FILE, read_npz
-from mavnav.pipelines.maps import with_true_map_placed
+from mavnav.pipelines.maps import with_true_map_placed, with_walls_moved
 from mavnav.pipelines.sessions import mapped_share, poses_of
 from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.slam.findings import NOT_PLANAR
@@ -54,8 +54,8 @@ class Subject(Struct, frozen=True):
     """What is measured: a map, where its cells lie in the map frame, and the scans behind it where they are known.
 
     ``verdict`` is that of the run, if it has one. ``begins_late`` is set where the map frame is that of a later scan
-    than the first one of the log. The poses hold ``holds_s`` after their
-    stamps, and a true pose with the stamp of a scan at its beam ``truth_at``.
+    than the first one of the log; ``map_T_begin`` is where that scan was put, if not at the origin. The poses hold
+    ``holds_s`` after their stamps, and a true pose with the stamp of a scan at its beam ``truth_at``.
     """
 
     kind: str
@@ -63,6 +63,7 @@ class Subject(Struct, frozen=True):
     map_T_grid: Pose
     journey: Journey | None = None
     begins_late: bool = False
+    map_T_begin: Pose | None = None
     verdict: dict[str, str] | None = None
     holds_s: float = 0.0
     truth_at: str = "first"
@@ -137,7 +138,9 @@ def _run(directory: Path) -> Subject:
             planar=NOT_PLANAR not in (tracking.reasons or ()),
         )
     late, verdict = _begins_late(record, map_T_laser), stored_verdict(run.document)
-    return Subject("run", grid, Pose(), journey, late, verdict, tracking.holds_s, record.config.truth_at)
+    at = record.alignment
+    begin = Pose(at.x_m, at.y_m, at.yaw_deg * DEG) if at else None
+    return Subject("run", grid, Pose(), journey, late, begin, verdict, tracking.holds_s, record.config.truth_at)
 
 
 @contextmanager
@@ -178,6 +181,7 @@ def _document(path: Path, what: Subject, references: References) -> dict[str, An
             "relative; give the true walls as a map file in the frame of the map"
         )
     sections = measured.sections if what.has_counts else {}  # a map file has no counts
+    references = with_walls_moved(references, what.map_T_begin)
     held = what.trajectory and in_time_of_truth(what.trajectory, what.holds_s, what.truth_at)
     references = with_true_map_placed(references, grid, Config(), None if what.has_counts else what.map_T_grid)
     reference = compare_to(references, held, transform_points(what.map_T_grid, occupied_xy_m(grid)))

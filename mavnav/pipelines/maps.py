@@ -7,22 +7,24 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from msgspec.structs import replace
 
+from mavnav.config.option_kinds import WALLS
 from mavnav.errors import UsageError
-from mavnav.ground_truth.references import check_times, of_map
+from mavnav.ground_truth.references import check_times, of_map, place_walls
 from mavnav.mapping.occupancy_grid import known_area, measured_area, occupied_xy_m
 from mavnav.mapping.slices import scans_with_heights, slice_map
+from mavnav.metrics.floor_plan import turn_to_walls
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import measure_map
 from mavnav.metrics.reference import COVERED_M
 from mavnav.outputs.directory import checked_file, digests_of
 from mavnav.outputs.documents.run_json import FoundPose, Localisation, StartPose
-from mavnav.pose import MAX_GAP_NS
+from mavnav.pose import MAX_GAP_NS, Pose
 from mavnav.profiling import Stage, timed
 from mavnav.slam.methods.registry import LOCALIZERS
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from mavnav.config.models import Config
@@ -31,9 +33,9 @@ if TYPE_CHECKING:
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.mapping.slices import PlacedScan, Slices
     from mavnav.metrics.map_quality import MeasuredMap
-    from mavnav.pose import Pose
     from mavnav.slam.matching.prior_map import PriorMap
     from mavnav.slam.result import SlamResult
+    from mavnav.slam.track import Placement
 
 
 def known_map(path: Path | None, start_pose: Pose | None, method: str) -> PriorMap | None:
@@ -59,6 +61,16 @@ def known_map(path: Path | None, start_pose: Pose | None, method: str) -> PriorM
     if not len(known.walls_xy_m):
         raise UsageError(f"{path}: the map has no occupied cell; name a map with walls")
     return known
+
+
+def placement_of(alignment: str | Sequence[float] | None) -> Placement | None:
+    """Return where a map is put by ``--align``; None where it stays."""
+    if alignment is None:
+        return None
+    if alignment == WALLS:
+        return turn_to_walls
+    x_m, y_m, yaw_deg = map(float, alignment.split(",") if isinstance(alignment, str) else alignment)
+    return lambda _: Pose(x_m, y_m, yaw_deg * DEG)
 
 
 def localisation(path: Path, start_pose: Pose | None, outcome: SlamResult) -> Localisation:
@@ -100,16 +112,24 @@ def check_references(
         )
 
 
-def references_in_map(references: References, log: Log, begin_ns: int | None) -> tuple[References, tuple[str, ...]]:
+def references_in_map(
+    references: References, log: Log, begin_ns: int | None, map_T_begin: Pose | None = None
+) -> tuple[References, tuple[str, ...]]:
     """Return the references that a map is compared with, in its frame, and warnings of those left out.
 
     ``begin_ns`` is the stamp of the scan that begins the map and defines its frame, None where that is no scan of the
-    log.
+    log; ``map_T_begin`` is its pose if that was moved.
     """
-    references = _with_recorded_truth(references, log, begin_ns)
+    references = _with_recorded_truth(references, log, begin_ns, map_T_begin)
     if references.of_first_scan and begin_ns not in {None, log.first_ns}:
         return replace(references, true_map=None), (NO_WALLS,)
-    return references, ()
+    return with_walls_moved(references, map_T_begin), ()
+
+
+def with_walls_moved(references: References, map_T_begin: Pose | None) -> References:
+    """Return references with the walls of a scenario, which are relative to the first scan, where that was put."""
+    walls = references.true_map if references.of_first_scan else None
+    return replace(references, true_map=place_walls(walls, map_T_begin)) if walls and map_T_begin else references
 
 
 def with_true_map_placed(
@@ -137,7 +157,9 @@ def with_true_map_placed(
     return replace(references, true_map=of_map(file, place, text))
 
 
-def _with_recorded_truth(references: References, log: Log, begin_ns: int | None) -> References:
+def _with_recorded_truth(
+    references: References, log: Log, begin_ns: int | None, map_T_begin: Pose | None = None
+) -> References:
     """Add the truth that the log holds, if it was asked for, in the map frame: that of the scan which begins the map.
 
     Where that scan is unknown, or has no truth, it stays in its own frame.
@@ -146,7 +168,8 @@ def _with_recorded_truth(references: References, log: Log, begin_ns: int | None)
         return references
     truth = log.truth.world_T_laser
     first = None if begin_ns is None else truth.at(begin_ns, MAX_GAP_NS)
-    return replace(references, truth=truth.seen_from(first.inverse()) if first else truth)
+    seen = truth.seen_from(first.inverse()) if first else truth
+    return replace(references, truth=seen.seen_from(map_T_begin) if first and map_T_begin else seen)
 
 
 @timed("measuring")

@@ -32,6 +32,7 @@ from mavnav.pipelines.maps import (
     known_map,
     localisation,
     measured_map,
+    placement_of,
     references_in_map,
     slices_of,
     with_true_map_placed,
@@ -57,6 +58,7 @@ if TYPE_CHECKING:
     from mavnav.sessions.group import Session
     from mavnav.slam.matching.prior_map import PriorMap
     from mavnav.slam.result import SlamResult
+    from mavnav.slam.track import Placement
 
 
 Stop = Callable[[], ExitCode | None]
@@ -137,6 +139,16 @@ def _to_continue(request: ReplayRequest) -> tuple[FinishedRun | None, tuple[Sess
     return run, tuple(earlier_sessions(run, request.config))
 
 
+def _check_alignment(request: ReplayRequest) -> None:
+    """Raise UsageError where the map cannot be aligned."""
+    if "align" not in request.options:
+        return
+    if {"map", "continue_from"} & request.options.keys():
+        raise UsageError("--align: the map is in the frame of the one given by --map or --continue; leave out --align")
+    if not request.config.final_pass or request.config.method != "robust":
+        raise UsageError("--align draws the finished map again, with --method robust and without --online")
+
+
 def replay_directory(log: Path, config: Config) -> Path:
     """Return ``runs/<log>-<method>-<yaw samples>-<grid>``."""
     return Path("runs") / f"{log_name(log)}-{config.method}-{config.azimuth}-{config.grid}"
@@ -159,6 +171,7 @@ def replay_log(
     options = request.options
     check_log(request.log, options.get("start_s"), options.get("end_s"), request.more)
     check_groups(request.outputs or ())
+    _check_alignment(request)
     check_directory(request.directory, force=True, inputs=request.inputs)
     given = Given(
         load_references(**reference_files(options)),
@@ -203,7 +216,7 @@ def _track_and_write(
 ) -> tuple[RunResult, dict[str, Any]]:
     """Track, measure and write; ``began`` holds the clocks as they stood at the start."""
     config, warnings = with_reach(request.config, log)
-    outcome = _track(log, config, given.known, progress, stop)
+    outcome = _track(log, config, given.known, progress, stop, placement_of(request.options.get("align")))
     outcome = changed(outcome, warnings=(*warnings, *outcome.warnings))
     log = log.as_recorded() if TrackedAgain(AS_RECORDED, kept=True) in outcome.attempts else log
     stopped = stop()
@@ -215,7 +228,7 @@ def _track_and_write(
     held = in_time_of_truth(outcome.trajectory, half_sweep_s(log, outcome), config.truth_at)
     later_ns = held.stamps_ns[:1].sum() - outcome.trajectory.stamps_ns[:1].sum()
     begin_ns = outcome.begin_ns + int(later_ns) if given.own_frame and outcome.begin_ns is not None else None
-    references, warnings = references_in_map(given.references, log, begin_ns)
+    references, warnings = references_in_map(given.references, log, begin_ns, outcome.map_T_begin)
     references = with_true_map_placed(references, outcome.grid, config)
     outcome = changed(outcome, warnings=(*outcome.warnings, *warnings))
     measured = measured_map(outcome, log)
@@ -288,7 +301,9 @@ def with_corrected_odometry(log: Log, config: Config) -> Log:
     return changed(log, odometry=changed(odometry, odom_T_base=odom_T_base, odom_T_laser=odom_T_laser))
 
 
-def _track(log: Log, config: Config, known: PriorMap | None, progress: Progress, stop: Stop) -> SlamResult:
+def _track(
+    log: Log, config: Config, known: PriorMap | None, progress: Progress, stop: Stop, placement: Placement | None
+) -> SlamResult:
     """Run the method; odometry is taken at the middle of the sweeps, where the poses hold."""
     going, plain = lambda _: stop() is None, log.as_recorded()
     return run_slam(
@@ -301,5 +316,6 @@ def _track(log: Log, config: Config, known: PriorMap | None, progress: Progress,
         prior_map=known,
         base_T_laser=log.base_T_laser or Pose(),
         scans_ns=log.stamps_ns,
+        placement=placement,
         recorded=(lambda: takewhile(going, plain.scans())) if log.attitude and config.attitude == "auto" else None,
     )

@@ -121,7 +121,8 @@ class Findings(Struct, frozen=True):
     others; empty without parts. ``observed`` and ``conflicts`` (n,) are the observability and the visibility conflicts
     of the steps in the finished map, ``hessians`` (n, 6) their Hessians, from which covariances are computed; empty
     before the final pass. ``opinion`` are the steps of a track with coarser voxels that was not kept, if there was one.
-    ``doubt`` is None where it was not judged. ``odometry`` is what corrects the odometry;
+    ``doubt`` is None where it was not judged. ``map_T_begin`` is the pose at which the scan that begins the map was put
+    in the map frame, if it was. ``odometry`` is what corrects the odometry;
     ``sweep_s`` the time of a sweep where it is another than stated, None where it is not.
     """
 
@@ -135,5 +136,6 @@ class Findings(Struct, frozen=True):
     hessians: NDArray[np.float64] = field(default_factory=partial(np.zeros, (0, 6)))
     opinion: Steps | None = None
     doubt: Doubt | None = None
+    map_T_begin: Pose | None = None
     sweep_s: float | None = None
     odometry: OdometryFit = GOOD_ODOMETRY

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+from msgspec.structs import replace
+
 from mavnav.pose import Pose
 from mavnav.slam.doubt.judge import judge_flown, judge_redrawn, judge_track
 from mavnav.slam.loop_closure.detection import close_loops
@@ -14,6 +16,7 @@ from mavnav.slam.recovery.own_map import or_with_own_map, place_in_given_map
 from mavnav.slam.recovery.parts import drop_late_poses, join_lost_parts
 from mavnav.slam.recovery.rematch import rematch_beginning, rematch_rejected
 from mavnav.slam.refinement.contradicted import drop_contradicted
+from mavnav.slam.refinement.place import place_map
 from mavnav.slam.refinement.refine import match_deskewed, refine_and_draw, remove_dynamic_cells, smooth_jitter
 from mavnav.slam.result import summarize
 from mavnav.slam.retries.attempt import COARSER_VOXELS, try_again
@@ -32,7 +35,7 @@ if TYPE_CHECKING:
     from mavnav.pose import Rotation, Trajectory
     from mavnav.slam.matching.prior_map import PriorMap
     from mavnav.slam.result import SlamResult
-    from mavnav.slam.track import LogScans, OnStep, Pass
+    from mavnav.slam.track import LogScans, OnStep, Pass, Placement
 
 SHORTEST_PERIOD_S = 1e-3
 """Minimum scan period, s, also that of a log of one scan, whose period is unknown."""
@@ -47,6 +50,7 @@ CHECKING: Final[tuple[Pass, ...]] = (
     place_in_given_map,  # "Localization in a given map"
     close_loops,  # step 11
     drop_contradicted,  # "Localization in a given map"
+    place_map,  # --align
     remove_dynamic_cells,  # step 12
     refine_and_draw,  # steps 13 and 14
     judge_track,  # "Doubt"
@@ -72,6 +76,7 @@ def run_slam(
     base_T_laser: Pose | None = None,
     scans_ns: NDArray[np.int64] | None = None,
     recorded: LogScans | None = None,
+    placement: Placement | None = None,
 ) -> SlamResult:
     """Run the configured method over a recorded log.
 
@@ -89,6 +94,7 @@ def run_slam(
     base_T_laser : the mounting of the laser, for which odometry is scaled where it should be
     scans_ns : the stamps (n,) of all scans, which are averaged where odometry then fits better
     recorded : returns the scans as recorded, where those of ``log_scans`` are levelled by a tilt that may be wrong
+    placement : where in the map frame the finished map is put; by default the scan that begins it is at the origin
     """
     method = make_method(config, prior_map)
     given: LogOdometry | None = None
@@ -102,7 +108,7 @@ def run_slam(
     odometry = given.lookup(fit) if given else None
     motion = Motion(max(period_s, SHORTEST_PERIOD_S), odometry, method.expects_rest, rotation=rotation, fastest=fastest)
     start = Track(log_scans, config, motion, method, prior_map=prior_map, on_step=on_step, log_odometry=given)
-    start = start.with_findings(odometry=fit)
+    start = replace(start.with_findings(odometry=fit), placement=placement)
     unlevelled = (as_recorded(recorded),) if recorded else ()
     track = try_again(track_from_good_beginning(start), (*FITTING_ODOMETRY, *unlevelled))  # steps 1 to 8 first
     track = try_again(or_with_own_map(track, start), ATTEMPTS)

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.mapping.occupancy_grid import Grid
+    from mavnav.pose import Pose
     from mavnav.slam.findings import Doubt, TrackedAgain
     from mavnav.slam.matching.odometry_fit import OdometryFit
     from mavnav.slam.track import Track
@@ -44,8 +45,9 @@ class SlamResult(Struct, frozen=True):
     used as recorded. ``attempts`` to track the log again, in order. ``parts`` are the stretches of a log that was not
     tracked as a whole, each on a separate map at first; else empty. ``doubt`` is None where it
     was not judged. ``begin_ns`` is the stamp of the scan that begins the map and defines the map frame; None where
-    nothing was tracked. ``odometry`` is what corrects the odometry that is used; None if none is. ``sweep_s``
-    is the time of a sweep where it is another than stated, else None. ``bridges`` are poses of lost scans by odometry.
+    nothing was tracked. It is put at ``map_T_begin``, else at the origin. ``odometry`` is what corrects the odometry
+    that is used; None if none is. ``sweep_s`` is the time of a sweep where it is another than stated, else None.
+    ``bridges`` are poses of lost scans by odometry.
     """
 
     steps: Steps
@@ -62,6 +64,7 @@ class SlamResult(Struct, frozen=True):
     odometry: OdometryFit | None = None
     sweep_s: float | None = None
     bridges: Bridges = field(default_factory=Bridges)
+    map_T_begin: Pose | None = None
 
     @property
     def path(self) -> Trajectory:
@@ -120,6 +123,7 @@ def summarize(track: Track) -> SlamResult:
         used_odometry(track),
         findings.sweep_s,
         bridges,
+        findings.map_T_begin,
     )
 
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from mavnav.config.models import Config
+    from mavnav.mapping.occupancy_grid import Grid
     from mavnav.scan import Scan
     from mavnav.slam.matching.motion_model import Motion
     from mavnav.slam.matching.odometry_fit import LogOdometry
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
     """Return the scans of a log; every call starts at the first scan."""
     OnStep = Callable[[str, int], None]
     """Called with the name of the pass ("track", "close loops", "final pass", ...) and the scans done."""
+    Placement = Callable[[Grid], Pose | None]
+    """Return the pose, in the map frame, of the frame in which a map was made; None where it has no place."""
     Pass = Callable[["Track", Refiner], "Track"]
     """Return the track after a pass with its method's refiner, unchanged where the pass does not apply."""
     Until = Callable[[Iterable[Step]], Iterator[Step]]
@@ -40,6 +43,7 @@ class Track(Struct, frozen=True):
     """A pass of the tracker over a log, and what was found out about it since.
 
     ``prior_map`` is the map to localize in, ``around_map`` the one in whose frame a map of its own is placed.
+    ``placement`` puts the finished map elsewhere.
     ``motion`` is the state before the first scan, with the odometry that is used; ``log_odometry`` is that of the log.
     The map begins with the first usable scan from number ``begin`` on.
     """
@@ -51,6 +55,7 @@ class Track(Struct, frozen=True):
     steps: Steps = field(default_factory=Steps)
     prior_map: PriorMap | None = None
     around_map: PriorMap | None = None
+    placement: Placement | None = None
     on_step: OnStep | None = None
     log_odometry: LogOdometry | None = None
     begin: int = 0

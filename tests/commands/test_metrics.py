@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from mavnav.commands.quality_rows import quality_rows
+from mavnav.ground_truth.tables import read_tum
 from mavnav.logs import open_log
 from support.log_files import laser, write_mcap
 from support.strange_runs import on_purpose
@@ -225,6 +226,30 @@ def test_replay_takes_references(mavnav, sample, tmp_path) -> None:
     assert (code, out) == (2, "")
     assert "share no time" in err
     assert not (tmp_path / "s").exists()
+
+
+def test_an_aligned_run_has_the_same_errors(mavnav, sample, tmp_path) -> None:
+    documents, truths = {}, ("--truth", "auto", "--truth-map", "corridor")
+    for name, align in {"plain": ("--align", "none"), "placed": ("--align", "2,1,90")}.items():
+        assert mavnav("replay", sample, "-o", tmp_path / name, "--end", 2, "-q", *align, *truths)[0] == 0
+        documents[name] = json.loads((tmp_path / name / "run.json").read_text())
+    plain, placed = documents.values()
+    assert "alignment" not in plain
+    assert "align" not in plain["provenance"]["options"]
+    assert placed["alignment"] == {"x_m": 2.0, "y_m": 1.0, "yaw_deg": 90.0}
+    assert placed["provenance"]["options"]["align"] == "2.0,1.0,90.0"
+    before, after = read_tum(tmp_path / "plain" / "trajectory.tum"), read_tum(tmp_path / "placed" / "trajectory.tum")
+    there = np.column_stack((2.0 - before.xyyaw[:, 1], 1.0 + before.xyyaw[:, 0]))
+    assert np.allclose(after.xyyaw[:, :2], there, atol=1e-3)
+    for name in ("rmse_m", "unaligned_rmse_m"):
+        assert placed["reference"]["ate"][name] == pytest.approx(plain["reference"]["ate"][name], abs=1e-3)
+    distance = placed["reference"]["map_distance"]
+    assert distance["mean_mm"] == pytest.approx(plain["reference"]["map_distance"]["mean_mm"], abs=1.0)
+    (found,) = measured(mavnav, tmp_path / "placed", "--truth-map", "corridor")
+    assert same(found["reference"]["map_distance"], distance)
+    assert mavnav("replay", "--again", tmp_path / "placed", "-o", tmp_path / "again", "-q")[0] == 0
+    again = json.loads((tmp_path / "again" / "run.json").read_text())
+    assert again["outputs"] == placed["outputs"]
 
 
 def test_the_walls_of_a_scenario_need_the_first_scan_of_the_mission(mavnav, sample, tmp_path) -> None:

@@ -46,6 +46,11 @@ def made(sample: Path, directory: Path) -> Path:
     return directory
 
 
+def test_a_run_that_is_continued_has_its_frame(mavnav: Callable, sample: Path, finished: Path, tmp_path: Path) -> None:
+    given = ("--continue", finished, "--align", "walls", "-o", tmp_path / "r", "-q")
+    expect_error(mavnav("replay", sample, *given), ExitCode.USAGE, "--align", "--map or --continue")
+
+
 def test_the_profile_is_a_line_a_stage(mavnav: Callable, sample: Path, tmp_path: Path) -> None:
     stage = re.compile(r"(\w[\w ]+?) +(\d+\.\d{3}) s +(\d+\.\d) %")
     _, out, err = mavnav("replay", sample, "-o", tmp_path / "r", *FEW, "--profile")
@@ -435,6 +440,10 @@ def test_unknown_configuration_key(mavnav: Callable, sample: Path, tmp_path: Pat
         (["--map", ".", "--start-pose", "1,2"], ["--start-pose", "X,Y,YAW"]),
         (["--map", "none.yaml"], ["none.yaml", "run directory"]),
         (["--map", ".", "--method", "paper"], ["--map", "--method robust"]),
+        (["--align", "wall"], ["--align", "neither walls, none nor X,Y,YAW"]),
+        (["--align", "walls", "--map", "."], ["--align", "--map or --continue"]),
+        (["--align", "walls", "--online"], ["--align", "without --online"]),
+        (["--align", "1,2,3", "--method", "paper"], ["--align", "--method robust"]),
         (["--no-such-option"], ["--no-such-option", "see 'mavnav replay --help'"]),
         (["--start", "100"], ["--start"]),
         (["--config", "none.yaml"], ["none.yaml", "paper, paper-literal, robust"]),

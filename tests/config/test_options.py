@@ -71,6 +71,20 @@ def test_a_pose_that_cannot_be_meant_is_refused_by_its_option() -> None:
         read_options({"start_pose": "1,2"})
 
 
+@pytest.mark.parametrize(("typed", "value"), [("walls", "walls"), ("none", None), ("1,-2, 90", "1.0,-2.0,90.0")])
+def test_a_map_is_aligned_by_a_word_or_a_pose(typed: str, value: str | None) -> None:
+    options = read_options({"align": typed})
+    assert options.get("align") == value
+    assert words_of(options) == ([f"--align={value}"] if value else [])
+    assert restore_options(dict(options), Path) == options
+
+
+@pytest.mark.parametrize("typed", ["wall", "", "1,2", "1,2,3,4", "1,2,nan", "1e9,0,0", "0,0,361"])
+def test_an_alignment_that_cannot_be_is_refused(typed: str) -> None:
+    with pytest.raises(UsageError, match=r"--align .* neither walls, none nor X,Y,YAW in m, m, deg"):
+        read_options({"align": typed})
+
+
 def test_names_are_those_of_options() -> None:
     assert {*READING, *REFERENCES} <= OPTIONS.keys()
     settings = {option.setting: option for option in OPTIONS.values() if option.setting}

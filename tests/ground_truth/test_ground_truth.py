@@ -14,6 +14,7 @@ from mavnav.ground_truth.references import (
     compare_to,
     load_references,
     of_scenario,
+    place_walls,
     read_true_map,
 )
 from mavnav.ground_truth.tables import read_relations, read_trajectory, read_tum
@@ -156,6 +157,24 @@ def test_a_scenario_is_seen_from_its_start() -> None:
     assert found.covered_share == 1.0
     half = truth.xy_m[: len(truth.xy_m) // 2]
     assert 0.3 < compare_to(References(true_map=truth), None, half).map_distance.covered_share < 0.8
+
+
+@pytest.mark.parametrize("name", ["corner", "curved"])
+def test_walls_that_are_moved_are_those_seen_from_another_place(name) -> None:
+    scenario, map_T_start = load_scenario(name), Pose(2.0, -1.0, 0.8)
+    start = scenario.world_T_base @ scenario.base_T_laser
+    placed, twin = (
+        place_walls(of_scenario(scenario, start), map_T_start),
+        of_scenario(scenario, start @ map_T_start.inverse()),
+    )
+    assert placed.alignment == twin.alignment
+    assert np.allclose(placed.xy_m, twin.xy_m)
+    assert np.allclose(placed.segments_map, twin.segments_map)
+    assert np.allclose(placed.arcs_map[:, :3], twin.arcs_map[:, :3])
+    assert np.allclose(np.exp(1j * placed.arcs_map[:, 3]), np.exp(1j * twin.arcs_map[:, 3]))
+    assert np.array_equal(placed.arcs_map[:, 4], twin.arcs_map[:, 4])
+    points = np.random.default_rng(0).uniform(-5.0, 5.0, (50, 2))
+    assert np.allclose(placed.distance_m(points), twin.distance_m(points))
 
 
 @pytest.mark.parametrize("name", ["corner", "curved.yaml"])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mavnav.mapping.occupancy_grid import Grid, GridBuilder
-from mavnav.metrics.floor_plan import FloorPlan, floor_plan
+from mavnav.metrics.floor_plan import FloorPlan, floor_plan, turn_to_walls
 from mavnav.pose import Pose, transform_points
 from mavnav.simulation.world import World
 from mavnav.simulation.world.scenario_file import load_scenario
@@ -137,6 +137,16 @@ def test_the_same_map_in_larger_cells_gives_the_same_rooms(yaw_rad: float) -> No
     assert lengths(plan.openings) == pytest.approx([0.8], abs=0.1)  # less by up to a cell at each side
 
 
+@pytest.mark.parametrize(
+    ("yaw_rad", "turn_rad"), [(0.0, 0.0), (0.5, -0.5), (-2.0, 2.0 - np.pi / 2), (1.0, np.pi / 2 - 1.0)]
+)
+def test_walls_are_brought_along_the_axes_by_the_smaller_turn(yaw_rad: float, turn_rad: float) -> None:
+    _, grid, _ = mapped("doorway", yaw_rad)
+    assert turn_to_walls(grid) == pytest.approx((0.0, 0.0, turn_rad), abs=np.radians(0.1))
+
+
 def test_a_map_without_walls_has_a_plan_without_walls() -> None:
-    plan = floor_plan(Grid(0.02, (0.0, 0.0), np.zeros((9, 9), np.uint16), np.ones((9, 9), np.uint16)), Pose())
+    empty = Grid(0.02, (0.0, 0.0), np.zeros((9, 9), np.uint16), np.ones((9, 9), np.uint16))
+    plan = floor_plan(empty, Pose())
     assert (len(plan.walls), len(plan.openings)) == (0, 0)
+    assert turn_to_walls(empty) is None

@@ -133,7 +133,7 @@ class LoopClosure(Struct, frozen=True):
 
 
 class StartPose(Struct, frozen=True):
-    """A pose of the laser in the given map."""
+    """A pose of the laser in a map."""
 
     x_m: Annotated[float, number("position in the map frame")]
     y_m: Annotated[float, number("position in the map frame")]
@@ -324,6 +324,7 @@ class RunDocument(Struct, frozen=True, kw_only=True):
     tracking: Tracking
     loop_closure: LoopClosure
     localisation: Localisation = OPTIONAL
+    alignment: Annotated[StartPose, text("where --align put the scan that begins the map")] = OPTIONAL
     external: External = OPTIONAL
     continued: Continued = OPTIONAL
     search: Search

@@ -51,7 +51,7 @@ OTHER_PICTURE: Final = f"{MAP_PICTURE} of a run with --outputs pictures"
 
 def run_document(run: RunResult, outputs: dict[str, str]) -> model.RunDocument:
     """Describe a run; ``outputs`` maps the files written to their SHA-256."""
-    mission = run.mission
+    mission, at = run.mission, run.slam.map_T_begin
     return model.RunDocument(
         schema_version=1,
         mavnav_version=__version__,
@@ -69,6 +69,7 @@ def run_document(run: RunResult, outputs: dict[str, str]) -> model.RunDocument:
         tracking=_tracking(run.slam, run.log, run.config),
         loop_closure=_loop_closure(run),
         localisation=run.localisation or ABSENT,
+        alignment=model.StartPose(at.x_m, at.y_m, at.yaw_rad / DEG) if at else ABSENT,
         external=run.external or ABSENT,
         continued=run.continued or ABSENT,
         search=_search(run.slam),

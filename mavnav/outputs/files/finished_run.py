@@ -16,6 +16,7 @@ from mavnav.logs.formats.detect import log_name
 from mavnav.outputs.directory import MERGE_FILE, RUN_FILE, checked_file, plain_digests
 from mavnav.outputs.files.trajectory import session_files
 from mavnav.slam.findings import HIGH
+from mavnav.units import LARGEST_COORDINATE_M
 
 OWN_FILES: Final = ("trajectory.tum", "result.mcap")
 """The poses and the scans of a run's own session."""
@@ -86,6 +87,17 @@ class GivenOptions(Struct, frozen=True):
     continue_from: str | None = None
 
 
+_Position = Annotated[float, Meta(ge=-LARGEST_COORDINATE_M, le=LARGEST_COORDINATE_M)]
+
+
+class AlignmentRecord(Struct, frozen=True):
+    """Where the scan that begins the map was put in the map frame."""
+
+    x_m: _Position
+    y_m: _Position
+    yaw_deg: Annotated[float, Meta(ge=-360.0, le=360.0)]
+
+
 class Origin(Struct, frozen=True):
     """Where a run comes from."""
 
@@ -148,6 +160,7 @@ class RunRecord(Struct, frozen=True):
     provenance: Origin | None = None
     continued: ContinuedRecord | None = None
     localisation: dict[str, Any] | None = None
+    alignment: AlignmentRecord | None = None
 
     @property
     def stored_sessions(self) -> list[Stored]:

@@ -271,11 +271,15 @@ def close_loops(track: Track, refiner: Refiner) -> Track:
     loops = find_loops(tracked_trajectory(steps), points, partial(information_of, refiner), config)
     if loops.map_T_laser is None:
         return track.with_findings(loops=loops)
-    fresh = make_method(config)
-    rebuilt = Steps(rebuild(track.log_scans(), steps, loops.map_T_laser, fresh, track.motion))
-    if len(rebuilt) < len(steps):
-        return track
-    return replace(track.with_findings(loops=loops), steps=rebuilt, method=fresh)
+    rebuilt = rebuild_at(track, loops.map_T_laser)
+    return rebuilt.with_findings(loops=loops) if rebuilt else track
+
+
+def rebuild_at(track: Track, map_T_laser: Trajectory) -> Track | None:
+    """Return the track with these poses, and its map drawn at them; None if the run is stopped early."""
+    fresh = make_method(track.config)
+    rebuilt = Steps(rebuild(track.log_scans(), track.steps, map_T_laser, fresh, track.motion))
+    return replace(track, steps=rebuilt, method=fresh) if len(rebuilt) == len(track.steps) else None
 
 
 def points_of(log_scans: LogScans, steps: Steps, refiner: Refiner, rows: list[int]) -> Iterator[NDArray[np.float64]]:

@@ -21,7 +21,7 @@ from mavnav.outputs.documents.schema import number_schema, run_keys, run_schema
 from mavnav.outputs.files.document import plain, run_document, to_json
 from mavnav.slam.matching.steps import LostInterval, Steps
 
-OPTIONAL = {"slices", "scenario", "localisation", "external", "continued", "reference", "mission", "truth"}
+OPTIONAL = {"slices", "scenario", "localisation", "external", "alignment", "continued", "reference", "mission", "truth"}
 TYPES = {
     "object": dict, "array": list, "string": str, "boolean": bool, "null": type(None), "integer": int,
     "number": (int, float),
