@@ -146,7 +146,7 @@ def _check_alignment(request: ReplayRequest) -> None:
     if {"map", "continue_from"} & request.options.keys():
         raise UsageError("--align: the map is in the frame of the one given by --map or --continue; leave out --align")
     if not request.config.final_pass or request.config.method != "robust":
-        raise UsageError("--align draws the finished map again, with --method robust and without --online")
+        raise UsageError("--align draws the finished map again; leave out --online, and use --method robust")
 
 
 def replay_directory(log: Path, config: Config) -> Path:

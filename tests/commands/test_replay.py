@@ -442,7 +442,7 @@ def test_unknown_configuration_key(mavnav: Callable, sample: Path, tmp_path: Pat
         (["--map", ".", "--method", "paper"], ["--map", "--method robust"]),
         (["--align", "wall"], ["--align", "neither walls, none nor X,Y,YAW"]),
         (["--align", "walls", "--map", "."], ["--align", "--map or --continue"]),
-        (["--align", "walls", "--online"], ["--align", "without --online"]),
+        (["--align", "walls", "--online"], ["--align", "leave out --online"]),
         (["--align", "1,2,3", "--method", "paper"], ["--align", "--method robust"]),
         (["--no-such-option"], ["--no-such-option", "see 'mavnav replay --help'"]),
         (["--start", "100"], ["--start"]),

@@ -82,6 +82,16 @@ TRIALS = [
         "replay log.mcap --start-pose 0,0,0",
         f"replay log.mcap --start-pose 0,0,0 --map run -o new {FAST}",
     ),
+    (
+        "the map is in the frame of the one given by --map or --continue; leave out --align",
+        "replay log.mcap --align walls --map run",
+        f"replay log.mcap --map run -o new {FAST}",
+    ),
+    (
+        "--align draws the finished map again; leave out --online, and use --method robust",
+        "replay log.mcap --align walls --online",
+        "replay log.mcap --align walls --end 2 -q -o new",
+    ),
     ("no log; name one, or a run directory with --again", "replay", "replay --again run -o new -q"),
     (
         "--preview is drawn from map; add it to --outputs",
