@@ -50,6 +50,11 @@ TRIED = {
         "is no folder; name that of your copies with": "test_a_copy_is_used_by_its_content_whatever_its_name",
         "try again, or give a copy with --copies": "test_other_content_is_refused_and_removed",
     },
+    "commands/test_docs_command.py": {
+        "'mavnav docs' names the pages": "test_what_there_is_not_is_answered_by_what_there_is",
+        "has no section {}; see 'mavnav docs": "test_what_there_is_not_is_answered_by_what_there_is",
+        "[bold]Documentation[/bold]  mavnav docs": "test_the_page_that_ends_the_help_of_a_command_is_there",
+    },
     "commands/test_view.py": {"no browser could be started; open": "test_a_browser_that_does_not_start_is_named"},
     "commands/test_strange_runs.py": {
         "; repeat its command with --force": "test_a_file_that_is_a_pipe_or_mostly_holes_is_not_read"

@@ -32,6 +32,16 @@ def test_a_section_ends_where_the_next_one_begins(mavnav):
 def test_what_there_is_not_is_answered_by_what_there_is(mavnav, page, advice):
     code, _, err = mavnav("docs", page)
     assert code == 2 and advice in err
+    advised = re.search("'mavnav docs ?([a-z]*)'", err)
+    code, out, _ = mavnav("docs", *(advised[1].split() if advised else ()))
+    assert code == 0 and out.startswith("# ") and "(problems.md" in out + "(problems.md" * (page[:3] == "cli")
+
+
+def test_the_page_that_ends_the_help_of_a_command_is_there(mavnav):
+    for command in ("replay", "plan", "docs"):
+        code, out, _ = mavnav(command, "--help")
+        page = re.search(r"Documentation +mavnav docs (\S+)", out)
+        assert code == 0 and page and mavnav("docs", page[1])[0] == 0
 
 
 def test_pages_in_the_browser_lead_to_one_another(mavnav, monkeypatch):
