@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from mavnav.errors import UsageError
-from mavnav.units import DEG, LARGEST_COORDINATE_M
+from mavnav.units import LARGEST_COORDINATE_M
 
 
 def pose_problem(x_m: float, y_m: float, yaw_rad: float) -> str:
@@ -83,18 +83,17 @@ WALLS: Final = "walls"
 
 
 def read_alignment(text: str, flag: str) -> str | None:
-    """Read ``walls``, ``none`` (None), or ``x,y,yaw`` in m, m, deg; raises UsageError."""
+    """Read ``walls``, ``none`` (None), or ``x,y,yaw`` in m, m, rad; raises UsageError."""
     if text in {WALLS, "none"}:
         return text if text == WALLS else None
     try:
-        x_m, y_m, yaw_deg = map(float, text.split(","))
-        known = not pose_problem(x_m, y_m, yaw_deg * DEG)
+        x_m, y_m, yaw_rad = map(float, text.split(","))
+        problem = pose_problem(x_m, y_m, yaw_rad)
     except ValueError:
-        known = False
-    if not known:
-        wrong = f"is neither {WALLS}, none nor X,Y,YAW in m, m, deg of at most a turn"
-        raise UsageError(f"{flag} {text!r} {wrong}; write for example {flag} 2.5,1,90")
-    return f"{x_m},{y_m},{yaw_deg}"
+        problem = f"is neither {WALLS}, none nor X,Y,YAW in m, m, rad; write for example {flag} 2.5,1,1.57"
+    if problem:
+        raise UsageError(f"{flag} {text!r} {problem}")
+    return f"{x_m},{y_m},{yaw_rad}"
 
 
 def _restore_truth(text: str, path: Callable[[str], Path]) -> str | Path:

@@ -69,8 +69,8 @@ def placement_of(alignment: str | Sequence[float] | None) -> Placement | None:
         return None
     if alignment == WALLS:
         return turn_to_walls
-    x_m, y_m, yaw_deg = map(float, alignment.split(",") if isinstance(alignment, str) else alignment)
-    return lambda _: Pose(x_m, y_m, yaw_deg * DEG)
+    x_m, y_m, yaw_rad = map(float, alignment.split(",") if isinstance(alignment, str) else alignment)
+    return lambda _: Pose(x_m, y_m, yaw_rad)
 
 
 def localisation(path: Path, start_pose: Pose | None, outcome: SlamResult) -> Localisation:

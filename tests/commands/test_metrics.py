@@ -230,14 +230,14 @@ def test_replay_takes_references(mavnav, sample, tmp_path) -> None:
 
 def test_an_aligned_run_has_the_same_errors(mavnav, sample, tmp_path) -> None:
     documents, truths = {}, ("--truth", "auto", "--truth-map", "corridor")
-    for name, align in {"plain": ("--align", "none"), "placed": ("--align", "2,1,90")}.items():
+    for name, align in {"plain": ("--align", "none"), "placed": ("--align", "2,1,1.5707963267948966")}.items():
         assert mavnav("replay", sample, "-o", tmp_path / name, "--end", 2, "-q", *align, *truths)[0] == 0
         documents[name] = json.loads((tmp_path / name / "run.json").read_text())
     plain, placed = documents.values()
     assert "alignment" not in plain
     assert "align" not in plain["provenance"]["options"]
     assert placed["alignment"] == {"x_m": 2.0, "y_m": 1.0, "yaw_deg": 90.0}
-    assert placed["provenance"]["options"]["align"] == "2.0,1.0,90.0"
+    assert placed["provenance"]["options"]["align"] == "2.0,1.0,1.5707963267948966"
     before, after = read_tum(tmp_path / "plain" / "trajectory.tum"), read_tum(tmp_path / "placed" / "trajectory.tum")
     there = np.column_stack((2.0 - before.xyyaw[:, 1], 1.0 + before.xyyaw[:, 0]))
     assert np.allclose(after.xyyaw[:, :2], there, atol=1e-3)

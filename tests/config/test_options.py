@@ -71,7 +71,7 @@ def test_a_pose_that_cannot_be_meant_is_refused_by_its_option() -> None:
         read_options({"start_pose": "1,2"})
 
 
-@pytest.mark.parametrize(("typed", "value"), [("walls", "walls"), ("none", None), ("1,-2, 90", "1.0,-2.0,90.0")])
+@pytest.mark.parametrize(("typed", "value"), [("walls", "walls"), ("none", None), ("1,-2, 1.57", "1.0,-2.0,1.57")])
 def test_a_map_is_aligned_by_a_word_or_a_pose(typed: str, value: str | None) -> None:
     options = read_options({"align": typed})
     assert options.get("align") == value
@@ -79,9 +79,13 @@ def test_a_map_is_aligned_by_a_word_or_a_pose(typed: str, value: str | None) -> 
     assert restore_options(dict(options), Path) == options
 
 
-@pytest.mark.parametrize("typed", ["wall", "", "1,2", "1,2,3,4", "1,2,nan", "1e9,0,0", "0,0,361"])
-def test_an_alignment_that_cannot_be_is_refused(typed: str) -> None:
-    with pytest.raises(UsageError, match=r"--align .* neither walls, none nor X,Y,YAW in m, m, deg"):
+@pytest.mark.parametrize(
+    ("typed", "problem"),
+    [(text, "is neither walls, none nor X,Y,YAW in m, m, rad") for text in ("wall", "", "1,2", "1,2,3,4")]
+    + [("1,2,nan", "not finite"), ("1e9,0,0", "from the origin"), ("0,0,90", "give it in rad, for 90 deg 1.5708")],
+)
+def test_an_alignment_that_cannot_be_is_refused(typed: str, problem: str) -> None:
+    with pytest.raises(UsageError, match=f"--align '{typed}' .*{problem}"):
         read_options({"align": typed})
 
 
