@@ -62,7 +62,7 @@ ALLOWED: dict[str, set[str]] = {
         "slam",
     },
     "cli": {"commands", "errors", "version"},
-    "__main__": {"cli"},
+    "__main__": {"cli", "errors"},
 } | {module: {"errors"} if module == "atomic_files" else set() for module in SHARED}
 """Package -> packages that it may import besides itself."""
 
