@@ -12,6 +12,7 @@ from hashlib import sha256
 from pathlib import Path
 from threading import Thread
 from types import SimpleNamespace
+from urllib.parse import urlsplit
 
 import pytest
 
@@ -107,6 +108,16 @@ def test_a_lost_worker_costs_nothing_and_what_kills_workers_is_named(processes: 
     assert outcomes[2].value == "done"
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="only Linux lists the sockets")
+def test_the_pages_of_a_local_scheduler_are_for_this_machine_alone(processes: Cluster) -> None:
+    """They were open to the network."""
+    port = f"{urlsplit(processes.dashboard).port:04X}"
+    rows = [row.split() for row in Path("/proc/net/tcp").read_text().splitlines()[1:]]
+    listening = {row[1] for row in rows if row[3] == "0A" and row[1].endswith(f":{port}")}
+    assert listening == {f"0100007F:{port}"}
+
+
 def test_a_job_that_takes_too_long(cluster: Cluster) -> None:
     events: list[Event] = []
     outcome = outcomes_of(cluster, [Job("slow", strange_jobs.report_for_ever)], events.append, timeout_s=0.6)[0]
@@ -169,7 +180,9 @@ def test_a_lost_scheduler_is_no_matter_of_dasks_log(tmp_path: Path, monkeypatch:
     """For one that was killed it printed 38 lines, two tracebacks among them."""
     monkeypatch.setattr(cluster_client, "CONNECT_S", 1.0)
     heard: list[logging.LogRecord] = []
-    monkeypatch.setattr(logging.getLogger("distributed.client"), "handle", heard.append)
+    logger = logging.getLogger("distributed.client")
+    level = logger.level
+    monkeypatch.setattr(logger, "handle", heard.append)
     with (
         distributed.LocalCluster(n_workers=1, processes=False, dashboard_address=":0") as local,
         connect(local.scheduler_address, tmp_path, 1, None, 1) as found,
@@ -179,7 +192,7 @@ def test_a_lost_scheduler_is_no_matter_of_dasks_log(tmp_path: Path, monkeypatch:
             found.run_jobs([Job("square", strange_jobs.square, (3,))], ignore)
         time.sleep(1.5)  # until the client gives up
     assert not heard
-    assert logging.getLogger("distributed.client").level < logging.CRITICAL
+    assert logger.level == level
 
 
 def test_where_nobody_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -211,7 +211,11 @@ def _start_local(workers: int, memory_mb: int | None, tries: int) -> Iterator[An
     with (
         dask.config.set({"distributed.scheduler.allowed-failures": tries - 1}),
         distributed.LocalCluster(
-            n_workers=workers, threads_per_worker=1, memory_limit=memory, silence_logs=CRITICAL, dashboard_address=":0"
+            n_workers=workers,
+            threads_per_worker=1,
+            memory_limit=memory,
+            silence_logs=CRITICAL,
+            dashboard_address="127.0.0.1:0",
         ) as cluster,
     ):
         yield cluster
