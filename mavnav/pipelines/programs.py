@@ -73,15 +73,17 @@ def read_program(text: str) -> Program:
 _WAIT: Final = """
 import json, os, signal, sys, _thread
 def end_with_parent():
-    sys.stdin.buffer.read()
+    os.read(0, 1)
     os.killpg(0, signal.SIGKILL)
 _thread.start_new_thread(end_with_parent, ())
 files = [(os.POSIX_SPAWN_OPEN, 0, os.devnull, os.O_RDONLY, 0), (os.POSIX_SPAWN_DUP2, 2, 1)]
 try:
     _, status, used = os.wait4(os.posix_spawnp(sys.argv[1], sys.argv[1:], os.environ, file_actions=files), 0)
-    print(json.dumps([os.waitstatus_to_exitcode(status), used.ru_utime + used.ru_stime, used.ru_maxrss]))
+    told = [os.waitstatus_to_exitcode(status), used.ru_utime + used.ru_stime, used.ru_maxrss]
 except OSError as error:
-    print(json.dumps(error.strerror))
+    told = error.strerror
+os.write(1, json.dumps(told).encode())
+os._exit(0)
 """
 """What starts a program and waits for it, in a small process of its own.
 

@@ -26,6 +26,7 @@ def test_memory_is_that_of_the_program_and_not_of_this_process(tmp_path: Path, t
     code = f"taken = bytearray({taken_mb}*10**6); open('{{out}}', 'w').close()"
     cost = run_program(Program("p", f'{sys.executable} -S -c "{code}"'), tmp_path / "log", tmp_path / "out.tum", 60.0)
     assert cost.problem == ""
+    assert (tmp_path / "out.txt").read_bytes() == b""  # what starts it says nothing
     assert cost.peak_memory_mb is not None
     assert taken_mb < cost.peak_memory_mb < taken_mb + 40 < len(held) / 1e6
 
