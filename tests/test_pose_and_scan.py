@@ -138,6 +138,7 @@ def test_every_error_has_an_exit_code_of_its_table() -> None:
         "SeveralTopicsError": 2,
         "MapTooLargeError": 2,
         "NoScansError": 4,
+        "ProgramError": 1,
         "OutputError": 6,
         "StoppedError": 70,
     }

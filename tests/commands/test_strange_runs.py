@@ -146,6 +146,16 @@ def test_a_file_that_is_a_pipe_or_mostly_holes_is_not_read(mavnav, run) -> None:
     assert "result.mcap is mostly holes" in mavnav("metrics", run, "-q")[2]
 
 
+@pytest.mark.parametrize("name", ["walls.csv", "trajectory.csv"])
+def test_a_table_that_never_ends_is_not_read(mavnav, run, tmp_path, name) -> None:
+    """Of a run that names no digest of it."""
+    change_document(run, lambda document: document["outputs"].pop(name))
+    (run / name).unlink()
+    (run / name).symlink_to("/dev/zero")
+    assert mavnav("view", run, "--no-browser", "-o", tmp_path / "view.html")[0] == 0
+    assert f"it has no {name}" in (tmp_path / "view.html").read_text()
+
+
 def test_a_run_without_its_other_files_is_checked(mavnav, run) -> None:
     for path in run.iterdir():
         if path.name != "run.json":

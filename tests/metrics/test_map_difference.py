@@ -65,8 +65,8 @@ def test_a_moved_object_is_one_that_is_gone_and_one_that_is_new() -> None:
 
 def test_maps_of_other_frames_are_aligned_despite_changes(before) -> None:
     after = mapped(rooms(moved_m=0.3, wall=True), TURNED, seed=1)
-    alignment = align(known(before), known(after), Config())
-    assert alignment is not None
+    alignment, searched_all = align(known(before), known(after), Config())
+    assert alignment is not None and searched_all
     off = TURNED.between(alignment.a_T_b)
     assert off.distance_m < 0.01
     assert abs(off.yaw_rad) < 0.005
@@ -77,4 +77,4 @@ def test_maps_of_other_frames_are_aligned_despite_changes(before) -> None:
 
 def test_another_room_is_not_aligned(before) -> None:
     other = mapped(room(9.0, 2.2), TURNED, poses=[(1.0, 1.1), (4.0, 1.1), (8.0, 1.0)])
-    assert align(known(before), known(other), Config()) is None
+    assert align(known(before), known(other), Config()) == (None, True)

@@ -11,7 +11,8 @@ from msgspec import Struct
 from PIL import Image
 
 from mavnav.config.named_files import read_json
-from mavnav.outputs.directory import RUN_FILE
+from mavnav.errors import UsageError
+from mavnav.outputs.directory import RUN_FILE, checked_file
 from mavnav.outputs.files import wall_table
 from mavnav.outputs.files.gridmap import read_npz
 from mavnav.outputs.files.trajectory import ATTITUDE_COLUMNS, TRUE_WALLS_FILE
@@ -123,13 +124,15 @@ def load(cell: dict[str, Any], base: Path, run: RunResult | None = None) -> Entr
             folder=folder,
             document=document,
             grid=read_npz(folder / "hits.npz"),
-            scans=_scans(folder / "trajectory.csv"),
-            cuts=wall_table.read(folder / wall_table.WALLS_FILE),
+            scans=_scans(checked_file(folder, "trajectory.csv", {})),
+            cuts=wall_table.read(checked_file(folder, wall_table.WALLS_FILE, {})),
             true_walls=true_walls,
             goal_xy_m=goal_xy_m,
             view_3d=_view_3d(folder / "map_3d.png"),
             run=run,
         )
+    except UsageError as error:
+        return Failure(log, name, str(error))
     except (OSError, ValueError, LookupError, TypeError, AttributeError, Image.DecompressionBombError) as error:
         return Failure(log, name, f"its run directory {cell['directory']} cannot be read ({type(error).__name__})")
 
