@@ -34,10 +34,10 @@ def docs(
     in_browser: Annotated[bool, shared.output_option("--open", help="Show the page in the browser.")] = False,
 ) -> None:
     """Show a page of the documentation."""
-    from mavnav.config.loading import shipped
+    from mavnav.config.loading import package_folder
 
     name, _, anchor = page.partition("#")
-    path = shipped("docs") / f"{name.removesuffix('.md')}.md"
+    path = package_folder("docs") / f"{name.removesuffix('.md')}.md"
     if not path.is_file():
         raise UsageError(missing(path, "'mavnav docs' names the pages"))
     text = _section(path.read_text(encoding="utf-8"), anchor)

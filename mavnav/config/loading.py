@@ -54,7 +54,7 @@ _BOUNDS = {">=": "greater than or equal to", "<=": "less than or equal to", ">":
 
 
 @cache
-def shipped(folder: str) -> Path:
+def package_folder(folder: str) -> Path:
     """Return the path of ``configs`` or ``docs``: in the installed package, or next to the package in a checkout."""
     package = Path(__file__).parents[1]
     installed = package / folder
@@ -64,14 +64,14 @@ def shipped(folder: str) -> Path:
 @cache
 def scenarios() -> list[str]:
     """Return the names of the scenarios: the files with walls in ``configs/``."""
-    texts = {path.stem: path.read_text("utf-8") for path in shipped("configs").glob("*.yaml")}
+    texts = {path.stem: path.read_text("utf-8") for path in package_folder("configs").glob("*.yaml")}
     return sorted(name for name, text in texts.items() if re.search(r"(?m)^walls:", text))
 
 
 @cache
 def presets() -> list[str]:
     """Return the names of the presets: the files without walls in ``configs/``."""
-    return sorted({path.stem for path in shipped("configs").glob("*.yaml")} - {*scenarios()})
+    return sorted({path.stem for path in package_folder("configs").glob("*.yaml")} - {*scenarios()})
 
 
 def file_layer(file: str | Path | None) -> Layer:
@@ -80,7 +80,7 @@ def file_layer(file: str | Path | None) -> Layer:
         return Layer()
     path = Path(file)
     if not path.exists() and str(file) in presets():
-        path = shipped("configs") / f"{file}.yaml"
+        path = package_folder("configs") / f"{file}.yaml"
     if not path.exists():
         raise ConfigError(missing(path, f"name a YAML file, or a preset: {', '.join(presets())}"))
     from mavnav.config.yaml_layers import read_yaml  # noqa: PLC0415  yaml takes 10 ms to load
@@ -158,7 +158,7 @@ def _with_cells(layer: Layer, methods: Mapping[Key, object]) -> Layer:
 def method_layer(method: object) -> Layer:
     """Return the preset of a method, None for the default method; an empty layer if there is no such preset."""
     name = method or Config().method
-    return file_layer(shipped("configs") / f"{name}.yaml") if name in presets() else Layer()
+    return file_layer(package_folder("configs") / f"{name}.yaml") if name in presets() else Layer()
 
 
 def _set_layer(assignment: str) -> Layer:

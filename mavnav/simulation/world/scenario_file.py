@@ -9,7 +9,16 @@ import numpy as np
 from msgspec.structs import asdict
 
 from mavnav.config.layers import Key, Layer
-from mavnav.config.loading import file_layer, method_layer, origin, overlay, read_model, scenarios, schema_of, shipped
+from mavnav.config.loading import (
+    file_layer,
+    method_layer,
+    origin,
+    overlay,
+    package_folder,
+    read_model,
+    scenarios,
+    schema_of,
+)
 from mavnav.config.models import Config, OdometryConfig
 from mavnav.config.yaml_layers import read_yaml
 from mavnav.errors import ConfigError, missing
@@ -71,7 +80,7 @@ def scenario_path(file: str | Path) -> Path:
     if path.is_file():
         return path
     if path.parent == Path() and path.name.removesuffix(".yaml") in scenarios():
-        return shipped("configs") / f"{path.name.removesuffix('.yaml')}.yaml"
+        return package_folder("configs") / f"{path.name.removesuffix('.yaml')}.yaml"
     if path.exists():
         return path
     raise ConfigError(missing(path, f"name a YAML file, or a scenario: {', '.join(scenarios())}"))
