@@ -17,7 +17,6 @@ from msgspec.structs import replace
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import rigid_fit
 from mavnav.slam.findings import Edge
-from mavnav.slam.loop_closure.closure import SIGMA_M, SIGMA_RAD
 from mavnav.slam.loop_closure.detection import LOOP_M, follow
 from mavnav.slam.loop_closure.key_frames import KEY_M, KEY_RAD, KeyFrame, KeyFrameMap, LocalMaps, Visibility, key_rows
 from mavnav.slam.loop_closure.pose_graph import PATH_SIGMA_M, PATH_SIGMA_RAD, root_information
@@ -99,6 +98,9 @@ SHORT = 0.1
 NEAR_M = 2.0
 """Key frames of one session that lie so near, a long path apart, are held together by its finished map."""
 
+REVISIT_SIGMA_M, REVISIT_SIGMA_RAD = 0.03, 0.5 * DEG
+"""Standard deviations of where a run placed a key frame against one of a long path before, or of another session."""
+
 APART_M = 1e6
 """Between the paths of two sessions: nothing of one is near to the other along the path."""
 
@@ -162,7 +164,7 @@ def group_in_frame(sessions: Sequence[Session]) -> SessionGroup:
         edges += own_edges(session, first)
         if number:
             pairs = [pair for pair in revisits(keys, first) if pair[0] < first] or [nearest_pair(keys, first)]
-            firm = root_information(SIGMA_M, SIGMA_RAD)
+            firm = root_information(REVISIT_SIGMA_M, REVISIT_SIGMA_RAD)
             edges += [Edge(i, j, keys[i].map_T_laser.between(keys[j].map_T_laser), firm) for i, j in pairs]
     return SessionGroup(tuple(sessions), tuple(keys), tuple(edges), tuple(Join(session.name) for session in sessions))
 
@@ -184,7 +186,12 @@ def own_edges(session: Session, first: int) -> Iterator[Edge]:
         share = max(a_T_b.distance_m / KEY_M, abs(a_T_b.yaw_rad) / KEY_RAD)
         yield Edge(first + k, first + k + 1, a_T_b, path / np.sqrt(min(max(share, SHORT), 1.0)))
     for i, j in revisits(keys, 0):
-        yield Edge(first + i, first + j, poses[i].between(poses[j]), root_information(SIGMA_M, SIGMA_RAD) / times)
+        yield Edge(
+            first + i,
+            first + j,
+            poses[i].between(poses[j]),
+            root_information(REVISIT_SIGMA_M, REVISIT_SIGMA_RAD) / times,
+        )
 
 
 def revisits(keys: Sequence[KeyFrame], begin: int) -> Iterator[tuple[int, int]]:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from bisect import bisect
 from math import cos, sin
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
+import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from mavnav.pose import Pose, wrap_angle
-from mavnav.slam.loop_closure.key_frames import DRIFT_RAD, KeyFrameMap
-from mavnav.slam.loop_closure.pose_graph import root_information
+from mavnav.pose import Pose, transform_points, wrap_angle
+from mavnav.slam.loop_closure.key_frames import DRIFT_RAD, PART_M, KeyFrameMap
 from mavnav.slam.matching.relocalization import (
     apart,
     around,
@@ -27,17 +29,16 @@ from mavnav.units import DEG
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    import numpy as np
     from numpy.typing import NDArray
 
     from mavnav.config.models import Config
-    from mavnav.slam.loop_closure.key_frames import KeyFrame, Visibility
+    from mavnav.slam.loop_closure.key_frames import KeyFrame, Points, Visibility
     from mavnav.slam.matching.relocalization import Region
     from mavnav.slam.matching.scan_matching import Match
 
 
-SIGMA_M, SIGMA_RAD = 0.03, 0.5 * DEG
-"""Standard deviations of a closure."""
+SIGMA_M = 0.015
+"""Standard deviation of a closure in a direction that half of its points show."""
 
 NEIGHBOR_M = 10.0
 """Longest path between two closures that are compared."""
@@ -55,6 +56,7 @@ SMALL_M, SMALL_RAD = 0.06, 1 * DEG
 class KeyClosure(Struct, frozen=True):
     """Key frame ``end`` saw the same walls as key frame ``start`` (numbers of key frames); ``match`` is the evidence.
 
+    ``information`` (6,) is that of the points about the pose, a share of a point: `kernels.scans.observability`.
     ``weak_rad`` is the direction, frame of ``start``, in which the pose is not observable (along a plain corridor);
     None if all directions are observable.
     """
@@ -63,6 +65,7 @@ class KeyClosure(Struct, frozen=True):
     end: int
     start_T_end: Pose
     match: Match
+    information: NDArray[np.float64]
     weak_rad: float | None = None
 
     def correction(self, keys: Sequence[KeyFrame]) -> Pose:
@@ -75,11 +78,13 @@ class KeyClosure(Struct, frozen=True):
     @property
     def sqrt_information(self) -> NDArray[np.float64]:
         """Square root (3, 3) of the information matrix of x, y and yaw, frame of ``start``; 1/m, 1/m and 1/rad."""
-        root = root_information(SIGMA_M, SIGMA_RAD)
+        xx, xy, yy, xr, yr, rr = self.information
+        shown = np.array([(xx, xy, xr), (xy, yy, yr), (xr, yr, rr)])
         if self.weak_rad is not None:
-            c, s = cos(self.weak_rad), sin(self.weak_rad)
-            root[:2] = (0.0, 0.0, 0.0), (-s / SIGMA_M, c / SIGMA_M, 0.0)
-        return root
+            weak = np.array((cos(self.weak_rad), sin(self.weak_rad), 0.0))
+            shown -= np.outer(shown @ weak, shown @ weak) / max(weak @ shown @ weak, 1e-9)
+        values, vectors = np.linalg.eigh(shown)
+        return np.asarray(np.sqrt(2.0 * np.maximum(values, 0.0))[:, None] * vectors.T / SIGMA_M)
 
 
 def across_direction(offset: Pose, direction_rad: float) -> tuple[float, float]:
@@ -214,21 +219,37 @@ def measure_closure(
     i = seen.reference(replace(keys[j], map_T_laser=place))
     middle, part = seen.local.part_at(i)
     start = keys[middle].map_T_laser.between(place)
-    fine = match_closely(points, part, start, config)
+    fine = match_closely(points, points_around(keys, j), part, start, config)
     if apart(start, fine.map_T_laser) or not fits(fine):
         return None
-    closure = KeyClosure(middle, j, fine.map_T_laser, fine)
+    information = part.lines.observability(points, fine.map_T_laser)[1] / len(points)
+    closure = KeyClosure(middle, j, fine.map_T_laser, fine, information)
     if least_growth(points, fine.map_T_laser, part.lines, config) >= LEAST_GROWTH:
         return closure
     along_rad = unobservable_direction(points, fine.map_T_laser, part.lines, LEAST_GROWTH, config)
     return None if along_rad is None else replace(closure, weak_rad=wrap_angle(along_rad))
 
 
-def match_closely(points: NDArray[np.float64], part: KeyFrameMap, start: Pose, config: Config) -> Match:
-    """Return the match of points (n, 2), laser frame, m, in a map, near a start in its frame."""
+def points_around(keys: Sequence[KeyFrame], j: int) -> Points:
+    """Return points (n, 2) of the part of the path around key frame ``j``, its laser frame, m; at most twice its own.
+
+    Seen through a door, one scan shows a short wall at a grazing angle; the part shows more of the walls.
+    """
+    here = keys[j]
+    first, end = (bisect(keys, here.path_m + off_m, key=attrgetter("path_m")) for off_m in (-PART_M, PART_M))
+    to_here = [transform_points(here.map_T_laser.between(key.map_T_laser), key.points) for key in keys[first:end]]
+    points = np.concatenate(to_here)
+    return np.ascontiguousarray(points[:: max(len(points) // max(len(here.points), 1), 1)])
+
+
+def match_closely(points: Points, nearby: Points, part: KeyFrameMap, start: Pose, config: Config) -> Match:
+    """Return the match of points (n, 2), laser frame, m, in a map, near a start in its frame.
+
+    Its pose is that at which the points ``nearby`` (m, 2) of `points_around` fit best.
+    """
     expert, lines = config.robust.expert, part.lines
     coarse = Schedule.of(config, lines, (expert.truncate_m, DRIFT_RAD[0]))
     fine = search_lines(points, lines, start, coarse)
     last = Schedule.of(config, lines, (expert.final_window_m, expert.final_window_rad), final=True)
-    placed = search_lines(points, lines, fine.map_T_laser, last)
+    placed = search_lines(nearby, lines, fine.map_T_laser, last)
     return with_conflicts(fine._replace(map_T_laser=placed.map_T_laser), points, lines, part.grid)

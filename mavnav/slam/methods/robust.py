@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.kernels.scans.observability import observability
 from mavnav.kernels.scans.points import place_points, scan_points
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose
@@ -312,8 +311,7 @@ class Robust:
 
     def observability(self, points: NDArray[np.float64], match: Match) -> tuple[float, NDArray[np.float64]]:
         """Return the observability by the lines at the points, and the Hessian."""
-        lines, pose, hessian = self.lines, match.map_T_laser.as_array(), np.empty(6)
-        return observability(points, pose, lines.nearest, lines.lines, lines.geometry, hessian), hessian
+        return self.lines.observability(points, match.map_T_laser)
 
     def conflicts(self, points: NDArray[np.float64], match: Match) -> float:
         """Return the share of visibility conflicts of a sample of the points."""

@@ -349,7 +349,8 @@ def test_a_correction_that_predicts_worse_is_refused(monkeypatch: pytest.MonkeyP
     keys = key_frames_of(ring_walk, ring_walk.truth)
     bent = [replace(key, map_T_laser=key.map_T_laser @ Pose(0.0, 0.01 * k, 0.0)) for k, key in enumerate(keys)]
     wrong, right = (
-        KeyClosure(0, 60, keys[0].map_T_laser.between(some[60].map_T_laser), first_match(9)) for some in (bent, keys)
+        KeyClosure(0, 60, keys[0].map_T_laser.between(some[60].map_T_laser), first_match(9), np.ones(6))
+        for some in (bent, keys)
     )
     monkeypatch.setattr(detection, "find_closures", lambda *_: (bent, [wrong, wrong, right], 3))
     loops = ring_walk.closed(ring_walk.truth)
