@@ -231,15 +231,16 @@ def measure_closure(
 
 
 def points_around(keys: Sequence[KeyFrame], j: int) -> Points:
-    """Return points (n, 2) of the part of the path around key frame ``j``, its laser frame, m; at most twice its own.
+    """Return the points of key frame ``j``, and at most twice as many of the path around, (n, 2), its laser frame, m.
 
-    Seen through a door, one scan shows a short wall at a grazing angle; the part shows more of the walls.
+    Seen through a door, one scan shows a short wall at a grazing angle; the path around shows more of the walls.
     """
     here = keys[j]
     first, end = (bisect(keys, here.path_m + off_m, key=attrgetter("path_m")) for off_m in (-PART_M, PART_M))
-    to_here = [transform_points(here.map_T_laser.between(key.map_T_laser), key.points) for key in keys[first:end]]
-    points = np.concatenate(to_here)
-    return np.ascontiguousarray(points[:: max(len(points) // max(len(here.points), 1), 1)])
+    others = [key for key in keys[first:end] if key is not here]
+    to_here = (transform_points(here.map_T_laser.between(key.map_T_laser), key.points) for key in others)
+    around = np.concatenate([np.zeros((0, 2)), *to_here])
+    return np.concatenate((here.points, around[:: max(len(around) // max(len(here.points), 1), 1)]))
 
 
 def match_closely(points: Points, nearby: Points, part: KeyFrameMap, start: Pose, config: Config) -> Match:
