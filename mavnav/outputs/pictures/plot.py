@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.outputs.pictures.canvas import POINT, SMOOTH, Canvas, font, on_mask
-from mavnav.outputs.pictures.viewport import INK, MUTED
+from mavnav.outputs.pictures.viewport import INK, MUTED, turned
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -34,13 +34,14 @@ AREA_HALF: Final = 9
 class Axes(Struct, frozen=True):
     """A box of a canvas that shows values: ``limits`` are the least and largest x, the least and largest y.
 
-    ``per_unit`` are the pixels of a unit of x and of y.
+    ``per_unit`` are the pixels of a unit of x and of y. Points are turned about their origin by ``turn_rad`` first.
     """
 
     canvas: Canvas
     box: Box
     limits: tuple[float, float, float, float]
     per_unit: tuple[float, float]
+    turn_rad: float = 0.0
 
     @classmethod
     def chart(cls, canvas: Canvas, box: Box, limits: tuple[float, float, float, float]) -> Axes:
@@ -56,6 +57,7 @@ class Axes(Struct, frozen=True):
 
     def to_canvas(self, xy: XY) -> XY:
         """Bring points (n, 2) to pixels of the canvas."""
+        xy = turned(xy, self.turn_rad)
         x = self.box[0] + (xy[:, 0] - self.limits[0]) * self.per_unit[0]
         y = self.box[3] - (xy[:, 1] - self.limits[2]) * self.per_unit[1]
         return np.column_stack((x, y))

@@ -9,7 +9,7 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.outputs.pictures.canvas import Canvas, font, ramp, rgb_of
-from mavnav.outputs.pictures.map_axes import draw_axes, draw_cells, draw_free, map_axes
+from mavnav.outputs.pictures.map_axes import draw_axes, draw_cells, draw_free, map_axes, name_axes
 from mavnav.outputs.pictures.plot import Axes, colour_bar, ticks
 from mavnav.outputs.pictures.viewport import INK, MUTED, WALL_GREY, window_of
 from mavnav.units import MM
@@ -41,7 +41,7 @@ EDGE: Final = 30
 
 def write(run: RunResult, path: Path) -> None:
     """Draw the cuts across the walls on the map, a histogram of their widths, and one for every hit threshold."""
-    window = window_of(run.known, np.empty((0, 2)))
+    window = window_of(run.known, np.empty((0, 2)), run.turn_rad)
     width, height = window.size_pixels(longest_in=6.5)
     charts = _charts(run)
     tall = max(height, len(charts) * (HISTOGRAM[1] + 120))
@@ -71,7 +71,7 @@ def _draw_map(axes: Axes, run: RunResult) -> None:
     if run.measured.cuts is not None:
         _draw_cuts(axes, run.measured.cuts)
     draw_axes(axes)
-    axes.names("x [m]", "y [m]")
+    name_axes(axes)
     left, top, right, _ = axes.box
     lost = run.measured.cuts is not None and not np.isfinite(run.measured.cuts.width_m).all()
     marks = f"black: cannot be measured; {UNMEASURED}" if lost else UNMEASURED
