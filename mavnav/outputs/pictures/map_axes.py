@@ -71,7 +71,7 @@ def framed_map(window: Viewport, longest_in: float, margins: Box, least: tuple[i
     left, top, right, bottom = margins
     width, height = window.size_pixels(longest_in, LEAST_IN)
     canvas = Canvas.of(max(width + left + right, least[0]), max(height + top + bottom, least[1]))
-    first = (canvas.image.width - width - right + left) // 2
+    first = (canvas.width - width - right + left) // 2
     return map_axes(canvas, window, (first, top, first + width, top + height))
 
 
@@ -89,14 +89,15 @@ def draw_cells(
     """
     window, (c, s) = Viewport(*axes.limits, axes.turn_rad), (cos(axes.turn_rad), sin(axes.turn_rad))
     first_col, end_col, first_row, end_row = window.cells_of(grid)
-    factor = max(1, ceil((abs(c) + abs(s)) / (grid.cell_m * axes.per_unit[0])))
+    per_m = axes.per_unit[0] * axes.canvas.density
+    factor = max(1, ceil((abs(c) + abs(s)) / (grid.cell_m * per_m)))
     shown = max_pool(cells[first_row:end_row, first_col:end_col], factor, value_of=value_of)
     some = shown > 0
     pixels = np.zeros((*some.shape, 4), np.uint8)
     pixels[some, :3], pixels[some, 3] = colour_of(shown[some]), 255
-    left, top, right, bottom = axes.box
-    edge_m, per_pixel = factor * grid.cell_m, 1.0 / (factor * grid.cell_m * axes.per_unit[0])
-    corner = np.array([[axes.limits[0], axes.limits[2] + (bottom - top) / axes.per_unit[1]]])
+    left, top, right, bottom = (v * axes.canvas.density for v in axes.box)
+    edge_m, per_pixel = factor * grid.cell_m, 1.0 / (factor * grid.cell_m * per_m)
+    corner = np.array([[axes.limits[0], axes.limits[2] + (bottom - top) / per_m]])
     first_m = grid.origin_xy_m + np.array([first_col, first_row]) * grid.cell_m
     col, row = ((turned(corner, -axes.turn_rad)[0] - first_m) / edge_m).tolist()
     to_cells = (c * per_pixel, -s * per_pixel, col, -s * per_pixel, -c * per_pixel, row)
@@ -151,7 +152,7 @@ def draw_axes(axes: Axes, most: tuple[int, int] = (9, 9)) -> None:
     in_y = plot.ticks(c * y0 - s * x0, c * y1 - s * x0, most[1])
     if axes.turn_rad:
         _draw_graticule(axes, (in_x, in_y))
-    axes.canvas.draw.rectangle(axes.box, outline=FRAME_GREY)
+    axes.canvas.rectangle(axes.box, outline=FRAME_GREY)
     axes.ticks([((x - s * y0) / c, f"{x:g}") for x in in_x], [((y + s * x0) / c, f"{y:g}") for y in in_y])
 
 
@@ -186,7 +187,7 @@ def finish_judged(axes: Axes, named: Sequence[Sign], name: str, verdict: Verdict
 
 def _wrapped(axes: Axes, text: str) -> str:
     """Break the lines of a text that are longer than the picture is wide."""
-    width = axes.canvas.image.width // CHARACTER
+    width = axes.canvas.width // CHARACTER
     return "\n".join(part for line in text.split("\n") for part in wrap(line, width))
 
 

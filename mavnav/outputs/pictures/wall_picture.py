@@ -53,7 +53,7 @@ def write(run: RunResult, path: Path) -> None:
         y = TOP + k * pitch
         picture.text((left, y), chart.title, TITLE_PT, INK, "la")
         _draw_bars(picture, (left, y + 56, left + HISTOGRAM[0], y + pitch - 64), chart)
-    picture.text((picture.image.width / 2, 26), f"{run.name}: wall thickness", 12.0, INK, bold=True)
+    picture.text((picture.width / 2, 26), f"{run.name}: wall thickness", 12.0, INK, bold=True)
     picture.save(path)
 
 
@@ -97,7 +97,7 @@ def _draw_lines(axes: Axes, cuts: WallCuts, which: NDArray[np.bool_], colours: N
     lines = cut_lines(cuts, 0.012 * max(axes.size))[which]
     ends = np.hstack((axes.to_canvas(lines[:, 0]), axes.to_canvas(lines[:, 1]))).round().astype(int)
     for line, colour in zip(ends.tolist(), colours.tolist(), strict=True):
-        axes.canvas.draw.line(line, fill=tuple(colour), width=3)
+        axes.canvas.line(line, tuple(colour), width=3)
 
 
 def cut_lines(cuts: WallCuts, least_m: float) -> NDArray[np.float64]:
@@ -168,5 +168,5 @@ def _draw_bars(picture: Canvas, box: Box, chart: _Chart) -> None:
     axes.names(chart.name, "wall [m]")
     if not np.isnan(chart.p95):
         x, y = axes.to_canvas(np.array([[chart.p95 / chart.bin_size, 1.0]]))[0].tolist()
-        picture.draw.line((x, y, x, box[3]), fill=P95_COLOUR, width=3)
+        picture.line((x, y, x, box[3]), P95_COLOUR, width=3)
         picture.text((x + 8, y + 8), "p95", 8.0, P95_COLOUR, "lm")

@@ -355,6 +355,37 @@ def test_a_line_is_broken_where_a_point_is_missing():
     assert not dark[44:76].any()
 
 
+def test_a_picture_of_double_density_shows_the_same_at_the_same_places():
+    def drawn(density):
+        canvas = Canvas.of(300, 200, density)
+        axes = map_axes.map_axes(canvas, Viewport(-1.0, 1.0, 0.0, 1.0), (60, 20, 260, 120))
+        hits = np.eye(10, 20, dtype=np.int32)
+        grid = Grid(0.1, (-1.0, 0.0), hits, np.zeros_like(hits))
+        map_axes.draw_cells(axes, grid, hits, lambda _: np.array((200, 0, 0), np.uint8))
+        axes.lines(map_axes.TRUE_WALL, [np.array([(-0.9, 0.9), (0.9, 0.5)])])
+        axes.mark(map_axes.END, np.array([(0.5, 0.2)]))
+        map_axes.draw_axes(axes)
+        canvas.gradient((270, 20, 290, 120), map_axes.HIT_COLOURS, upwards=True)
+        return canvas
+
+    plain, dense = drawn(1), drawn(2)
+    assert (dense.width, dense.height) == (plain.width, plain.height) == (300, 200)
+    assert dense.image.size == (600, 400)
+    reduced, image = (np.asarray(i, float) for i in (dense.image.reduce(2), plain.image))
+    assert np.abs(reduced - image).mean() < 2.0
+    blurred = np.asarray(dense.image.reduce(10), float) - np.asarray(plain.image.reduce(5), float)
+    assert np.abs(blurred).max() < 60.0  # of 255: nothing is missing or elsewhere
+
+
+@pytest.mark.parametrize("upright", [False, True])
+def test_text_of_double_density_covers_the_same_place(upright):
+    plain, dense = Canvas.of(200, 200), Canvas.of(200, 200, 2)
+    for canvas in (plain, dense):
+        canvas.text((90, 100), "thickness", 9.0, "#000000", upright=upright)
+    boxes = [np.array(Image.eval(c.image, lambda v: 255 - v).getbbox()) / c.density for c in (plain, dense)]
+    np.testing.assert_allclose(*boxes, atol=1.5)
+
+
 def test_nothing_is_drawn_outside_the_axes():
     picture = Canvas.of(120, 60)
     axes = Axes.chart(picture, (10, 10, 110, 50), (0.0, 10.0, 0.0, 4.0))
