@@ -90,7 +90,7 @@ def draw_cells(
     window, (c, s) = Viewport(*axes.limits, axes.turn_rad), (cos(axes.turn_rad), sin(axes.turn_rad))
     first_col, end_col, first_row, end_row = window.cells_of(grid)
     per_m = axes.per_unit[0] * axes.canvas.density
-    factor = max(1, ceil((abs(c) + abs(s)) / (grid.cell_m * per_m)))
+    factor = max(1, ceil(1.0 / (grid.cell_m * per_m)))
     shown = max_pool(cells[first_row:end_row, first_col:end_col], factor, value_of=value_of)
     some = shown > 0
     pixels = np.zeros((*some.shape, 4), np.uint8)
