@@ -87,23 +87,32 @@ def draw_cells(
     Where cells are smaller than pixels, the largest ``value_of`` several cells is shown. A pixel shows the cell that
     its middle lies in.
     """
-    window, (c, s) = Viewport(*axes.limits, axes.turn_rad), (cos(axes.turn_rad), sin(axes.turn_rad))
-    first_col, end_col, first_row, end_row = window.cells_of(grid)
-    per_m = axes.per_unit[0] * axes.canvas.density
-    factor = max(1, ceil(1.0 / (grid.cell_m * per_m)))
+    first_col, end_col, first_row, end_row = Viewport(*axes.limits, axes.turn_rad).cells_of(grid)
+    factor = max(1, ceil(1.0 / (grid.cell_m * axes.per_unit[0] * axes.canvas.density)))
     shown = max_pool(cells[first_row:end_row, first_col:end_col], factor, value_of=value_of)
     some = shown > 0
-    pixels = np.zeros((*some.shape, 4), np.uint8)
-    pixels[some, :3], pixels[some, 3] = colour_of(shown[some]), 255
+    colours = colour_of(shown[some])
+    pixels = 255 * some.astype(np.uint8)  # one colour takes a mask, several a picture that is clear elsewhere
+    if colours.ndim > 1:
+        pixels = np.zeros((*some.shape, 4), np.uint8)
+        pixels[some] = np.column_stack((colours, np.full(len(colours), 255, np.uint8)))
     left, top, right, bottom = (v * axes.canvas.density for v in axes.box)
-    edge_m, per_pixel = factor * grid.cell_m, 1.0 / (factor * grid.cell_m * per_m)
-    corner = np.array([[axes.limits[0], axes.limits[2] + (bottom - top) / per_m]])
     first_m = grid.origin_xy_m + np.array([first_col, first_row]) * grid.cell_m
-    col, row = ((turned(corner, -axes.turn_rad)[0] - first_m) / edge_m).tolist()
-    to_cells = (c * per_pixel, -s * per_pixel, col, -s * per_pixel, -c * per_pixel, row)
-    size = right - left, bottom - top
-    image = Image.fromarray(pixels).transform(size, Image.Transform.AFFINE, to_cells, Image.Resampling.NEAREST)
-    axes.canvas.image.paste(image, (left, top), image)
+    to_squares = _to_squares(axes, first_m, factor * grid.cell_m)
+    image = Image.fromarray(pixels).transform(
+        (right - left, bottom - top), Image.Transform.AFFINE, to_squares, Image.Resampling.NEAREST
+    )
+    axes.canvas.image.paste(tuple(colours.tolist()) if colours.ndim == 1 else image, (left, top), image)
+
+
+def _to_squares(axes: Axes, first_m: NDArray[np.float64], edge_m: float) -> tuple[float, ...]:
+    """Return Pillow's transform from pixels of axes to columns and rows of squares of the map from a corner (2,)."""
+    x0_m, y0_m = axes.limits[0], axes.limits[2]
+    top_left_m = np.array([[x0_m, y0_m + (axes.box[3] - axes.box[1]) / axes.per_unit[1]]])
+    col, row = ((turned(top_left_m, -axes.turn_rad)[0] - first_m) / edge_m).tolist()
+    per_pixel = 1.0 / (edge_m * axes.per_unit[0] * axes.canvas.density)
+    c, s = per_pixel * cos(axes.turn_rad), per_pixel * sin(axes.turn_rad)
+    return c, -s, col, -s, -c, row
 
 
 def draw_free(axes: Axes, grid: Grid, occupancy: NDArray[np.int8]) -> None:
