@@ -73,9 +73,11 @@ def stack(sheets: Sequence[Image.Image]) -> Image.Image:
 
 
 def png(image: Image.Image) -> bytes:
-    """Return the bytes of a PNG file with `COLOURS` colors."""
+    """Return the bytes of a PNG file with `COLOURS` colors, those of every second row and column: lines are wider."""
+    sample = image.resize([max(side // 2, 1) for side in image.size], Image.Resampling.NEAREST)
+    palette = sample.quantize(COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
     buffer = io.BytesIO()
-    image.quantize(COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(buffer, format="PNG")
+    image.quantize(palette=palette, dither=Image.Dither.NONE).save(buffer, format="PNG", compress_level=4)
     return buffer.getvalue()
 
 

@@ -176,6 +176,13 @@ def test_pictures_have_twice_the_pixels_of_their_size_on_the_page(report):
             assert image.size == tuple(panels.DENSITY * int(side) for side in size)
 
 
+def test_a_picture_of_few_colours_keeps_them_all_in_its_file():
+    colours = np.random.default_rng(3).integers(0, 256, (100, 3), np.uint8)
+    blocks = np.kron(colours.reshape(10, 10, 3), np.ones((2, 2, 1), np.uint8))  # as narrow as a line
+    with Image.open(BytesIO(panels.png(Image.fromarray(blocks)))) as image:
+        assert np.abs(np.asarray(image.convert("RGB")).astype(int) - blocks).max() <= 8
+
+
 def test_a_large_picture_is_made_smaller_on_the_page():
     noise = Image.fromarray(np.random.default_rng(1).integers(0, 255, (400, 400, 3), np.uint8))
     assert len(panels.data_uri(noise, 20_000)) < 28_000
