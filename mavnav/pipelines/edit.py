@@ -31,7 +31,7 @@ from mavnav.outputs.documents.run_json import METRICS
 from mavnav.outputs.documents.verdict import Verdict
 from mavnav.outputs.files import wall_table
 from mavnav.outputs.files.document import plain, to_json
-from mavnav.outputs.files.finished_run import RunRecord, finished_run
+from mavnav.outputs.files.finished_run import MergeRecord, RunRecord, finished_run
 from mavnav.outputs.files.gridmap import HITS_FILE, GridMap, write_npz, write_pgm, write_yaml, yaml_text
 from mavnav.outputs.files.map_document import map_section
 from mavnav.outputs.pictures.map_picture import write_merged
@@ -154,6 +154,14 @@ def _write_map(request: EditRequest, edited: Grid, corner: Pose) -> None:
     write_file(request.target, lambda path: path.write_bytes(content), force=request.force)
 
 
+def _turn_rad(folder: Path, record: RunRecord | MergeRecord) -> float:
+    """Return how far the picture is turned to the walls of a table, which may come from a stranger; 0 without one."""
+    origin = record.provenance if isinstance(record, RunRecord) else None
+    with suppress(OSError, ValueError), np.errstate(all="ignore"):
+        return picture_turn_rad(wall_table.read(folder / wall_table.WALLS_FILE), origin and origin.options)
+    return 0.0
+
+
 def _write_run(request: EditRequest, edited: Grid) -> None:
     """Write a run or merge with an edited map; its verdict and metrics stay, because an edit does not mend them."""
     run, drawn = finished_run(request.path), GridMap(edited)
@@ -170,11 +178,7 @@ def _write_run(request: EditRequest, edited: Grid) -> None:
         write_yaml(drawn, folder / "map.yaml")
         write_npz(drawn, folder / HITS_FILE)
         paths = {each.name: poses_of(run, each.trajectory) for each in run.record.stored_sessions}
-        cuts = None
-        with suppress(OSError, ValueError):
-            cuts = wall_table.read(folder / wall_table.WALLS_FILE)
-        origin = run.record.provenance if isinstance(run.record, RunRecord) else None
-        turn_rad = picture_turn_rad(cuts, origin.options if origin else None)
+        turn_rad = _turn_rad(folder, run.record)
         write_merged(drawn, paths, Verdict(**own["verdict"]), folder / "map.png", turn_rad)
         if (folder / METRICS_FILE).exists():
             (folder / METRICS_FILE).write_text(to_json({k: own[k] for k in METRICS if k in own}), encoding="utf-8")
