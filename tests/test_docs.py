@@ -55,9 +55,20 @@ def test_the_commands_of_the_tutorial_run_in_their_order(
     for file in ("map.png", "wall_thickness.png", "map.yaml", "trajectory.tum", "result.mcap"):
         assert (tmp_path / "runs/drive" / file).is_file()
     assert (tmp_path / "runs/grids/report.html").is_file()
-    (example,) = blocks("howto.md", "python")
+    _, example = blocks("howto.md", "python")
     exec(compile(example, "howto.md", "exec"), {})
     assert capsys.readouterr().out
+
+
+def test_a_run_is_put_into_a_recording_of_rerun(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("rerun", reason="no rerun: pip install rerun-sdk")
+    monkeypatch.chdir(tmp_path)
+    assert run(["replay", str(ROOT / "sample_logs/complex.bag"), "--end", "2", "-o", "runs/drive", "-q"]) == 0
+    example, _ = blocks("howto.md", "python")
+    exec(compile(example, "howto.md", "exec"), names := {})
+    assert len(names["run"].trajectory) == len(list(names["log"])) > 10  # a pose for each scan
+    recording = (tmp_path / "drive.rrd").read_bytes()
+    assert all(name in recording for name in (b"/map", b"/seen", b"/track"))
 
 
 def blocks(page: str, language: str) -> list[str]:

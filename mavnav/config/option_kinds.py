@@ -79,13 +79,13 @@ def _restore_pose(pose: Any, _: object) -> tuple[float, float, float]:  # noqa: 
     return x_m, y_m, yaw_rad
 
 
-WALLS: Final = "walls"
+WALLS, NOWHERE = "walls", "none"
 
 
-def read_alignment(text: str, flag: str) -> str | None:
-    """Read ``walls``, ``none`` (None), or ``x,y,yaw`` in m, m, rad; raises UsageError."""
-    if text in {WALLS, "none"}:
-        return text if text == WALLS else None
+def read_alignment(text: str, flag: str) -> str:
+    """Read ``walls``, ``none``, or ``x,y,yaw`` in m, m, rad; raises UsageError."""
+    if text in {WALLS, NOWHERE}:
+        return text
     try:
         x_m, y_m, yaw_rad = map(float, text.split(","))
         problem = pose_problem(x_m, y_m, yaw_rad)

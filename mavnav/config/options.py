@@ -136,7 +136,7 @@ class ReplayOptions(SearchOptions, Generic[PathType], total=False):
         Option(
             OUTPUT,
             "--align walls|none|X,Y,YAW",
-            "Turn the walls along the axes, or put the first pose there, m, m, rad (default none).",
+            "Turn the walls along the axes, or put the first pose there, m, m, rad (default walls in pictures alone).",
             absent=True,
             manifest=True,
         ),

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.mapping.occupancy_grid import Grid
+    from mavnav.metrics.wall_spread import WallCuts
 
     Array = NDArray[np.float64]
 
@@ -33,6 +34,9 @@ SUPPORT_M, SUPPORT_CELLS = 0.03, 2.0
 
 HALF_WALL_M: Final = 0.1
 """Cells so near to a wall are not another wall beside it."""
+
+LEAST_TURN_RAD, STRAIGHT_SHARE = 1.0 * DEG, 0.5
+"""A picture is turned by no less, and if so much of the walls is along two axes."""
 
 LEAST_RUN_M: Final = 0.45
 """Least length of a run along an axis: columns and slanted furniture have shorter ones."""
@@ -97,9 +101,39 @@ def floor_plan(grid: Grid, map_T_grid: Pose) -> FloorPlan:
 
 def turn_to_walls(grid: Grid) -> Pose | None:
     """Return the turn of at most an eighth that brings most walls of a grid along the axes; None without any."""
-    straight = _straight_lines(grid)
-    off_rad = _main_direction(straight, occupied_xy_m(grid))
-    return Pose(0.0, 0.0, (np.pi / 4.0 - off_rad) % (np.pi / 2.0) - np.pi / 4.0) if len(straight) else None
+    length_m, direction_rad = _straight_lines(grid)[:, 2:].T
+    return Pose(0.0, 0.0, -_off_axes(length_m, direction_rad)) if len(length_m) else None
+
+
+def _off_axes(length_m: Array, direction_rad: Array) -> float:
+    """Return how far most walls, (n,) lengths and directions, are turned from the axes, in rad, at most an eighth.
+
+    The mean of directions modulo a quarter turn is that of all walls first, then of those near it.
+    """
+    mean, near = 0.0, np.ones(len(length_m), np.bool_)
+    for _ in range(5):
+        mean = float(np.angle((length_m[near] * np.exp(4j * direction_rad[near])).sum())) / 4.0
+        off = _beside_axes(direction_rad - mean) <= SNAP_RAD
+        near = off if off.any() else near
+    return mean
+
+
+def _beside_axes(direction_rad: Array) -> Array:
+    """Return the angles (n,) between directions and the nearest axis, rad."""
+    return np.abs((direction_rad + np.pi / 4.0) % (np.pi / 2.0) - np.pi / 4.0)
+
+
+def turn_to_cuts(cuts: WallCuts | None) -> float:
+    """Return the turn of at most an eighth, in rad, after which the measured walls are along the axes of a picture.
+
+    It is 0 where that is hardly a turn, and where the walls have no common direction.
+    """
+    if cuts is None or not len(cuts.length_m):
+        return 0.0
+    off_rad = _off_axes(cuts.length_m, cuts.direction_rad)
+    straight = cuts.length_m @ (_beside_axes(cuts.direction_rad - off_rad) <= SNAP_RAD)
+    turns = abs(off_rad) >= LEAST_TURN_RAD and straight >= STRAIGHT_SHARE * cuts.length_m.sum()
+    return -off_rad if turns else 0.0
 
 
 def _straight_lines(grid: Grid) -> Array:
@@ -136,15 +170,9 @@ def _lengths(lines: Array) -> Array:
 def _main_direction(lines: Array, xy_m: Array) -> float:
     """Return the direction of the longer side of points (n, 2), of the two of most walls, in [-pi/2, pi/2).
 
-    The walls (n, 4) have their lengths and directions last. The mean of directions modulo a quarter turn is that of all
-    lines first, then of those near it.
+    The walls (n, 4) have their lengths and directions last.
     """
-    weight, angle = lines[:, 2:].T
-    mean, near = 0.0, np.ones(len(lines), np.bool_)
-    for _ in range(5):
-        mean = float(np.angle((weight[near] * np.exp(4j * angle[near])).sum())) / 4.0
-        off = np.abs((angle - mean + np.pi / 4.0) % (np.pi / 2.0) - np.pi / 4.0)
-        near = off <= SNAP_RAD if (off <= SNAP_RAD).any() else near
+    mean = _off_axes(*lines[:, 2:].T)
     along, across = np.ptp(xy_m @ _axes(mean), axis=0) if len(xy_m) else (0.0, 0.0)
     return (mean + (np.pi / 2.0 if across > along else 0.0) + np.pi / 2.0) % np.pi - np.pi / 2.0
 

@@ -9,6 +9,7 @@ from msgspec import Struct, field
 
 from mavnav.errors import ExitCode
 from mavnav.mapping.occupancy_grid import known_area, occupancy
+from mavnav.metrics.floor_plan import turn_to_cuts
 from mavnav.metrics.wall_spread import wall_report
 from mavnav.outputs.documents.verdict import EXTERNAL
 
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from mavnav.mapping.slices import Slices
     from mavnav.metrics.map_quality import MeasuredMap
     from mavnav.metrics.reference import Reference, TrueMap
-    from mavnav.metrics.wall_spread import WallThicknessReport
+    from mavnav.metrics.wall_spread import WallCuts, WallThicknessReport
     from mavnav.outputs.documents.run_json import External, Localisation, MissionResult, Provenance, TruthErrors
     from mavnav.outputs.documents.sections import Continued
     from mavnav.pose import Trajectory
@@ -88,6 +89,12 @@ class MissionRecord(Struct, frozen=True):
     scenario: dict[str, Any]
     result: MissionResult
     errors: TruthErrors
+
+
+def picture_turn_rad(cuts: WallCuts | None, options: object) -> float:
+    """Return how far the pictures of a run are turned to its walls; 0 where its ``options`` name a frame."""
+    framing = [getattr(options, name, None) for name in ("align", "map", "continue_from")]
+    return 0.0 if any(isinstance(value, str) for value in framing) else turn_to_cuts(cuts)
 
 
 def half_sweep_s(log: Log, outcome: SlamResult) -> float:
@@ -156,6 +163,11 @@ class RunResult(Struct, frozen=True, dict=True):
     @cached_property
     def _cells(self) -> NDArray[np.int8]:
         return occupancy(self.known)
+
+    @cached_property
+    def turn_rad(self) -> float:
+        """How far pictures are turned to the walls; 0 where the frame of the map was asked for or given."""
+        return picture_turn_rad(self.measured.cuts, self.provenance.options)
 
     @property
     def true_walls(self) -> Walls | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
@@ -28,11 +29,13 @@ from mavnav.outputs.directory import (
 from mavnav.outputs.documents.provenance import shell_line
 from mavnav.outputs.documents.run_json import METRICS
 from mavnav.outputs.documents.verdict import Verdict
+from mavnav.outputs.files import wall_table
 from mavnav.outputs.files.document import plain, to_json
-from mavnav.outputs.files.finished_run import finished_run
+from mavnav.outputs.files.finished_run import MergeRecord, RunRecord, finished_run
 from mavnav.outputs.files.gridmap import HITS_FILE, GridMap, write_npz, write_pgm, write_yaml, yaml_text
 from mavnav.outputs.files.map_document import map_section
 from mavnav.outputs.pictures.map_picture import write_merged
+from mavnav.outputs.run import picture_turn_rad
 from mavnav.pipelines.diff import read_grid
 from mavnav.pipelines.sessions import poses_of
 from mavnav.pose import Pose
@@ -151,6 +154,14 @@ def _write_map(request: EditRequest, edited: Grid, corner: Pose) -> None:
     write_file(request.target, lambda path: path.write_bytes(content), force=request.force)
 
 
+def _turn_rad(folder: Path, record: RunRecord | MergeRecord) -> float:
+    """Return how far the picture is turned to the walls of a table, which may come from a stranger; 0 without one."""
+    origin = record.provenance if isinstance(record, RunRecord) else None
+    with suppress(OSError, ValueError), np.errstate(all="ignore"):
+        return picture_turn_rad(wall_table.read(folder / wall_table.WALLS_FILE), origin and origin.options)
+    return 0.0
+
+
 def _write_run(request: EditRequest, edited: Grid) -> None:
     """Write a run or merge with an edited map; its verdict and metrics stay, because an edit does not mend them."""
     run, drawn = finished_run(request.path), GridMap(edited)
@@ -167,7 +178,8 @@ def _write_run(request: EditRequest, edited: Grid) -> None:
         write_yaml(drawn, folder / "map.yaml")
         write_npz(drawn, folder / HITS_FILE)
         paths = {each.name: poses_of(run, each.trajectory) for each in run.record.stored_sessions}
-        write_merged(drawn, paths, Verdict(**own["verdict"]), folder / "map.png")
+        turn_rad = _turn_rad(folder, run.record)
+        write_merged(drawn, paths, Verdict(**own["verdict"]), folder / "map.png", turn_rad)
         if (folder / METRICS_FILE).exists():
             (folder / METRICS_FILE).write_text(to_json({k: own[k] for k in METRICS if k in own}), encoding="utf-8")
         digests = {file.name: file_sha256(file) for file in sorted(folder.iterdir())}

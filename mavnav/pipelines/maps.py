@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from msgspec.structs import replace
 
-from mavnav.config.option_kinds import WALLS
+from mavnav.config.option_kinds import NOWHERE, WALLS
 from mavnav.errors import UsageError
 from mavnav.ground_truth.references import check_times, of_map, place_walls
 from mavnav.mapping.occupancy_grid import known_area, measured_area, occupied_xy_m
@@ -65,7 +65,7 @@ def known_map(path: Path | None, start_pose: Pose | None, method: str) -> PriorM
 
 def placement_of(alignment: str | Sequence[float] | None) -> Placement | None:
     """Return where a map is put by ``--align``; None where it stays."""
-    if alignment is None:
+    if alignment in {None, NOWHERE}:
         return None
     if alignment == WALLS:
         return turn_to_walls

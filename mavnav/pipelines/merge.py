@@ -13,6 +13,7 @@ from mavnav.errors import ExitCode, NoScansError, SeveralTopicsError, TopicError
 from mavnav.logs import check_log
 from mavnav.logs.formats.detect import log_name
 from mavnav.mapping.occupancy_grid import known_area, measured_area
+from mavnav.metrics.floor_plan import turn_to_cuts
 from mavnav.metrics.gates import stored_verdict
 from mavnav.metrics.journey import one_after_another
 from mavnav.metrics.map_quality import measure_map
@@ -190,7 +191,7 @@ def _write(
         write_pgm(drawn, folder / "map.pgm")
         write_yaml(drawn, folder / "map.yaml")
         write_npz(drawn, folder / "hits.npz")
-        write_merged(drawn, paths, Verdict(**document["verdict"]), folder / "map.png")
+        write_merged(drawn, paths, Verdict(**document["verdict"]), folder / "map.png", turn_to_cuts(measured.cuts))
         write_cuts(measured.cuts, folder / WALLS_FILE)
         for session in members:
             poses, recording = session_files(session.name)

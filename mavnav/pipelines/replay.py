@@ -141,7 +141,7 @@ def _to_continue(request: ReplayRequest) -> tuple[FinishedRun | None, tuple[Sess
 
 def _check_alignment(request: ReplayRequest) -> None:
     """Raise UsageError where the map cannot be aligned."""
-    if "align" not in request.options:
+    if placement_of(request.options.get("align")) is None:
         return
     if {"map", "continue_from"} & request.options.keys():
         raise UsageError("--align: the map is in the frame of the one given by --map or --continue; leave out --align")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -87,6 +88,18 @@ def test_edits_of_edits_are_all_recorded_and_repeat(mavnav, made, tmp_path, monk
     assert mavnav(*edits[-1].split()[1:], "-o", "thrice")[0] == 0
     for name in ("map.pgm", "map.yaml", "hits.npz", "map.png"):
         assert (tmp_path / "twice" / name).read_bytes() == (tmp_path / "thrice" / name).read_bytes()
+
+
+@pytest.mark.parametrize("table", ["no table", "x_m,y_m,direction_deg,width_mm,length_m\n" + "0,0,20,50,1e308\n" * 3])
+def test_a_strange_table_of_walls_leaves_the_picture_as_it_is(mavnav, made, tmp_path, table) -> None:
+    shutil.copytree(made, tmp_path / "run")
+    (tmp_path / "run" / "walls.csv").write_text(table)
+    document = json.loads((made / "run.json").read_text())
+    document["outputs"]["walls.csv"] = sha256(table.encode()).hexdigest()
+    (tmp_path / "run" / "run.json").write_text(json.dumps(document))
+    code, _, errors = mavnav("edit", tmp_path / "run", "--keep-largest", "-o", tmp_path / "clean", "-q")
+    assert (code, errors) == (0, "")
+    assert (tmp_path / "clean" / "map.png").stat().st_size > 1000
 
 
 def test_a_merge_stays_a_merge(mavnav, made, tmp_path) -> None:

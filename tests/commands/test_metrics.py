@@ -235,7 +235,7 @@ def test_an_aligned_run_has_the_same_errors(mavnav, sample, tmp_path) -> None:
         documents[name] = json.loads((tmp_path / name / "run.json").read_text())
     plain, placed = documents.values()
     assert "alignment" not in plain
-    assert "align" not in plain["provenance"]["options"]
+    assert plain["provenance"]["options"]["align"] == "none"
     assert placed["alignment"] == {"x_m": 2.0, "y_m": 1.0, "yaw_deg": 90.0}
     assert placed["provenance"]["options"]["align"] == "2.0,1.0,1.5707963267948966"
     before, after = read_tum(tmp_path / "plain" / "trajectory.tum"), read_tum(tmp_path / "placed" / "trajectory.tum")

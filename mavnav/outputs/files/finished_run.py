@@ -80,9 +80,10 @@ class Settings(Struct, frozen=True):
 
 
 class GivenOptions(Struct, frozen=True):
-    """The options by which the map of a run begins elsewhere than at the first scan of its log."""
+    """The options by which the map of a run begins elsewhere than at the first scan of its log, or lies elsewhere."""
 
     start_s: float | None = None
+    align: str | None = None
     map: str | None = None
     continue_from: str | None = None
 

@@ -1,7 +1,7 @@
 """Pictures in pixels: text, and lines with smooth edges, on a white canvas; PNG bytes that repeat.
 
 Some 30 ms a picture, where matplotlib takes 0.4 s to import alone: every replay makes two.
-Lengths without a unit are pixels, y downwards; ``_pt`` are points of 1/72 inch at `DPI`.
+Lengths without a unit are pixels of a picture of density 1, y downwards; ``_pt`` are points of 1/72 inch at `DPI`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from PIL import Image, ImageDraw, ImageFont
 from mavnav.outputs.pictures.viewport import DPI, INK
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -53,33 +53,57 @@ def ramp(colours: Iterable[str], n: int = 256) -> NDArray[np.uint8]:
 
 
 @cache
-def font(size_pt: float, *, bold: bool = False) -> Any:  # noqa: ANN401
+def font(size_pt: float, *, bold: bool = False, density: int = 1) -> Any:  # noqa: ANN401
     """Load DejaVu Sans, which has the mathematical signs."""
     file = FONTS / ("DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf")
-    return ImageFont.truetype(str(file), round(size_pt * POINT), layout_engine=ImageFont.Layout.BASIC)
+    return ImageFont.truetype(str(file), round(size_pt * POINT) * density, layout_engine=ImageFont.Layout.BASIC)
 
 
 class Canvas(Struct, frozen=True):
-    """A white picture to draw on.
-
-    ``draw`` is Pillow's drawing on it, without smoothing: for horizontal and vertical lines, and areas.
-    """
+    """A white picture to draw on; ``image`` has ``density`` times its width and height, 1 or `SMOOTH`."""
 
     image: Image.Image
     draw: Any
+    density: int = 1
 
     @classmethod
-    def of(cls, width: int, height: int) -> Canvas:
+    def of(cls, width: int, height: int, density: int = 1) -> Canvas:
         """Begin a picture."""
-        image = Image.new("RGB", (width, height), "white")
-        return cls(image, ImageDraw.Draw(image))
+        image = Image.new("RGB", (width * density, height * density), "white")
+        return cls(image, ImageDraw.Draw(image), density)
+
+    @property
+    def width(self) -> int:
+        """Width."""
+        return self.image.width // self.density
+
+    @property
+    def height(self) -> int:
+        """Height."""
+        return self.image.height // self.density
+
+    def line(self, xy: Sequence[float], colour: str | tuple[int, ...], width: int = 1) -> None:
+        """Draw a line x, y, x, y and so on, without smoothing: horizontal or vertical ones."""
+        last = self.density - 1  # a line of even width lies before its pixels
+        self.draw.line([v * self.density + last for v in xy], fill=colour, width=width * self.density)
+
+    def rectangle(
+        self, box: Sequence[float], fill: str | None = None, outline: str | None = None, width: int = 1
+    ) -> None:
+        """Draw a rectangle with the pixels at its ends."""
+        left, top, right, bottom = (v * self.density for v in box)
+        last = self.density - 1
+        self.draw.rectangle(
+            (left, top, right + last, bottom + last), fill=fill, outline=outline, width=width * self.density
+        )
 
     def text(
         self, xy: tuple[float, float], text: str, size_pt: float = 8.0, colour: str = INK, anchor: str = "mm",
         *, bold: bool = False, upright: bool = False,
     ) -> None:  # fmt: skip
         """Write; ``anchor`` as Pillow's. Text that stands ``upright`` reads from below, about its middle."""
-        face, side = font(size_pt, bold=bold), "left" if anchor[0] == "l" else "center"
+        face, side = font(size_pt, bold=bold, density=self.density), "left" if anchor[0] == "l" else "center"
+        xy = xy[0] * self.density, xy[1] * self.density
         if not upright:
             self.draw.multiline_text(xy, text, fill=colour, font=face, anchor=anchor, align=side)
             return
@@ -100,12 +124,13 @@ class Canvas(Struct, frozen=True):
             return
         x0, y0 = (SMOOTH * floor(v / SMOOTH) for v in inked[:2])
         x1, y1 = (SMOOTH * ceil(v / SMOOTH) for v in inked[2:])
-        part = mask.crop((x0, y0, x1, y1)).reduce(SMOOTH)
-        self.image.paste(rgb_of(colour), (left + x0 // SMOOTH, top + y0 // SMOOTH), part)
+        step = SMOOTH // self.density
+        part = mask.crop((x0, y0, x1, y1)).reduce(step)
+        self.image.paste(rgb_of(colour), (left * self.density + x0 // step, top * self.density + y0 // step), part)
 
     def gradient(self, box: Box, colours: NDArray[np.uint8], *, upwards: bool = False) -> None:
         """Fill a box with colours (n, 3), from left to right or from below."""
-        left, top, right, bottom = box
+        left, top, right, bottom = (v * self.density for v in box)
         strip = Image.fromarray(np.ascontiguousarray(colours[::-1, None] if upwards else colours[None]))
         self.image.paste(strip.resize((right - left, bottom - top), Image.Resampling.NEAREST), (left, top))
 

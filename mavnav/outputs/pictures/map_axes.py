@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from math import ceil
+from math import ceil, cos, sin
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any, Final
 
@@ -15,7 +15,8 @@ from mavnav.mapping.tiled_arrays import identity, max_pool, where
 from mavnav.outputs.pictures import plot, viewport
 from mavnav.outputs.pictures.canvas import Canvas, draw_dashes, ramp, rgb_of, stroke
 from mavnav.outputs.pictures.plot import Area, Axes, Mark, Style
-from mavnav.outputs.pictures.viewport import FREE_GREY, LEAST_IN, Viewport
+from mavnav.outputs.pictures.viewport import FREE_GREY, LEAST_IN, Viewport, turned
+from mavnav.units import DEG
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -54,13 +55,15 @@ LOOP: Final = Style(viewport.INK, "closed loop", partial(stroke, width_pt=0.72))
 DOUBTFUL: Final = Style(viewport.DOUBT_RED, "doubtful", partial(stroke, width_pt=2.4))
 TRUE_WALL: Final = Style(viewport.TRUE_ORANGE, "true wall", draw_dashes)
 KNOWN: Final = (Area(FREE_GREY, "free"), Area("#ffffff", "unknown"))
+GRATICULE: Final = Style(viewport.MUTED, "", partial(stroke, width_pt=0.5, opacity=0.35))
 MEASURED_WALL: Final = Style(viewport.MEASURED_BLUE, "measured by hand", draw_dashes)
 
 
 def map_axes(canvas: Canvas, window: Viewport, box: Box) -> Axes:
     """Show a window of the map in a box of its shape; a metre is as long in x as in y."""
     per_m = (box[2] - box[0]) / window.size_m[0]
-    return Axes(canvas, box, (window.x0_m, window.x1_m, window.y0_m, window.y1_m), (per_m, per_m))
+    limits = window.x0_m, window.x1_m, window.y0_m, window.y1_m
+    return Axes(canvas, box, limits, (per_m, per_m), window.turn_rad)
 
 
 def framed_map(window: Viewport, longest_in: float, margins: Box, least: tuple[int, int] = (0, 0)) -> Axes:
@@ -68,7 +71,7 @@ def framed_map(window: Viewport, longest_in: float, margins: Box, least: tuple[i
     left, top, right, bottom = margins
     width, height = window.size_pixels(longest_in, LEAST_IN)
     canvas = Canvas.of(max(width + left + right, least[0]), max(height + top + bottom, least[1]))
-    first = (canvas.image.width - width - right + left) // 2
+    first = (canvas.width - width - right + left) // 2
     return map_axes(canvas, window, (first, top, first + width, top + height))
 
 
@@ -81,43 +84,35 @@ def draw_cells(
 ) -> None:
     """Show an array of the grid's shape; zeros are transparent, ``colour_of`` gives (n, 3) or (3,) for the others.
 
-    Where cells are smaller than pixels, the largest ``value_of`` several cells is shown.
+    Where cells are smaller than pixels, the largest ``value_of`` several cells is shown. A pixel shows the cell that
+    its middle lies in.
     """
-    window = Viewport(*axes.limits)
-    first_col, end_col, first_row, end_row = window.cells_of(grid)
-    factor = max(1, ceil(1.0 / (grid.cell_m * axes.per_unit[0])))
-    shown = max_pool(cells[first_row:end_row, first_col:end_col], factor, value_of=value_of)[::-1]
+    first_col, end_col, first_row, end_row = Viewport(*axes.limits, axes.turn_rad).cells_of(grid)
+    factor = max(1, ceil(1.0 / (grid.cell_m * axes.per_unit[0] * axes.canvas.density)))
+    shown = max_pool(cells[first_row:end_row, first_col:end_col], factor, value_of=value_of)
     some = shown > 0
     colours = colour_of(shown[some])
-    x0_m = grid.origin_xy_m[0] + first_col * grid.cell_m
-    y0_m = grid.origin_xy_m[1] + first_row * grid.cell_m
-    rows, cols = shown.shape
-    corners = np.array([[x0_m, y0_m + rows * factor * grid.cell_m], [x0_m + cols * factor * grid.cell_m, y0_m]])
-    (x0, y0), (x1, y1) = np.round(axes.to_canvas(corners)).astype(int).tolist()
-    size = max(x1 - x0, 1), max(y1 - y0, 1)
-    _paste_inside(axes, _enlarge(some, size), x0, y0, _ink(some, colours, size))
+    pixels = 255 * some.astype(np.uint8)  # one colour takes a mask, several a picture that is clear elsewhere
+    if colours.ndim > 1:
+        pixels = np.zeros((*some.shape, 4), np.uint8)
+        pixels[some] = np.column_stack((colours, np.full(len(colours), 255, np.uint8)))
+    left, top, right, bottom = (v * axes.canvas.density for v in axes.box)
+    first_m = grid.origin_xy_m + np.array([first_col, first_row]) * grid.cell_m
+    to_squares = _to_squares(axes, first_m, factor * grid.cell_m)
+    image = Image.fromarray(pixels).transform(
+        (right - left, bottom - top), Image.Transform.AFFINE, to_squares, Image.Resampling.NEAREST
+    )
+    axes.canvas.image.paste(tuple(colours.tolist()) if colours.ndim == 1 else image, (left, top), image)
 
 
-def _ink(some: NDArray[np.bool_], colours: NDArray[np.uint8], size: tuple[int, int]) -> Image.Image | tuple[int, ...]:
-    """Return one colour (3,) as it is, the colours (n, 3) of some pixels (rows, cols) as a picture of a size."""
-    if colours.ndim == 1:
-        return tuple(colours.tolist())
-    pixels = np.zeros((*some.shape, 3), np.uint8)
-    pixels[some] = colours
-    return _enlarge(pixels, size)
-
-
-def _enlarge(pixels: NDArray[Any], size: tuple[int, int]) -> Image.Image:
-    return Image.fromarray(pixels).resize(size, Image.Resampling.NEAREST)
-
-
-def _paste_inside(axes: Axes, mask: Image.Image, x0: int, y0: int, ink: Image.Image | tuple[int, ...]) -> None:
-    """Paste a picture or a colour through a mask with its corner at a pixel of the canvas; outside the axes is cut."""
-    left, top, right, bottom = axes.box
-    part = (max(left - x0, 0), max(top - y0, 0), min(mask.width, right - x0), min(mask.height, bottom - y0))
-    if part[2] > part[0] and part[3] > part[1]:
-        shown = ink if isinstance(ink, tuple) else ink.crop(part)
-        axes.canvas.image.paste(shown, (x0 + part[0], y0 + part[1]), mask.crop(part))
+def _to_squares(axes: Axes, first_m: NDArray[np.float64], edge_m: float) -> tuple[float, ...]:
+    """Return Pillow's transform from pixels of axes to columns and rows of squares of the map from a corner (2,)."""
+    x0_m, y0_m = axes.limits[0], axes.limits[2]
+    top_left_m = np.array([[x0_m, y0_m + (axes.box[3] - axes.box[1]) / axes.per_unit[1]]])
+    col, row = ((turned(top_left_m, -axes.turn_rad)[0] - first_m) / edge_m).tolist()
+    per_pixel = 1.0 / (edge_m * axes.per_unit[0] * axes.canvas.density)
+    c, s = per_pixel * cos(axes.turn_rad), per_pixel * sin(axes.turn_rad)
+    return c, -s, col, -s, -c, row
 
 
 def draw_free(axes: Axes, grid: Grid, occupancy: NDArray[np.int8]) -> None:
@@ -157,10 +152,29 @@ def hit_ticks(top: float) -> list[tuple[float, str]]:
 
 
 def draw_axes(axes: Axes, most: tuple[int, int] = (9, 9)) -> None:
-    """Draw border and ticks, at most so many in x and y."""
-    x0, x1, y0, y1 = axes.limits
-    axes.canvas.draw.rectangle(axes.box, outline=FRAME_GREY)
-    axes.ticks(plot.label_ticks(plot.ticks(x0, x1, most[0])), plot.label_ticks(plot.ticks(y0, y1, most[1])))
+    """Draw border and ticks, at most so many in x and y; in a turned map they are where lines of the map's x and y end.
+
+    x is told at the lower border, y at the left one.
+    """
+    (x0, x1, y0, y1), c, s = axes.limits, cos(axes.turn_rad), sin(axes.turn_rad)
+    in_x = plot.ticks(c * x0 + s * y0, c * x1 + s * y0, most[0])
+    in_y = plot.ticks(c * y0 - s * x0, c * y1 - s * x0, most[1])
+    if axes.turn_rad:
+        _draw_graticule(axes, (in_x, in_y))
+    axes.canvas.rectangle(axes.box, outline=FRAME_GREY)
+    axes.ticks([((x - s * y0) / c, f"{x:g}") for x in in_x], [((y + s * x0) / c, f"{y:g}") for y in in_y])
+
+
+def _draw_graticule(axes: Axes, ticks: tuple[list[float], list[float]]) -> None:
+    """Draw the lines of equal x and y of a turned map at the distance of its ticks."""
+    (low_x, low_y), (high_x, high_y) = Viewport(*axes.limits, axes.turn_rad).ends_in_map()
+    at_x, at_y = (
+        np.arange(first - (first - low) // step * step, high, step)
+        for (first, second, *_), low, high in zip(ticks, (low_x, low_y), (high_x, high_y), strict=True)
+        for step in (second - first,)
+    )
+    upright = [np.array([(x, low_y), (x, high_y)]) for x in at_x]
+    axes.lines(GRATICULE, [*upright, *(np.array([(low_x, y), (high_x, y)]) for y in at_y)])
 
 
 def finish(
@@ -168,20 +182,31 @@ def finish(
 ) -> None:
     """Draw axes, legend and heading of a picture of a map, and write it."""
     _finish(axes, named)
-    plot.heading(axes.canvas, title, about, title_pt, about_y)
+    plot.heading(axes.canvas, title, _wrapped(axes, about), title_pt, about_y)
     axes.canvas.save(path)
 
 
 def finish_judged(axes: Axes, named: Sequence[Sign], name: str, verdict: Verdict, about: str, path: Path) -> None:
     """Do the same with the verdict in the title and its reason below, for a picture with `JUDGED_MARGINS`."""
     _finish(axes, named)
-    reason = wrap(verdict.reason, axes.canvas.image.width // CHARACTER)
-    lines = "\n".join([*reason, about])
+    lines = _wrapped(axes, f"{verdict.reason}\n{about}")
     plot.heading(axes.canvas, f"{name}: {verdict.word}", lines, about_y=94, colour=VERDICT_COLOURS[verdict.word])
     axes.canvas.save(path)
 
 
+def _wrapped(axes: Axes, text: str) -> str:
+    """Break the lines of a text that are longer than the picture is wide."""
+    width = axes.canvas.width // CHARACTER
+    return "\n".join(part for line in text.split("\n") for part in wrap(line, width))
+
+
 def _finish(axes: Axes, named: Sequence[Sign]) -> None:
     draw_axes(axes)
-    axes.names("x [m]", "y [m]")
+    name_axes(axes)
     plot.centred_legend(axes.canvas, named)
+
+
+def name_axes(axes: Axes) -> None:
+    """Write what the axes show, and whether the picture is turned."""
+    turn = f" along the grey lines; picture turned by {axes.turn_rad / DEG:.1f}° to the walls" if axes.turn_rad else ""
+    axes.names(f"x [m]{turn}", "y [m]")

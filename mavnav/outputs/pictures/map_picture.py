@@ -48,7 +48,7 @@ LONG_PATH: Final = Style(map_axes.POSE.colour, "estimated path", partial(stroke,
 def write(run: RunResult, path: Path) -> None:
     """Draw the map of a run."""
     trajectory = run.slam.trajectory
-    window = window_of(run.known, points_to_show(run))
+    window = window_of(run.known, points_to_show(run), run.turn_rad)
     some = thin_path(trajectory.xyyaw[:, :2], CIRCLE_SPACING * max(window.size_m))
     line, circles = (PATH, some) if len(some) <= MOST_CIRCLES else (LONG_PATH, some[:0])
     ends = _ends(run, trajectory.stamps_ns[some].tolist())
@@ -127,9 +127,11 @@ def thickness_text(spread: WallSpread) -> str:
     return f"wall thickness median {spread.median_mm:.0f} mm, p95 {spread.p95_mm:.0f} mm"
 
 
-def write_merged(drawn: GridMap, paths: dict[str, Trajectory], verdict: Verdict, path: Path) -> None:
-    """Draw the map of several sessions with its verdict, and map_T_laser of each by its name."""
-    window = window_of(drawn.known, np.concatenate([poses.xyyaw[:, :2] for poses in paths.values()]))
+def write_merged(
+    drawn: GridMap, paths: dict[str, Trajectory], verdict: Verdict, path: Path, turn_rad: float = 0.0
+) -> None:
+    """Draw the map of several sessions, turned, with its verdict, and map_T_laser of each by its name."""
+    window = window_of(drawn.known, np.concatenate([poses.xyyaw[:, :2] for poses in paths.values()]), turn_rad)
     axes = map_axes.framed_map(window, 7.5, map_axes.JUDGED_MARGINS, least=(960, 420))
     map_axes.draw_counts(axes, drawn.known, drawn.cells)
     pen, colours = partial(stroke, width_pt=1.2), cycle(SESSION_COLOURS)

@@ -10,7 +10,7 @@ import numpy as np
 from mavnav.outputs.pictures import map_axes
 from mavnav.outputs.pictures.canvas import stroke
 from mavnav.outputs.pictures.plot import Mark, Style, arrow, circle, legend_room
-from mavnav.outputs.pictures.viewport import INK, PATH_GREY, POSE_MAGENTA, Viewport, wall_lines, window_around
+from mavnav.outputs.pictures.viewport import INK, PATH_GREY, POSE_MAGENTA, Viewport, turned, wall_lines, window_around
 from mavnav.pose import transform_points
 
 if TYPE_CHECKING:
@@ -39,14 +39,14 @@ def write(run: RunResult, path: Path) -> None:
         raise ValueError("the truth is not known")
     measured = [map_axes.MEASURED_WALL] if run.truth.measured_by_hand else []
     named: list[Sign] = [WALL, *measured, TRUE_POSE, map_axes.START, FIRST_HEADING, map_axes.GOAL]
-    axes = map_axes.framed_map(_window(run.truth), 7.0, MARGINS, least=(legend_room(named), 0))
+    axes = map_axes.framed_map(_window(run.truth, run.turn_rad), 7.0, MARGINS, least=(legend_room(named), 0))
     _draw(axes, run.truth)
     map_axes.finish(axes, named, f"{run.name}: the true map", _subtitle(run.truth), path, about_y=62)
 
 
-def _window(truth: Truth) -> Viewport:
+def _window(truth: Truth, turn_rad: float) -> Viewport:
     points = np.vstack((truth.map_T_laser.xyyaw[:, :2], [truth.goal_xy_map_m], *wall_lines(truth)))
-    return window_around(points, least_margin_m=0.1).widen(LEAST_SHARE)
+    return window_around(turned(points, turn_rad), 0.1, turn_rad).widen(LEAST_SHARE)
 
 
 def _draw(axes: Axes, truth: Truth) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.outputs.pictures.canvas import POINT, SMOOTH, Canvas, font, on_mask
-from mavnav.outputs.pictures.viewport import INK, MUTED
+from mavnav.outputs.pictures.viewport import INK, MUTED, turned
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -34,13 +34,14 @@ AREA_HALF: Final = 9
 class Axes(Struct, frozen=True):
     """A box of a canvas that shows values: ``limits`` are the least and largest x, the least and largest y.
 
-    ``per_unit`` are the pixels of a unit of x and of y.
+    ``per_unit`` are the pixels of a unit of x and of y. Points are turned about their origin by ``turn_rad`` first.
     """
 
     canvas: Canvas
     box: Box
     limits: tuple[float, float, float, float]
     per_unit: tuple[float, float]
+    turn_rad: float = 0.0
 
     @classmethod
     def chart(cls, canvas: Canvas, box: Box, limits: tuple[float, float, float, float]) -> Axes:
@@ -56,6 +57,7 @@ class Axes(Struct, frozen=True):
 
     def to_canvas(self, xy: XY) -> XY:
         """Bring points (n, 2) to pixels of the canvas."""
+        xy = turned(xy, self.turn_rad)
         x = self.box[0] + (xy[:, 0] - self.limits[0]) * self.per_unit[0]
         y = self.box[3] - (xy[:, 1] - self.limits[2]) * self.per_unit[1]
         return np.column_stack((x, y))
@@ -87,7 +89,7 @@ class Axes(Struct, frozen=True):
         corners = (self.to_canvas(np.column_stack((x, heights))).tolist() for x in ends.T)
         for (x0, top), (x1, _) in zip(*corners, strict=True):
             if top < self.box[3]:
-                self.canvas.draw.rectangle((x0, top, x1, self.box[3]), fill=colour)
+                self.canvas.rectangle((x0, top, x1, self.box[3]), colour)
 
     def mark(self, mark: Mark | Style, xy: XY) -> None:
         """Draw a mark at points (n, 2)."""
@@ -98,18 +100,18 @@ class Axes(Struct, frozen=True):
     def borders(self) -> None:
         """Draw the borders on the left and below."""
         left, top, right, bottom = self.box
-        self.canvas.draw.line((left, top, left, bottom, right, bottom), fill=MUTED)
+        self.canvas.line((left, top, left, bottom, right, bottom), MUTED)
 
     def ticks(self, x: Ticks = (), y: Ticks = (), length: int = 6, gap: int = 4) -> None:
         """Draw ticks, and their labels after a gap."""
-        draw, (left, _, _, bottom) = self.canvas.draw, self.box
+        left, _, _, bottom = self.box
         for value, label in x:
             at = left + (value - self.limits[0]) * self.per_unit[0]
-            draw.line((at, bottom, at, bottom + length), fill=MUTED)
+            self.canvas.line((at, bottom, at, bottom + length), MUTED)
             self.canvas.text((at, bottom + length + gap), label, colour=MUTED, anchor="ma")
         for value, label in y:
             at = bottom - (value - self.limits[2]) * self.per_unit[1]
-            draw.line((left - length, at, left, at), fill=MUTED)
+            self.canvas.line((left - length, at, left, at), MUTED)
             self.canvas.text((left - length - gap, at), label, colour=MUTED, anchor="rm")
 
     def names(self, x: str, y: str, size_pt: float = 9.0, left: int = 62) -> None:
@@ -134,7 +136,7 @@ def colour_bar(axes: Axes, colours: NDArray[np.uint8], ticks: Ticks, name: str) 
     canvas.gradient((left, top, right, bottom), colours, upwards=True)
     for share, label in ticks:
         y = top + (bottom - top) * (1.0 - share)
-        canvas.draw.line((right, y, right + 5, y), fill=MUTED)
+        canvas.line((right, y, right + 5, y), MUTED)
         canvas.text((right + 9, y), label, anchor="lm")
     canvas.text((right + 66, top + (bottom - top) * 0.5), name, 9.0, upright=True)
 
@@ -214,7 +216,7 @@ def legend(canvas: Canvas, marks: Sequence[Sign], y: int, left: float, size_pt: 
         middle = round(left) + MARK_HALF
         if isinstance(mark, Area):
             corners = (middle - AREA_HALF, y - AREA_HALF, middle + AREA_HALF, y + AREA_HALF)
-            canvas.draw.rectangle(corners, fill=mark.colour, outline=MUTED)
+            canvas.rectangle(corners, mark.colour, MUTED)
         else:
             stamp(canvas, mark, middle, y)
         canvas.text((middle + MARK_HALF + 2, y), mark.name, size_pt, anchor="lm")
@@ -223,7 +225,7 @@ def legend(canvas: Canvas, marks: Sequence[Sign], y: int, left: float, size_pt: 
 
 def centred_legend(canvas: Canvas, marks: Sequence[Sign]) -> None:
     """Name the marks in the middle of the lower edge of a picture."""
-    legend(canvas, marks, canvas.image.height - 28, (canvas.image.width - legend_width(marks)) / 2.0)
+    legend(canvas, marks, canvas.height - 28, (canvas.width - legend_width(marks)) / 2.0)
 
 
 def legend_room(marks: Sequence[Sign]) -> int:
@@ -240,7 +242,7 @@ def heading(
     canvas: Canvas, title: str, about: str, title_pt: float = 12.0, about_y: int = 74, colour: str = INK
 ) -> None:
     """Write the title of a picture, and below it what one has to know of it, in a few lines."""
-    middle = canvas.image.width / 2
+    middle = canvas.width / 2
     canvas.text((middle, 26), title, title_pt, colour, bold=True)
     canvas.text((middle, about_y), about, 8.5, MUTED)
 

@@ -161,7 +161,7 @@ def _meter_lines(x: Floats, y: Floats, free: NDArray[np.bool_]) -> Iterator[tupl
 def _draw_columns(draw: Any, view: _Projection, blocks: _Blocks) -> None:  # noqa: ANN401  Pillow's
     """Draw the faces of the blocks that are seen, the farthest block first and from below."""
     (x, y), z, walls = _corners(blocks), blocks.levels_m, np.pad(blocks.walls, 1)
-    colours = _colours(len(z) - 1).astype(float)
+    colours = height_colours(len(z) - 1).astype(float)
     filled = np.argwhere(blocks.walls)
     for k, row, col in filled[np.lexsort((filled[:, 0], filled[:, 2], -filled[:, 1]))].tolist():
         x0, x1, y0, y1, z0, z1 = x[col], x[col + 1], y[row], y[row + 1], z[k], z[k + 1]
@@ -174,7 +174,7 @@ def _draw_columns(draw: Any, view: _Projection, blocks: _Blocks) -> None:  # noq
             _area(draw, view, [(x0, y0, z1), (x1, y0, z1), (x1, y1, z1), (x0, y1, z1)], _shade(colours[k], 1.0))
 
 
-def _colours(levels: int) -> NDArray[np.uint8]:
+def height_colours(levels: int) -> NDArray[np.uint8]:
     """Return the colours of the slices (levels, 3), the lowest first."""
     return np.asarray(HEIGHTS[np.linspace(0, len(HEIGHTS) - 1, levels).round().astype(int)])
 
@@ -210,7 +210,7 @@ def _draw_scale(canvas: Canvas, levels_m: Floats) -> None:
     left, top = canvas.image.width - SCALE + 70, TITLE + MARGIN // 2
     box = (left, top, left + 24, top + height)
     n = len(levels_m) - 1
-    canvas.gradient(box, _colours(n), upwards=True)
+    canvas.gradient(box, height_colours(n), upwards=True)
     for k in range(0, n + 1, max(-(-n // 10), 1)):
         canvas.text((left + 32, top + height * (1 - k / n)), f"{levels_m[k]:.2f}", 7.5, INK, "lm")
     canvas.text((left - 24, top + height / 2), "height above the floor [m]", 7.5, INK, upright=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import ceil, pi
+from math import ceil, cos, pi, sin
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -33,25 +33,32 @@ INK, MUTED, FREE_GREY, WALL_GREY, PATH_GREY = "#222222", "#666666", "#eef1f4", "
 
 
 class Viewport(Struct, frozen=True):
-    """A rectangle of the map in metres: what a picture shows."""
+    """A rectangle in metres, of the map turned about its origin by ``turn_rad``: what a picture shows."""
 
     x0_m: float
     x1_m: float
     y0_m: float
     y1_m: float
+    turn_rad: float = 0.0
 
     @property
     def size_m(self) -> tuple[float, float]:
         """Width and height."""
         return self.x1_m - self.x0_m, self.y1_m - self.y0_m
 
+    def ends_in_map(self) -> NDArray[np.float64]:
+        """Return the least and the greatest x and y in the map, (2, 2)."""
+        corners = np.array([(x, y) for x in (self.x0_m, self.x1_m) for y in (self.y0_m, self.y1_m)])
+        xy_m = turned(corners, -self.turn_rad)
+        return np.array((xy_m.min(axis=0), xy_m.max(axis=0)))
+
     def cells_of(self, grid: Grid) -> tuple[int, int, int, int]:
         """Return the first and the end column, and the first and the end row, of the grid's cells inside.
 
         At least one of each: of a grid beside the window, the nearest.
         """
-        (x0, y0), (rows, cols) = grid.origin_xy_m, grid.hits.shape
-        ends = [(x - x0, cols) for x in (self.x0_m, self.x1_m)] + [(y - y0, rows) for y in (self.y0_m, self.y1_m)]
+        (x0, y0), (rows, cols), ends_m = grid.origin_xy_m, grid.hits.shape, self.ends_in_map()
+        ends = [(x - x0, cols) for x in ends_m[:, 0]] + [(y - y0, rows) for y in ends_m[:, 1]]
         a, b, c, d = (min(max(int(distance / grid.cell_m), 0), count) for distance, count in ends)
         a, c = min(a, cols - 1), min(c, rows - 1)
         return a, max(b, a + 1), c, max(d, c + 1)
@@ -74,11 +81,17 @@ class Viewport(Struct, frozen=True):
         """Return it with the shorter side at least this share of the longer, about the same middle."""
         width, height = self.size_m
         dx, dy = (max(0.0, least_share * max(width, height) - side) / 2 for side in (width, height))
-        return Viewport(self.x0_m - dx, self.x1_m + dx, self.y0_m - dy, self.y1_m + dy)
+        return Viewport(self.x0_m - dx, self.x1_m + dx, self.y0_m - dy, self.y1_m + dy, self.turn_rad)
 
 
-def window_of(grid: Grid, xy_m: NDArray[np.float64]) -> Viewport:
-    """Frame the hit cells and the points ``xy_m`` (n, 2), with a margin.
+def turned(xy_m: NDArray[np.float64], turn_rad: float) -> NDArray[np.float64]:
+    """Turn points (n, 2) about the origin."""
+    c, s = cos(turn_rad), sin(turn_rad)
+    return xy_m @ np.array([[c, s], [-s, c]]) if turn_rad else xy_m
+
+
+def window_of(grid: Grid, xy_m: NDArray[np.float64], turn_rad: float = 0.0) -> Viewport:
+    """Frame the hit cells and the points ``xy_m`` (n, 2) of a map, turned about its origin, with a margin.
 
     On each side the outermost `STRAY_SHARE` of the cells may fall outside: single far returns through a window
     would otherwise shrink the map to a spot. If that saves much, so may the half of the cells that was hit least, and
@@ -87,25 +100,28 @@ def window_of(grid: Grid, xy_m: NDArray[np.float64]) -> Viewport:
     hit = where(grid.hits, lambda hits: hits > 0)
     counts = grid.hits[tuple(hit.T)]
     seen = hit[counts >= np.median(counts)] if len(hit) else hit
-    whole, near = (_window(grid, cells, share, xy_m) for cells, share in ((hit, STRAY_SHARE), (seen, FAR_SHARE)))
+    whole, near = (
+        _window(grid, cells, share, xy_m, turn_rad) for cells, share in ((hit, STRAY_SHARE), (seen, FAR_SHARE))
+    )
     return near if near.area_m2 < WORTH_IT * whole.area_m2 else whole
 
 
-def _window(grid: Grid, cells: NDArray[np.intp], share: float, xy_m: NDArray[np.float64]) -> Viewport:
+def _window(grid: Grid, cells: NDArray[np.intp], share: float, xy_m: NDArray[np.float64], turn_rad: float) -> Viewport:
     """Frame points and cells (n, 2) as row and column, of which a share may fall outside on each side."""
-    corners = [xy_m] if len(xy_m) else [np.array([grid.origin_xy_m])]
+    corners = [turned(xy_m if len(xy_m) or len(cells) else np.array([grid.origin_xy_m]), turn_rad)]
     if len(cells):
-        ends = np.quantile(cells[:, ::-1], (share, 1.0 - share), axis=0, method="nearest")
-        ends[1] += 1
-        corners.append(grid.origin_xy_m + ends * grid.cell_m)
-    return window_around(np.vstack(corners), least_margin_m=5 * grid.cell_m)
+        at = turned(cells[:, ::-1] + 0.5 + np.array(grid.origin_xy_m) / grid.cell_m, turn_rad)
+        ends = np.quantile(at, (share, 1.0 - share), axis=0, method="nearest")
+        ends[0], ends[1] = ends[0] - 0.5, ends[1] + 0.5  # whole cells
+        corners.append(ends * grid.cell_m)
+    return window_around(np.vstack(corners), 5 * grid.cell_m, turn_rad)
 
 
-def window_around(xy_m: NDArray[np.float64], least_margin_m: float) -> Viewport:
-    """Frame points (n, 2), with a margin."""
+def window_around(xy_m: NDArray[np.float64], least_margin_m: float, turn_rad: float = 0.0) -> Viewport:
+    """Frame points (n, 2) of the turned map, with a margin."""
     (x0, y0), (x1, y1) = xy_m.min(axis=0), xy_m.max(axis=0)
     margin = max(0.04 * max(x1 - x0, y1 - y0), least_margin_m)
-    return Viewport(float(x0 - margin), float(x1 + margin), float(y0 - margin), float(y1 + margin))
+    return Viewport(float(x0 - margin), float(x1 + margin), float(y0 - margin), float(y1 + margin), turn_rad)
 
 
 def wall_lines(walls: Walls) -> list[NDArray[np.float64]]:

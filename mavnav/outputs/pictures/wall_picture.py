@@ -9,7 +9,7 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.outputs.pictures.canvas import Canvas, font, ramp, rgb_of
-from mavnav.outputs.pictures.map_axes import draw_axes, draw_cells, draw_free, map_axes
+from mavnav.outputs.pictures.map_axes import draw_axes, draw_cells, draw_free, map_axes, name_axes
 from mavnav.outputs.pictures.plot import Axes, colour_bar, ticks
 from mavnav.outputs.pictures.viewport import INK, MUTED, WALL_GREY, window_of
 from mavnav.units import MM
@@ -41,7 +41,7 @@ EDGE: Final = 30
 
 def write(run: RunResult, path: Path) -> None:
     """Draw the cuts across the walls on the map, a histogram of their widths, and one for every hit threshold."""
-    window = window_of(run.known, np.empty((0, 2)))
+    window = window_of(run.known, np.empty((0, 2)), run.turn_rad)
     width, height = window.size_pixels(longest_in=6.5)
     charts = _charts(run)
     tall = max(height, len(charts) * (HISTOGRAM[1] + 120))
@@ -53,7 +53,7 @@ def write(run: RunResult, path: Path) -> None:
         y = TOP + k * pitch
         picture.text((left, y), chart.title, TITLE_PT, INK, "la")
         _draw_bars(picture, (left, y + 56, left + HISTOGRAM[0], y + pitch - 64), chart)
-    picture.text((picture.image.width / 2, 26), f"{run.name}: wall thickness", 12.0, INK, bold=True)
+    picture.text((picture.width / 2, 26), f"{run.name}: wall thickness", 12.0, INK, bold=True)
     picture.save(path)
 
 
@@ -71,7 +71,7 @@ def _draw_map(axes: Axes, run: RunResult) -> None:
     if run.measured.cuts is not None:
         _draw_cuts(axes, run.measured.cuts)
     draw_axes(axes)
-    axes.names("x [m]", "y [m]")
+    name_axes(axes)
     left, top, right, _ = axes.box
     lost = run.measured.cuts is not None and not np.isfinite(run.measured.cuts.width_m).all()
     marks = f"black: cannot be measured; {UNMEASURED}" if lost else UNMEASURED
@@ -97,7 +97,7 @@ def _draw_lines(axes: Axes, cuts: WallCuts, which: NDArray[np.bool_], colours: N
     lines = cut_lines(cuts, 0.012 * max(axes.size))[which]
     ends = np.hstack((axes.to_canvas(lines[:, 0]), axes.to_canvas(lines[:, 1]))).round().astype(int)
     for line, colour in zip(ends.tolist(), colours.tolist(), strict=True):
-        axes.canvas.draw.line(line, fill=tuple(colour), width=3)
+        axes.canvas.line(line, tuple(colour), width=3)
 
 
 def cut_lines(cuts: WallCuts, least_m: float) -> NDArray[np.float64]:
@@ -168,5 +168,5 @@ def _draw_bars(picture: Canvas, box: Box, chart: _Chart) -> None:
     axes.names(chart.name, "wall [m]")
     if not np.isnan(chart.p95):
         x, y = axes.to_canvas(np.array([[chart.p95 / chart.bin_size, 1.0]]))[0].tolist()
-        picture.draw.line((x, y, x, box[3]), fill=P95_COLOUR, width=3)
+        picture.line((x, y, x, box[3]), P95_COLOUR, width=3)
         picture.text((x + 8, y + 8), "p95", 8.0, P95_COLOUR, "lm")

@@ -148,7 +148,7 @@ def _draw_lost(axes: Axes, entry: Entry) -> bool:
     for interval in _intervals(entry):
         x0, x1 = (left + t_s * axes.per_unit[0] for t_s in (interval["start_s"], interval["end_s"] + period_s))
         if x0 < right:
-            axes.canvas.draw.rectangle((max(x0, left), top, min(x1, right), bottom), fill=LOST.colour)
+            axes.canvas.rectangle((max(x0, left), top, min(x1, right), bottom), LOST.colour)
     return bool(_intervals(entry))
 
 

@@ -135,9 +135,9 @@ def _draw_box(axes: Axes, letter: str, box: Viewport) -> None:
     """Draw the outline of a close-up with its letter at the upper left corner, left of it if the close-up is small."""
     corners = axes.to_canvas(np.array([[box.x0_m, box.y1_m], [box.x1_m, box.y0_m]]))
     (left, top), (right, bottom) = np.clip(corners, axes.box[:2], axes.box[2:]).round().astype(int).tolist()
-    axes.canvas.draw.rectangle((left, top, right, bottom), outline=INK, width=2)
+    axes.canvas.rectangle((left, top, right, bottom), outline=INK, width=2)
     x = left if right - left > 3 * LETTER else max(left - LETTER, axes.box[0])
-    axes.canvas.draw.rectangle((x, top, x + LETTER, top + LETTER), fill=INK)
+    axes.canvas.rectangle((x, top, x + LETTER, top + LETTER), INK)
     axes.canvas.text((x + LETTER / 2, top + LETTER / 2), letter, FONT_PT, "#ffffff", bold=True)
 
 
@@ -152,7 +152,7 @@ def legend_panel(top_hits: float, *, truth: bool, ghost: bool, doubtful: bool, e
     lines: list[Mark | Style] = list(compress(named, (True, doubtful, truth, ghost)))
     places = list(compress((map_axes.START, map_axes.END, map_axes.GOAL), (ends, ends, ends and goal)))
     for marks, left in ((lines, 24), (places, 250)):
-        first = (canvas.image.height - (len(marks) - 1) * LINE) // 2
+        first = (canvas.height - (len(marks) - 1) * LINE) // 2
         for k, mark in enumerate(marks):
             legend(canvas, [mark], first + k * LINE, box[2] + left, FONT_PT)
     return canvas.image

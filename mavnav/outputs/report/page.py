@@ -118,6 +118,7 @@ def _page(comparison: dict[str, Any], sections: list[LogSection]) -> str:
         sections=sections,
         tables=tables,
         data_uri=partial(panels.data_uri, max_bytes=max_bytes),
+        density=panels.DENSITY,
     )
 
 

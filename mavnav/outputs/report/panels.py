@@ -23,8 +23,11 @@ COLOURS: Final = 256
 of ghost walls and true walls.
 """
 
-GAP_PIXELS: Final = 24
-SHEET_PIXELS: Final = 2800
+DENSITY: Final = 2
+"""Pictures of a page have twice the pixels of their size on the screen, for screens of that density."""
+
+GAP_PIXELS: Final = 24 * DENSITY
+SHEET_PIXELS: Final = 2800 * DENSITY
 """Maximum width of a sheet in pixels, unless a single panel is wider."""
 
 FONT_PT: Final = 8.0
@@ -43,7 +46,7 @@ def panel(size: tuple[int, int], title: str, margins: Box = MAP_MARGINS) -> tupl
     The position of the axes does not depend on their labels, so that all panels have the same scale.
     """
     (width, height), (left, top, right, bottom) = size, margins
-    canvas = Canvas.of(left + width + right, top + height + bottom)
+    canvas = Canvas.of(left + width + right, top + height + bottom, DENSITY)
     canvas.text((left, top - 11), title, FONT_PT + 1.5, anchor="ls")
     return canvas, (left, top, left + width, top + height)
 
@@ -70,9 +73,11 @@ def stack(sheets: Sequence[Image.Image]) -> Image.Image:
 
 
 def png(image: Image.Image) -> bytes:
-    """Return the bytes of a PNG file with `COLOURS` colors."""
+    """Return the bytes of a PNG file with `COLOURS` colors, those of every second row and column: lines are wider."""
+    sample = image.resize([max(side // 2, 1) for side in image.size], Image.Resampling.NEAREST)
+    palette = sample.quantize(COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
     buffer = io.BytesIO()
-    image.quantize(COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(buffer, format="PNG")
+    image.quantize(palette=palette, dither=Image.Dither.NONE).save(buffer, format="PNG", compress_level=4)
     return buffer.getvalue()
 
 

@@ -1,6 +1,8 @@
 """Pictures: there, of a sane size, and drawn from any map."""
 
 from io import BytesIO
+from math import floor
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from PIL import Image
 
 from mavnav.mapping.occupancy_grid import Grid
 from mavnav.mapping.tiled_arrays import max_pool
+from mavnav.metrics.floor_plan import turn_to_cuts
 from mavnav.metrics.map_quality import measure_map
 from mavnav.metrics.wall_spread import WallCuts
 from mavnav.outputs.documents.verdict import Verdict
@@ -19,6 +22,7 @@ from mavnav.outputs.pictures import map_axes, map_picture, wall_picture
 from mavnav.outputs.pictures.canvas import Canvas, font, png, rgb_of
 from mavnav.outputs.pictures.plot import Axes, legend_room, legend_width, ticks
 from mavnav.outputs.pictures.viewport import Viewport, window_of
+from mavnav.outputs.run import picture_turn_rad
 from mavnav.pose import Pose, Trajectory
 from mavnav.slam.findings import Doubt, Loop, Loops, Reason
 
@@ -244,6 +248,83 @@ def test_cells_fill_their_squares():
     np.testing.assert_array_equal(dark, expected)
 
 
+@given(turn_rad=st.floats(-np.pi / 4, np.pi / 4), seed=st.integers(0, 99), corner=st.tuples(*2 * [st.floats(-50, 50)]))
+def test_a_pixel_of_a_turned_map_shows_the_cell_that_its_middle_lies_in(turn_rad, seed, corner):
+    rng = np.random.default_rng(seed)
+    hits = rng.integers(0, 2, (7, 9)).astype(np.int32)
+    grid, canvas = Grid(0.1, corner, hits, np.zeros_like(hits)), Canvas.of(200, 300)
+    window = window_of(grid, np.zeros((0, 2)), turn_rad)
+    axes = map_axes.map_axes(canvas, window, (10, 20, 170, 20 + round(160 * window.size_m[1] / window.size_m[0])))
+    map_axes.draw_cells(axes, grid, hits, lambda _: np.array((0, 0, 0), np.uint8))
+    dark, shown = np.asarray(canvas.image).sum(axis=2) == 0, 0
+    for x, y in zip(rng.integers(10, 170, 200), rng.integers(20, axes.box[3], 200), strict=True):
+        right_m, up_m = (x + 0.5 - 10) / axes.per_unit[0], (axes.box[3] - y - 0.5) / axes.per_unit[1]
+        at = Pose(0.0, 0.0, -turn_rad) @ Pose(window.x0_m + right_m, window.y0_m + up_m)
+        col, row = (at.x_m - corner[0]) / 0.1, (at.y_m - corner[1]) / 0.1
+        if min(col % 1, row % 1, -col % 1, -row % 1) < 0.02:
+            continue  # on a border but for rounding
+        assert dark[y, x] == (0 <= col < 9 and 0 <= row < 7 and hits[floor(row), floor(col)])
+        shown += int(dark[y, x])
+    assert shown or not hits.any()
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 30.0, -44.0])
+def test_ticks_tell_the_coordinates_of_the_map_also_if_the_picture_is_turned(turn_deg, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(
+        Canvas, "text", lambda _, xy, text, *args, anchor="mm", **options: drawn.append((xy, text, anchor))
+    )
+    window = Viewport(-3.0, 5.0, 2.0, 8.0, np.radians(turn_deg))
+    axes = map_axes.map_axes(Canvas.of(1000, 800), window, (100, 100, 900, 700))
+    map_axes.draw_axes(axes)
+    lower = [(xy[0], float(text)) for xy, text, anchor in drawn if anchor == "ma"]
+    left = [(xy[1], float(text)) for xy, text, anchor in drawn if anchor == "rm"]
+    assert min(len(lower), len(left)) >= 4
+    back = Pose(0.0, 0.0, -np.radians(turn_deg))
+    for x, value in lower:
+        assert (back @ Pose(-3.0 + (x - 100) / 100, 2.0, 0.0)).x_m == pytest.approx(value)
+    for y, value in left:
+        assert (back @ Pose(-3.0, 2.0 + (700 - y) / 100, 0.0)).y_m == pytest.approx(value)
+    grey = (np.asarray(axes.canvas.image)[101:700, 101:900] < 255).any()
+    assert grey == (turn_deg != 0.0)  # lines of equal x and y
+
+
+def cuts_along(*directions_deg, length_m=1.0):
+    n = len(directions_deg)
+    return WallCuts(np.zeros((n, 2)), np.radians(directions_deg), np.full(n, 0.05), np.full(n, length_m))
+
+
+def test_pictures_are_turned_to_the_walls_by_an_eighth_at_most():
+    for off_deg in (-40.0, -12.0, 3.0, 44.0):
+        walls = cuts_along(off_deg, off_deg + 90, off_deg + 180, off_deg + 1, off_deg + 89)
+        assert np.degrees(turn_to_cuts(walls)) == pytest.approx(-off_deg, abs=0.01)
+
+
+def test_pictures_are_not_turned_without_a_common_direction_or_by_a_hardly_visible_angle():
+    assert turn_to_cuts(None) == turn_to_cuts(cuts_along()) == turn_to_cuts(cuts_along(0.4, 90.6)) == 0.0
+    assert turn_to_cuts(cuts_along(*range(0, 180, 6))) == 0.0  # a round room
+
+
+@pytest.mark.parametrize("option", ["align", "map", "continue_from"])
+def test_pictures_stay_in_a_frame_that_was_asked_for(option):
+    walls = cuts_along(20.0, 110.0)
+    assert picture_turn_rad(walls, None) != 0.0
+    assert picture_turn_rad(walls, SimpleNamespace(start_s=2.0)) != 0.0
+    assert picture_turn_rad(walls, SimpleNamespace(**{option: "none"})) == 0.0
+
+
+@WRITERS
+def test_a_turned_picture_says_so(run, write, tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(Canvas, "text", lambda _, xy, text, *args, **options: drawn.append(text))
+    run = replace(run, provenance=replace(run.provenance, options=None))
+    for off_deg, said in ((0.0, "x [m]"), (20.0, "x [m] along the grey lines; picture turned by -20.0° to the walls")):
+        drawn.clear()
+        walls = cuts_along(off_deg, off_deg + 90)
+        write(replace(run, measured=replace(run.measured, cuts=walls)), tmp_path / "p.png")
+        assert said in drawn
+
+
 @given(low=st.floats(-1e4, 1e4), span=st.floats(1e-3, 1e4))
 def test_ticks_are_few_round_and_inside(low, span):
     found = ticks(low, low + span)
@@ -272,6 +353,37 @@ def test_a_line_is_broken_where_a_point_is_missing():
     dark = (np.asarray(picture.image).sum(axis=2) < 300).any(axis=0)
     assert dark[12:38].all() and dark[82:108].all()
     assert not dark[44:76].any()
+
+
+def test_a_picture_of_double_density_shows_the_same_at_the_same_places():
+    def drawn(density):
+        canvas = Canvas.of(300, 200, density)
+        axes = map_axes.map_axes(canvas, Viewport(-1.0, 1.0, 0.0, 1.0), (60, 20, 260, 120))
+        hits = np.eye(10, 20, dtype=np.int32)
+        grid = Grid(0.1, (-1.0, 0.0), hits, np.zeros_like(hits))
+        map_axes.draw_cells(axes, grid, hits, lambda _: np.array((200, 0, 0), np.uint8))
+        axes.lines(map_axes.TRUE_WALL, [np.array([(-0.9, 0.9), (0.9, 0.5)])])
+        axes.mark(map_axes.END, np.array([(0.5, 0.2)]))
+        map_axes.draw_axes(axes)
+        canvas.gradient((270, 20, 290, 120), map_axes.HIT_COLOURS, upwards=True)
+        return canvas
+
+    plain, dense = drawn(1), drawn(2)
+    assert (dense.width, dense.height) == (plain.width, plain.height) == (300, 200)
+    assert dense.image.size == (600, 400)
+    reduced, image = (np.asarray(i, float) for i in (dense.image.reduce(2), plain.image))
+    assert np.abs(reduced - image).mean() < 2.0
+    blurred = np.asarray(dense.image.reduce(10), float) - np.asarray(plain.image.reduce(5), float)
+    assert np.abs(blurred).max() < 60.0  # of 255: nothing is missing or elsewhere
+
+
+@pytest.mark.parametrize("upright", [False, True])
+def test_text_of_double_density_covers_the_same_place(upright):
+    plain, dense = Canvas.of(200, 200), Canvas.of(200, 200, 2)
+    for canvas in (plain, dense):
+        canvas.text((90, 100), "thickness", 9.0, "#000000", upright=upright)
+    boxes = [np.array(Image.eval(c.image, lambda v: 255 - v).getbbox()) / c.density for c in (plain, dense)]
+    np.testing.assert_allclose(*boxes, atol=1.5)
 
 
 def test_nothing_is_drawn_outside_the_axes():

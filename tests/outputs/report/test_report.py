@@ -2,6 +2,8 @@
 
 import json
 import re
+from base64 import b64decode
+from io import BytesIO
 
 import numpy as np
 import pytest
@@ -132,8 +134,8 @@ def test_a_long_scale_of_costs_is_named_by_few_powers_of_ten():
 def test_the_scale_of_costs_ends_near_the_data(entries):
     scans = entries[0].scans
     level = replace(scans, cost_mm2=np.full(len(scans.time_s), 500.0), threshold_mm2=np.full(len(scans.time_s), np.nan))
-    (panel,) = map(np.asarray, charts.cost_panels([with_document(replace(entries[0], scans=level), tracking=None)]))
-    blue = np.abs(panel.astype(int) - rgb_of(charts.COST.colour)).sum(axis=2) < 90
+    (panel,) = charts.cost_panels([with_document(replace(entries[0], scans=level), tracking=None)])
+    blue = np.abs(np.asarray(panel.reduce(panels.DENSITY)).astype(int) - rgb_of(charts.COST.colour)).sum(axis=2) < 90
     row, top = np.flatnonzero(blue.sum(axis=1) > 300).mean(), panels.CHART_MARGINS[1] + charts.LEGEND_ROW
     assert row == pytest.approx(top + panels.CHART[1] / 2, abs=2)  # half and double are the ends
 
@@ -157,12 +159,28 @@ def test_the_caption_of_the_costs_explains_what_is_drawn(entries):
 def test_the_curve_of_costs_lies_where_its_ticks_say(entries):
     scans = entries[0].scans
     level = replace(scans, time_s=np.linspace(0.0, 2.0, len(scans.time_s)), cost_mm2=np.full(len(scans.time_s), 200.0))
-    (panel,) = charts.cost_panels([with_document(replace(entries[0], scans=level), tracking=None)])
+    (dense,) = charts.cost_panels([with_document(replace(entries[0], scans=level), tracking=None)])
+    panel = dense.reduce(panels.DENSITY)
     blue = np.abs(np.asarray(panel).astype(int) - rgb_of(charts.COST.colour)).sum(axis=2) < 90
     row = np.flatnonzero(blue.sum(axis=1) > 300).mean()
     ink = np.asarray(panel).astype(int).sum(axis=2) < 450
     ticks = np.flatnonzero(ink[:, 89:93].all(axis=1))  # on the left of the axis, labels end before
     assert min(abs(ticks - row)) <= 1.5
+
+
+def test_pictures_have_twice_the_pixels_of_their_size_on_the_page(report):
+    shown = re.findall(r'<img src="data:image/png;base64,([^"]+)" width="(\d+)" height="(\d+)"', report)
+    assert len(shown) > 5
+    for data, *size in shown:
+        with Image.open(BytesIO(b64decode(data))) as image:
+            assert image.size == tuple(panels.DENSITY * int(side) for side in size)
+
+
+def test_a_picture_of_few_colours_keeps_them_all_in_its_file():
+    colours = np.random.default_rng(3).integers(0, 256, (100, 3), np.uint8)
+    blocks = np.kron(colours.reshape(10, 10, 3), np.ones((2, 2, 1), np.uint8))  # as narrow as a line
+    with Image.open(BytesIO(panels.png(Image.fromarray(blocks)))) as image:
+        assert np.abs(np.asarray(image.convert("RGB")).astype(int) - blocks).max() <= 8
 
 
 def test_a_large_picture_is_made_smaller_on_the_page():
@@ -279,7 +297,7 @@ def test_the_legend_of_the_costs_lies_above_the_axes(entries, monkeypatch):
     (panel,) = map(np.asarray, charts.cost_panels(entries[:1]))
     monkeypatch.setattr(charts, "legend", lambda *_: None)
     (bare,) = map(np.asarray, charts.cost_panels(entries[:1]))
-    top_of_axes = np.flatnonzero((bare[:, panels.CHART_MARGINS[0]] == rgb_of(MUTED)).all(axis=1))[0]
+    top_of_axes = np.flatnonzero((bare[:, panels.DENSITY * panels.CHART_MARGINS[0]] == rgb_of(MUTED)).all(axis=1))[0]
     legend = np.flatnonzero((panel != bare).any(axis=(1, 2)))
     assert len(legend) and legend[-1] < top_of_axes
 

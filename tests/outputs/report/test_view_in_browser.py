@@ -7,8 +7,11 @@ import time
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
+from mavnav.mapping.slices import Slice, Slices
 from mavnav.outputs.files import wall_table
+from mavnav.outputs.files.gridmap import slice_files, write_slice
 from mavnav.outputs.report import list_text, write_report
 from mavnav.outputs.report.entry import load
 from mavnav.pose import Pose, transform_points
@@ -85,6 +88,12 @@ def folder(run, tmp_path_factory):
     write_report({"schema_version": 1, "cells": cells}, base, base / "report.html")
     other = {**coarse, "log": "other.mcap"}
     (base / "list.html").write_text(list_text([load(cell, base) for cell in (cells[0], other)], "Batch of 2 runs"))
+    layers = [Slice(0.2 * k, 0.2 * k - 0.1, 0.2 * k + 0.1, run.known) for k in (1, 2, 3)]
+    rows = [{"map": slice_files([layer])[1], "from_m": layer.from_m, "to_m": layer.to_m} for layer in layers]
+    cut = leave(run, base / "cut", slices=rows)
+    for file in slice_files(layers):
+        write_slice(replace(run, slices=Slices(tuple(layers), np.zeros((0, 3)))), base / "cut" / file)
+    (base / "cut.html").write_text(list_text([load(cut, base)], "Slices"))
     return base
 
 
@@ -138,6 +147,18 @@ def test_layers_are_shown_and_hidden(page):
     assert page.script(pictures) == 1 and "hits" not in page.state("layers").split()
     page.click("input[name=walls]")
     assert "walls" in page.state("layers").split()
+
+
+def test_slices_have_colours_of_their_own_and_wait_to_be_chosen(driver, folder):
+    page = Shown(driver, folder / "cut.html")
+    assert not any("map_" in layer for layer in page.state("layers").split())
+    keys = page.script(
+        "return [...document.querySelectorAll('#layers .key')].filter(k => k.className.includes('map_'))"
+        ".map(k => getComputedStyle(k).backgroundColor)"
+    )
+    assert len(set(keys)) == 3
+    page.click("#layers [name^=map_]")
+    assert sum("map_" in layer for layer in page.state("layers").split()) == 1
 
 
 def test_the_slider_shows_the_scan_where_it_was_seen(page, run):
@@ -259,7 +280,7 @@ def test_a_run_of_the_list_is_shown_by_one_click(driver, folder):
     assert page.state("points") == "0"  # it has no recording
 
 
-def test_a_phone_scrolls_in_one_direction_only(page):
+def test_a_phone_scrolls_in_one_direction_only_and_lists_runs_in_short_lines(page, folder):
     metrics = {"width": 380, "height": 800, "deviceScaleFactor": 2, "mobile": True}
     page.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
     try:
@@ -270,6 +291,8 @@ def test_a_phone_scrolls_in_one_direction_only(page):
             "return [...document.querySelectorAll('.view button')].filter(b => b.offsetParent).map(b => b.offsetHeight)"
         )
         assert min(sizes) >= 30
+        Shown(page.driver, folder / "list.html")
+        assert max(page.script("return [...document.querySelectorAll('#runs button')].map(b => b.offsetHeight)")) < 150
     finally:
         page.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 

@@ -13,6 +13,7 @@ from mavnav.mapping.occupancy_grid import FREE, known_area, occupancy
 from mavnav.mapping.tiled_arrays import max_pool
 from mavnav.outputs.pictures.canvas import rgb_of
 from mavnav.outputs.pictures.map_axes import HIT_COLOURS
+from mavnav.outputs.pictures.slices_picture import height_colours
 from mavnav.outputs.report.entry import file_in
 from mavnav.outputs.report.view.packing import palette_png
 
@@ -50,7 +51,7 @@ def map_images(grid: Grid, top_hits: float, max_pixels: int = MAX_PIXELS) -> lis
 
 def slice_images(folder: Path, slices: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the occupied cells of the maps by height that a run directory has, each in the color of its height."""
-    colours = HIT_COLOURS[np.linspace(0, len(HIT_COLOURS) - 1, max(len(slices), 2)).astype(np.intp)]
+    colours = height_colours(max(len(slices), 2))
     return [_slice_image(folder, layer, colour[None]) for layer, colour in zip(slices, colours, strict=False)]
 
 
@@ -61,7 +62,8 @@ def _slice_image(folder: Path, layer: dict[str, Any], colour: NDArray[np.uint8])
         occupied = (np.asarray(picture) == 0).astype(np.uint8)[::-1]
     box = _box((x_m, y_m), occupied.shape, cell_m)
     title = f"Slice {layer['from_m']:z.2f} to {layer['to_m']:z.2f} m"
-    return {"id": layer["map"], "title": title, "box": box, "src": _png(occupied, colour)}
+    key = f"#{bytes(colour[0]).hex()}"
+    return {"id": layer["map"], "title": title, "box": box, "src": _png(occupied, colour), "colour": key}
 
 
 def _shades(hits: NDArray[Any], top_hits: float) -> NDArray[np.uint8]:

@@ -36,12 +36,16 @@ class RunLayers {
     this.arrays = arrays;
     this.pane = map.createPane(`run${number}`);
     this.pane.style.zIndex = 400 + number;
-    this.renderer = L.canvas({ pane: `run${number}`, padding: 0.5 });
+    this.renderer = L.canvas({ pane: `run${number}`, padding: 0.2 });
     this.titles = {};
     this.colours = {};
+    this.kinds = {};
     this.layers = {};
     for (const image of run.images) {
-      this.put(image.id, image.title, L.imageOverlay(image.src, boxOf(image.box), { pane: `run${number}`, className: "cells" }));
+      const className = image.colour ? "slice" : "cells";
+      this.kinds[image.id] = className;
+      if (image.colour) this.colours[image.id] = image.colour;
+      this.put(image.id, image.title, L.imageOverlay(image.src, boxOf(image.box), { pane: `run${number}`, className }));
     }
     this.putLines();
   }
@@ -128,7 +132,7 @@ class RunLayers {
 class ScanLayer {
   constructor(map) {
     map.createPane("scan").style.zIndex = 450;
-    const still = { interactive: false, renderer: L.canvas({ pane: "scan", padding: 0.2 }), smoothFactor: 0, noClip: true };
+    const still = { interactive: false, renderer: L.canvas({ pane: "scan", padding: 0 }), smoothFactor: 0, noClip: true };
     const style = getComputedStyle(map.getContainer());
     this.points = L.polyline([], { ...still, color: style.getPropertyValue("--seen"), weight: 3.5 }).addTo(map);
     this.heading = L.polyline([], { ...still, color: style.getPropertyValue("--ink"), weight: 3 }).addTo(map);

@@ -18,7 +18,8 @@ class Viewer {
     this.map = makeMap($("map"), Math.min(...runs.map((run) => run.cell_m)));
     this.scanLayer = new ScanLayer(this.map);
     this.plots = new Plots($("plots"), (scan) => this.goTo(scan));
-    this.hidden = new Set(HIDDEN_AT_FIRST);
+    const slices = runs.flatMap((run) => run.images.filter((image) => image.colour)); // of the same walls as the hits
+    this.hidden = new Set([...HIDDEN_AT_FIRST, ...slices.map((image) => image.id)]);
     this.listen();
     if (new Set(runs.map((run) => run.log)).size > 1) this.listRuns();
   }
@@ -53,7 +54,7 @@ class Viewer {
     $("run").value = number;
     [...$("runs").children].forEach((button, k) => button.setAttribute("aria-pressed", k === number));
     $("verdict").className = `verdict ${run.verdict.word}`;
-    $("verdict").replaceChildren(strong(run.verdict.word), run.verdict.reason ? `: ${run.verdict.reason}` : "");
+    $("verdict").replaceChildren(tagged("strong", run.verdict.word), run.verdict.reason ? `: ${run.verdict.reason}` : "");
     $("scan").max = Math.max(arrays.time.length - 1, 0);
     const beside = this.runs.filter((each) => each !== run && each.log === run.log);
     runOptions($("other"), this.runs, (each) => beside.includes(each));
@@ -71,11 +72,10 @@ class Viewer {
   // Many logs are a list, of which a click shows a map.
   listRuns() {
     $("runs").replaceChildren(...this.runs.map((run, k) => {
-      const button = document.createElement("button"), name = document.createElement("span");
+      const button = document.createElement("button");
       button.type = "button";
       button.className = run.verdict.word;
-      name.textContent = `${run.log}, ${run.name}`;
-      button.append(strong(run.verdict.word), name, run.verdict.reason);
+      button.append(tagged("strong", run.verdict.word), tagged("span", `${run.log}, ${run.name}`), tagged("span", run.verdict.reason));
       button.onclick = () => this.show(k);
       return button;
     }));
@@ -88,7 +88,7 @@ class Viewer {
       Object.assign(box, { type: "checkbox", checked: !this.hidden.has(id), name: id });
       box.onchange = () => { this.hidden[box.checked ? "delete" : "add"](id); this.apply(); };
       const key = document.createElement("i");
-      key.className = `key ${id}`;
+      key.className = `key ${id} ${this.first.kinds[id] ?? "line"}`;
       if (this.first.colours[id]) key.style.background = this.first.colours[id];
       label.append(box, key, title);
       return label;
@@ -299,8 +299,8 @@ function runOptions(select, runs, wanted = () => true) {
   select.replaceChildren(...options.filter(Boolean));
 }
 
-function strong(text) {
-  const element = document.createElement("strong");
+function tagged(name, text) {
+  const element = document.createElement(name);
   element.textContent = text;
   return element;
 }
