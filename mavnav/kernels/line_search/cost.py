@@ -14,7 +14,7 @@ from mavnav.kernels.maps.lookup import line_distance2, slot_at
 
 if TYPE_CHECKING:
     from mavnav.kernels.machine.types import F64_1D, F64_2D, U32_2D
-CHUNK = 32
+CHUNK = 8
 """Number of points between two comparisons with the bound."""
 ROUNDING_M2 = 1e-9
 """Upper bound of the difference between two orders of summation, for maps smaller than 100 km."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import F64_1D, F64_2D, U32_2D, Out, int32, int64
+from mavnav.kernels.machine.types import F64_1D, F64_2D, U32_2D, Out, float64, int32, int64, uint64
 from mavnav.kernels.maps.lookup import line_distance2, slot_of
 
 BLOCK = 1024  # positions at a time: their data stay in the processor's cache
@@ -57,7 +57,8 @@ def pose_costs(
     ox, oy, cell_m, _, _, _ = geometry
     inverse, truncate_m2 = 1.0 / cell_m, truncate_m * truncate_m
     out, x, y = np.zeros((len(yaws_rad), m)), np.empty(BLOCK), np.empty(BLOCK)
-    row, col = np.empty(BLOCK, np.int32), np.empty(BLOCK, np.int32)
+    cells, flat, wide = np.empty(BLOCK, np.int32), nearest.ravel(), float64(cols)
+    last_row, last_col = rows - 1.0, cols - 1.0
     for first in range(0, m, BLOCK):
         some = min(BLOCK, m - first)
         for p in range(some):
@@ -66,16 +67,13 @@ def pose_costs(
             c, s, sums = np.cos(yaws_rad[q]), np.sin(yaws_rad[q]), out[q, first : first + some]
             for k in range(n):
                 kx, ky = c * points[k, 0] - s * points[k, 1], s * points[k, 0] + c * points[k, 1]
-                for p in range(some):
+                for p in range(some):  # outside, the edge counts, where no wall is near
                     fx, fy = (kx + x[p] - ox) * inverse, (ky + y[p] - oy) * inverse
-                    inside = (fx >= 0.0) & (fy >= 0.0) & (fx < cols) & (fy < rows)
-                    row[p], col[p] = int32(fy) if inside else int32(-1), int32(fx) if inside else int32(0)
+                    row, col = np.floor(min(max(fy, 0.0), last_row)), min(max(fx, 0.0), last_col)
+                    cells[p] = int32(row * wide + col)
                 for p in range(some):
-                    d2 = truncate_m2
-                    slot = int64(slot_of(nearest[row[p], col[p]])) if row[p] >= 0 else 0
-                    if slot > 0:
-                        d2 = line_distance2(kx + x[p], ky + y[p], truncate_m2, slot, lines)
-                    sums[p] += d2
+                    slot = int64(slot_of(flat[uint64(cells[uint64(p)])]))
+                    sums[p] += line_distance2(kx + x[p], ky + y[p], truncate_m2, slot, lines)
             for p in range(some):
                 sums[p] /= n
     return out

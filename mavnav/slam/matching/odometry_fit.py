@@ -131,12 +131,19 @@ def in_meters(odometry: LogOdometry, fastest_m_s: float) -> OdometryFit:
 
 
 class _Motions(NamedTuple):
-    """Motions of the laser (n,): when they begin and end, s, distances in the base's axes, m, and turns, rad."""
+    """Motions of the laser (n,): when they begin and end, s, distances in the base's axes, m, and turns, rad.
+
+    Beside them the path of the base by the odometry: stamps (k,) and steps (k - 1,), s, and x, y, yaw, m and rad,
+    without jumps by a turn.
+    """
 
     start_s: Array
     end_s: Array
     moved: Complex
     turned: Array
+    odometry_s: Array
+    steps_s: Array
+    odometry: tuple[Array, Array, Array]
 
 
 def fit_odometry(odometry: LogOdometry, map_T_laser: Trajectory, used: OdometryFit) -> OdometryFit | None:
@@ -188,8 +195,10 @@ def _motions(map_T_laser: Trajectory, odometry: LogOdometry) -> _Motions:
     ends = ends[starts]
     moved = between(map_T_laser.xyyaw[starts], map_T_laser.xyyaw[ends])
     in_base = (moved[:, 0] + 1j * moved[:, 1]) * np.exp(1j * odometry.base_T_laser.yaw_rad)
-    first_ns = odometry.odom_T_base.stamps_ns[0]
-    return _Motions((stamps_ns[starts] - first_ns) * NS, (stamps_ns[ends] - first_ns) * NS, in_base, moved[:, 2])
+    (x_m, y_m, yaw_rad), path_ns = odometry.odom_T_base.xyyaw.T, odometry.odom_T_base.stamps_ns
+    start_s, end_s, odometry_s = ((ns - path_ns[0]) * NS for ns in (stamps_ns[starts], stamps_ns[ends], path_ns))
+    columns = (x_m, y_m, np.unwrap(yaw_rad))
+    return _Motions(start_s, end_s, in_base, moved[:, 2], odometry_s, np.diff(path_ns) * NS, columns)
 
 
 def _fit(odometry: LogOdometry, motions: _Motions, offset_s: float, scales: OdometryFit | None = None) -> OdometryFit:
@@ -197,7 +206,7 @@ def _fit(odometry: LogOdometry, motions: _Motions, offset_s: float, scales: Odom
 
     A scale that the motions do not show to differ from 1 is 1.
     """
-    base, covered = _by_odometry(odometry.odom_T_base, motions, offset_s)
+    base, covered = _by_odometry(motions, offset_s)
     moved, turned = motions.moved[covered], motions.turned[covered]
     _, distance, turn, *_ = scales or GOOD_ODOMETRY
     if len(turned) < LEAST_WINDOWS:
@@ -207,13 +216,14 @@ def _fit(odometry: LogOdometry, motions: _Motions, offset_s: float, scales: Odom
         beside = np.abs(moved - (np.exp(1j * turns) - 1.0) * arm)
         distance = float(np.median(beside) / max(np.median(np.abs(driven)), 1e-9))
     overlapping = max(1.0, len(motions.start_s) * WINDOW_S / np.ptp(motions.start_s))
+    last = int(KEPT * (len(turned) - 1))
     for again in (*(3 * (scales is None,)), False):
         ahead = driven * np.exp(0.5j * (turn - 1.0) * turns)
         wanted = moved - (np.exp(1j * turn * turns) - 1.0) * arm
         off = np.abs(distance * ahead - wanted)
         off_rad = np.abs((turn * turns - turned + np.pi) % (2.0 * np.pi) - np.pi)
         total = np.hypot(off, off_rad)
-        kept = total <= np.quantile(total, KEPT)
+        kept = total <= np.partition(total, last)[last]
         if again:
             distance = _scale(ahead[kept], wanted[kept], _mean2(off[kept]) * overlapping)
             turn = _scale(turns[kept], turned[kept], _mean2(off_rad[kept]) * overlapping)
@@ -242,15 +252,13 @@ def _mean2(values: NDArray[Any]) -> float:
     return float(np.square(np.abs(values)).mean())
 
 
-def _by_odometry(path: Trajectory, motions: _Motions, offset_s: float) -> tuple[Array, NDArray[np.bool_]]:
+def _by_odometry(motions: _Motions, offset_s: float) -> tuple[Array, NDArray[np.bool_]]:
     """Return the motions of the base (m, 3) by the odometry, m, m, rad, and which (n,) it covers without a gap."""
-    at_s = (path.stamps_ns - path.stamps_ns[0]) * NS
-    times = np.array((motions.start_s, motions.end_s)) - offset_s
+    at_s, times = motions.odometry_s, np.array((motions.start_s, motions.end_s)) - offset_s
     after = np.searchsorted(at_s, times)
     inside = (after > 0) & (after < len(at_s))
     row = np.clip(after, 1, max(len(at_s) - 1, 1))
-    gapless = ((path.stamps_ns[row] - path.stamps_ns[row - 1]) * NS <= GAP_S) if len(at_s) > 1 else inside
+    gapless = (motions.steps_s[row - 1] <= GAP_S) if len(at_s) > 1 else inside
     covered: NDArray[np.bool_] = np.asarray((inside & gapless).all(axis=0))
-    columns = (path.xyyaw[:, 0], path.xyyaw[:, 1], np.unwrap(path.xyyaw[:, 2]))
-    start, end = (np.column_stack([np.interp(some[covered], at_s, c) for c in columns]) for some in times)
+    start, end = (np.column_stack([np.interp(some[covered], at_s, c) for c in motions.odometry]) for some in times)
     return between(start, end), covered

@@ -153,7 +153,6 @@ def everywhere(grid: GridBuilder) -> Region:
     return np.column_stack(((col + cells[1][0]) * STEP_M, (row + cells[0][0]) * STEP_M)), yaws_rad
 
 
-@timed("search")
 def candidates(
     points: Floats,
     line_map: LineMap,
@@ -164,7 +163,22 @@ def candidates(
     limit: float = np.inf,
     credit: Credit | None = None,
 ) -> list[Match]:
-    """Search a region of poses; return up to ``most`` separate minima, refined, with their visibility conflicts.
+    """Return `refined_minima` with their visibility conflicts."""
+    matches = refined_minima(points, line_map, region, config, most, limit, credit)
+    return [with_conflicts(match, points, line_map, grid) for match in matches]
+
+
+@timed("search")
+def refined_minima(
+    points: Floats,
+    line_map: LineMap,
+    region: Region,
+    config: Config,
+    most: int = CANDIDATES,
+    limit: float = np.inf,
+    credit: Credit | None = None,
+) -> list[Match]:
+    """Search a region of poses; return up to ``most`` separate minima, refined.
 
     Minima with a cost above ``limit``, a share of the worst cost, are left out. ``points`` (n, 2) are those of the
     scan, laser frame, m, shuffled, so that any prefix is a fair sample. ``credit`` is that of this search by default.
@@ -173,8 +187,7 @@ def candidates(
     limit_m2, exhaustive = limit * truncate_m**2, config.search == "exhaustive"
     starts = lowest(few, line_map, region, truncate_m, most, limit_m2, credit, exhaustive=exhaustive)
     schedule = Schedule.of(config, line_map, (1.5 * STEP_M, 1.5 * STEP_RAD))
-    matches = (search_lines(points, line_map, pose, schedule) for _, pose in starts)
-    return [with_conflicts(match, points, line_map, grid) for match in matches]
+    return [search_lines(points, line_map, pose, schedule) for _, pose in starts]
 
 
 def lowest(

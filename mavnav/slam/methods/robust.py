@@ -31,6 +31,7 @@ from mavnav.slam.matching.relocalization import (
     candidates,
     everywhere,
     reached_by,
+    refined_minima,
     with_conflicts,
     within_reach,
     within_reach_of,
@@ -168,11 +169,12 @@ class Robust:
         regions = self._lost_region(points, expected, elapsed_s) if lost else []
         given_up = lost and not regions
         if given_up and tried and motion.odometry is None:
-            return tried[0]
+            return self._with_conflicts(tried[0], points)
         tried += self._search_around(points, predicted)
         best = self._of_least_cost(tried, points, predicted, motion)
         if given_up or self.acceptance.is_acceptable(best, motion, elapsed_s):
             return with_effort(best, *tried)
+        tried = [self._with_conflicts(match, points) for match in tried]
         for region in regions or [within_reach(pose, elapsed_s) for pose in expected]:
             if lost or self._wide_budget.spend(self._work(points, region), refundable=True):
                 tried += self._search_wide(points, region, FOUND_COST if lost else np.inf)
@@ -194,6 +196,7 @@ class Robust:
         tried, good = self._search_near(points, predicted, motion, elapsed_s)
         if good:
             return tried[0]
+        tried = [self._with_conflicts(match, points) for match in tried]
         tried += self._search_wide(points, regions[0], FOUND_COST)
         return best_of(tried, expected, elapsed_s, self.config) if tried else no_match(predicted, len(points))
 
@@ -218,22 +221,22 @@ class Robust:
     def _of_least_cost(self, tried: list[Match], points: NDArray[np.float64], predicted: Pose, motion: Motion) -> Match:
         """Return the match of least cost; distance from the odometry adds to it if the best match is not observable."""
         best = min(tried, key=lambda match: match.cost_m2)
-        if motion.odometry is None or self.observability(points, best)[0] >= LEAST_OBSERVABILITY:
-            return best
-        prior = self.config.robust.expert.prior
-        return min(tried, key=lambda match: match.cost_m2 + prior * predicted.gap(match.map_T_laser)[0] ** 2)
+        if motion.odometry and self.observability(points, best)[0] < LEAST_OBSERVABILITY:
+            prior = self.config.robust.expert.prior
+            best = min(tried, key=lambda match: match.cost_m2 + prior * predicted.gap(match.map_T_laser)[0] ** 2)
+        return self._with_conflicts(best, points)
 
     def _search_around(self, points: NDArray[np.float64], predicted: Pose) -> list[Match]:
-        """Search the second window around the prediction."""
+        """Search the second window around the prediction; the visibility conflicts are not counted yet."""
         region = around(predicted, self.config.robust.expert.window_m, self.config.robust.expert.window_rad)
-        return candidates(points, self.lines, self.known, region, self.config, most=NEAR_MINIMA)
+        return refined_minima(points, self.lines, region, self.config, most=NEAR_MINIMA)
 
     def _search_near(
         self, points: NDArray[np.float64], predicted: Pose, motion: Motion, elapsed_s: float
     ) -> tuple[list[Match], bool]:
         """Search close to the prediction, unless the configuration disables that; also return whether it is enough.
 
-        The match is then acceptable, and well inside of the window.
+        The match is then acceptable, and well inside of the window; otherwise its conflicts may not be counted yet.
         """
         if not self.config.robust.expert.near_window_mm:
             return [], False
@@ -241,9 +244,10 @@ class Robust:
         match = search_lines(points, self.lines, predicted, weakly if motion.odometry else blind)
         if motion.odometry and self.observability(points, match)[0] < LEAST_OBSERVABILITY:
             match = search_lines(points, self.lines, predicted, strongly, match)
-        match = with_conflicts(match, points, self.lines, self.known)
-        rules = self.acceptance
-        return [match], rules.is_inside(match, predicted) and rules.is_acceptable(match, motion, elapsed_s)
+        if not self.acceptance.is_inside(match, predicted):
+            return [match], False
+        match = self._with_conflicts(match, points)
+        return [match], self.acceptance.is_acceptable(match, motion, elapsed_s)
 
     def _work(self, points: NDArray[np.float64], region: Region) -> float:
         """Return the work of a search of a region; that of cost bounds counts once until the map grows."""
@@ -315,7 +319,10 @@ class Robust:
 
     def conflicts(self, points: NDArray[np.float64], match: Match) -> float:
         """Return the share of visibility conflicts of a sample of the points."""
-        return with_conflicts(match, points, self.lines, self.known).conflicts
+        return self._with_conflicts(match, points).conflicts
+
+    def _with_conflicts(self, match: Match, points: NDArray[np.float64]) -> Match:
+        return with_conflicts(match, points, self.lines, self.known)
 
     def release_map(self) -> Grid:
         """Return the map, and free its working copy and its lines: a large map may not fit into memory twice."""

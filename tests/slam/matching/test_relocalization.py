@@ -33,6 +33,7 @@ from mavnav.slam.matching.relocalization import (
     within_reach,
 )
 from mavnav.slam.matching.scan_matching import Match, MatchVerdict, first_match, no_match
+from mavnav.slam.methods import robust
 from mavnav.slam.methods.localization import Localizer
 from mavnav.slam.methods.robust import Robust
 from mavnav.slam.pipeline import run_slam
@@ -65,6 +66,19 @@ def test_a_laser_is_found_anywhere_in_its_map() -> None:
     assert there.between(found.map_T_laser).distance_m < 0.03
     assert abs(there.between(found.map_T_laser).yaw_rad) < 0.02
     assert found.conflicts < 0.05
+
+
+@pytest.mark.parametrize("off_m", [0.03, 0.2])
+def test_only_the_chosen_match_counts_its_conflicts(off_m: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    method = mapped(furnished_rooms(), [Pose(1.0, 1.0, 0.5)])
+    person = np.vstack((furnished_rooms(), box(1.6, 1.2, 0.15, 0.15)))
+    scan, expected = scan_at(person, Pose(1.0, 1.0, 0.5), stamp_ns=PERIOD_NS), Pose(1.0 - off_m, 1.0, 0.5)
+    counted = list[Match]()
+    monkeypatch.setattr(robust, "with_conflicts", lambda *given: counted.append(with_conflicts(*given)) or counted[-1])
+    match = method.match(scan, expected, Motion(0.1).started_at(expected, 0))
+    assert abs(expected.between(match.map_T_laser).distance_m - off_m) < 0.01
+    assert match.conflicts == counted[0].conflicts > 0.0
+    assert len(counted) == 1
 
 
 @pytest.mark.parametrize("beginning", [Pose(0.0, 0.0, 0.3), Pose(7.0, -9.0, 0.3), Pose(-30.0, 4.0, 0.3)])
