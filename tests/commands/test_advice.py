@@ -135,12 +135,19 @@ def test_a_mounting_that_is_given_takes_the_warning_away(messages: list[Message]
     assert (log.base_T_laser, [text for text in log.warnings if "--extrinsic" in text]) == (Pose(0.1, 0.0, 0.2), [])
 
 
-def test_ranges_divided_as_the_error_says_are_used(tmp_path: Path) -> None:
-    walls = np.linspace(60.0, 900.0, 60)
-    wrong = {"ranges": walls, "range_min": 10.0, "range_max": 1200.0, "angle_increment": 0.1}
-    with pytest.raises(NoScansError, match="divide them by 100, range_min and range_max too"):
+@pytest.mark.parametrize(
+    ("units", "limits_too", "advice"),
+    [
+        (100, True, "divide them by 100, range_min and range_max too"),
+        (1000, False, "divide them by 1000, not the limits"),
+    ],
+)
+def test_ranges_divided_as_the_error_says_are_used(units: int, limits_too: bool, advice: str, tmp_path: Path) -> None:
+    walls, of_limits = np.linspace(0.6, 9.0, 60), units if limits_too else 1
+    right = {"ranges": walls, "range_min": 0.1, "range_max": 12.0, "angle_increment": 0.1}
+    wrong = right | {"ranges": walls * units, "range_min": 0.1 * of_limits, "range_max": 12.0 * of_limits}
+    with pytest.raises(NoScansError, match=advice):
         open_log(write_mcap(tmp_path / "a", scans(**wrong)))
-    right = {"ranges": walls / 100, "range_min": 0.1, "range_max": 12.0, "angle_increment": 0.1}
     assert len(open_log(write_mcap(tmp_path / "b", scans(**right)))) == 30
 
 
