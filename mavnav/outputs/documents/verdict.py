@@ -213,7 +213,7 @@ def _advice_if_doubted(run: Run) -> str:
     if run["config"]["odom"] == "off" and run["method"] == "robust":
         return f"use --odom auto if the log has odometry; {LOOK}"
     if sound := _longest_stretch(run, run["tracking"]["doubt"]["reasons"], "from_s", "to_s"):
-        return f"map the rest alone, with {sound}; {LOOK}"
+        return f"map a part alone, with {sound}; {LOOK}"
     return LOOK if run["input"]["odometry"] else f"{LOOK}; record odometry"
 
 

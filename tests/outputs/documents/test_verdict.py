@@ -165,7 +165,7 @@ def test_what_makes_a_run_suspect(change: dict[str, Any], reason: str, advice: s
     [
         ({"config": {"odom": "auto", "robust": {"cell_mm": 2.0}}}, "leave out robust.cell_mm=2.0 (default 20.0)"),
         ({"config": {"odom": "off"}}, "use --odom auto if the log has odometry; compare map.png with the place"),
-        ({}, "map the rest alone, with --start 12.0 --end 60.0; compare map.png with the place"),
+        ({}, "map a part alone, with --start 12.0 --end 60.0; compare map.png with the place"),
     ],
 )
 def test_advice_for_a_doubtful_path(change: dict[str, Any], advice: str) -> None:
