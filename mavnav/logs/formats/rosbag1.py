@@ -300,7 +300,7 @@ def _parse_header(source: Source, offset: int) -> _BagRecord | None:
     if len(block) < 4:
         return None
     (length,) = _U32.unpack_from(block)
-    if not 0 < length <= min(_MAX_HEADER_BYTES, source.size - offset - 8):
+    if not 0 < length <= _MAX_HEADER_BYTES or offset + 8 + length > source.size:
         return None
     if length + 8 > len(block):
         block = source.read(offset, length + 8)
@@ -314,8 +314,8 @@ def _parse_header(source: Source, offset: int) -> _BagRecord | None:
 
 def _parse_fields(header: bytes) -> dict[bytes, bytes] | None:
     """Split a header into its fields; None unless they fill it exactly."""
-    if (usual := _USUAL_FIELDS.fullmatch(header)) and None not in usual.groups():
-        return dict(zip((b"op", b"conn", b"time"), usual.groups(), strict=True))
+    if (usual := _USUAL_FIELDS.fullmatch(header)) and None not in (values := usual.groups()):
+        return {b"op": values[0], b"conn": values[1], b"time": values[2]}
     fields, offset = dict[bytes, bytes](), 0
     while offset + 4 <= len(header):
         (length,) = _U32.unpack_from(header, offset)
