@@ -144,8 +144,9 @@ def contradiction(track: Track) -> str:
 
 def is_mirrored(odometry: LogOdometry, path: Trajectory) -> bool:
     """Return whether odometry fits the mirror image of a path that turns."""
-    turned_rad = float(np.abs(np.diff(np.unwrap(path.xyyaw[:, 2]))).sum())
-    if turned_rad < LEAST_TURN_RAD:
+    if (
+        not len(path) or np.ptp(np.unwrap(path.xyyaw[:, 2])) < LEAST_TURN_RAD
+    ):  # the sum of all turns grows with their noise
         return False
     fit = fit_odometry(odometry, replace(path, xyyaw=path.xyyaw * (1.0, -1.0, -1.0)), GOOD_ODOMETRY)
     return fit is not None and fit.error <= MOST_ERROR and is_plausible(fit)

@@ -95,6 +95,13 @@ def test_a_few_turns_the_other_way_contradict(turn_s: float) -> None:
     assert not contradicts(standing, standing.steps)  # odometry that shows no turn is no mirror image
 
 
+def test_turns_that_are_noise_contradict_nothing() -> None:
+    rng, path = np.random.default_rng(0), hairpin(1e9)
+    noisy = path.xyyaw + 0.02 * rng.standard_normal((600, 1)) * (0.0, 0.0, 1.0)
+    track = track_with(Trajectory(path.stamps_ns, noisy), Trajectory(path.stamps_ns, 2.0 * path.xyyaw - noisy))
+    assert not contradicts(track, track.steps)
+
+
 @pytest.mark.parametrize(("wrong", "ends"), [(False, False), (True, True)])
 def test_a_track_ends_early_where_its_odometry_is_wrong(*, wrong: bool, ends: bool) -> None:
     path = swerving()
