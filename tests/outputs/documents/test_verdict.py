@@ -227,6 +227,8 @@ def test_of_a_lost_run_the_longest_stretch_with_poses_is_worth_a_map() -> None:
     assert verdict_of(lost(0.2, intervals=gaps) | {"input": short}).advice == (
         "map what has poses alone, with --start 8.3 --end 16.2; look at map.png"
     )
+    slow = verdict_of(lost(0.2, intervals=gaps) | {"input": short, "scans": GOOD["scans"] | {"processed": 22}})
+    assert slow.advice.endswith("--end 16.2; record odometry, or more scans a second; look at map.png")
     gaps[1]["start_s"] = 9.0
     assert "--start" not in verdict_of(lost(0.2, intervals=gaps) | {"input": short}).advice
 
