@@ -243,6 +243,13 @@ def test_constants_of_maps_load_no_numba() -> None:
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
+def test_examining_a_log_loads_nothing_that_maps_it() -> None:
+    code = "import sys, mavnav.pipelines.info\nprint(*{'.'.join(name.split('.')[:2]) for name in sys.modules})"
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    heavy = {"numba", "llvmlite", "rosbags", "PIL"} | {f"mavnav.{name}" for name in ("kernels", "outputs", "slam")}
+    assert not heavy & set(done.stdout.split())
+
+
 def test_only_the_command_line_prints_and_exits() -> None:
     ways = {"print", "exit", "quit", "sys.exit", "os._exit", "sys.stdout.write", "sys.stderr.write"}
     wrong = []

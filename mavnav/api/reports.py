@@ -55,7 +55,7 @@ def info(log: File, *, topic: str | Sequence[str] | None = None, strict: bool = 
     MavnavError
         UsageError or NoScansError where there is no log.
     """
-    from mavnav.pipelines.log_documents import info_document  # noqa: PLC0415  heavy
+    from mavnav.pipelines.info import info_document  # noqa: PLC0415  heavy
 
     return info_document(path_of(log, "log"), topics_of(topic, "topic"), strict=strict)[0]
 
@@ -89,7 +89,7 @@ def convert(
     MavnavError
         UsageError, NoScansError or OutputError.
     """
-    from mavnav.pipelines.log_documents import convert_to  # noqa: PLC0415  heavy
+    from mavnav.pipelines.convert import convert_to  # noqa: PLC0415  heavy
 
     return convert_to(
         path_of(log, "log"),

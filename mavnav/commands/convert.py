@@ -37,7 +37,7 @@ def convert(
     **given: object,
 ) -> None:
     """Convert a log, as far as it can be read, to an indexed MCAP with ROS 2 messages."""
-    from mavnav.pipelines.log_documents import convert_to
+    from mavnav.pipelines.convert import convert_to
 
     with reporting(quiet=quiet) as report:
         strict, progress = bool(given["strict"]), partial(report, "converting")

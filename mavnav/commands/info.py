@@ -37,7 +37,7 @@ def info(logs: shared.LogParts, *, json: shared.Json = False, quiet: shared.Quie
 
 
 def _print_info(log: LocalLog, name: str | None, strict: bool, *, json: bool, quiet: bool) -> None:
-    from mavnav.pipelines.log_documents import info_document
+    from mavnav.pipelines.info import info_document
 
     with reporting(quiet=quiet) as report:
         shown, error = info_document(log.path, name, log.more, strict=strict, progress=partial(report, "reading"))

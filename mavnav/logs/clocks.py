@@ -26,6 +26,16 @@ SAME_RATE: Final = (0.9, 1.1)
 """Ratios of the stamps' time to that of recording where both are of real time."""
 
 
+FASTEST_HZ: Final = 1000.0
+"""No planar laser scans faster."""
+
+OTHER_UNIT: Final = 0.01
+"""Share of the time of recording below which stamps of such scans are in another unit, as ms that are read as ns."""
+
+LEAST_SCANS: Final = 10
+"""Fewer show no rate."""
+
+
 class Clock(NamedTuple):
     """How far the stamps of a topic are ahead of the times of recording, s: the median, and the range of most."""
 
@@ -69,3 +79,12 @@ def set_forward_text(stamps_ns: Stamps, log_ns: Stamps) -> str:
     first = int(np.argmax(forward))
     times = pluralize(int(forward.sum()), "time")
     return f"the clock was set forward {times}, by {steps_s[first]:.0f} s at {recorded_s[:first].sum():.1f} s"
+
+
+def other_unit_text(stamps_ns: Stamps, log_ns: Stamps) -> str:
+    """Say that ascending stamps (n,) of scans are in another unit, by the times of recording; else nothing."""
+    span_s, recorded_s = (float(np.ptp(each)) * NS for each in (stamps_ns, log_ns))
+    scans = len(stamps_ns)
+    if scans < LEAST_SCANS or span_s * FASTEST_HZ >= scans or span_s >= OTHER_UNIT * recorded_s:
+        return ""
+    return f"they say that {scans} scans took {span_s:.2g} s, recording {recorded_s:.4g} s: they are in another unit"

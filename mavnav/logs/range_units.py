@@ -71,10 +71,8 @@ class RangeUnits:
             else f"range_min and range_max are {low:g} and {high:g}"
         )
         divisors = " or ".join(str(UNITS[unit]) for unit in units)
-        return (
-            f"{what}: they look like {' or '.join(units)}, not meters; divide them by {divisors}, range_min and "
-            "range_max too"
-        )
+        limits = ", not the limits" if _is_a_laser(low, high) else ", range_min and range_max too"
+        return f"{what}: they look like {' or '.join(units)}, not meters; divide them by {divisors}{limits}"
 
     def _units(self, reach: float) -> list[str]:
         """Return the units that limits and ranges may be in; all if they contradict each other."""

@@ -24,6 +24,9 @@ LOOKED_AT: Final = 8
 WIDEST_RAD: Final = 1.05 * pi
 """A segment is at most half a turn."""
 
+MOST_OVERLAP: Final = 0.5
+"""Share of the beams of a segment that the next may repeat."""
+
 LONGEST_PAUSE_NS: Final = 500_000_000
 """A segment that is later, ns, begins another sweep; stamps may be integers of any size."""
 
@@ -118,7 +121,7 @@ class SweepJoiner:
         self._angle_rad, self._step_rad = first.angle_min_rad, first.angle_step_rad
         self._beams = round(tau / abs(first.angle_step_rad))
         pairs = [pair for pair in pairwise(messages) if _follows(*pair)]
-        each_s = [(b.stamp_ns - a.stamp_ns) * NS / len(a.ranges_m) for a, b in pairs]
+        each_s = [(b.stamp_ns - a.stamp_ns) * NS / (len(a.ranges_m) + _beams_between(a, b)) for a, b in pairs]
         by_stamps_s, stated_s = float(np.median(each_s)), first.time_increment_s
         low, high = PLAUSIBLE_SWEEP
         agrees = low * by_stamps_s <= abs(stated_s) <= high * by_stamps_s
@@ -187,11 +190,16 @@ def _same_step(a_rad: float, b_rad: float) -> bool:
 
 
 def _follows(before: LaserMessage, message: LaserMessage) -> bool:
-    """Return whether a message begins where the one before ends, soon after it."""
+    """Return whether a message begins where the one before ends, or within it, soon after it."""
     step_rad = before.angle_step_rad
     if not (_is_segment(before) and _is_segment(message) and _same_step(message.angle_step_rad, step_rad)):
         return False
-    off_rad = message.angle_min_rad - before.angle_min_rad - len(before.ranges_m) * step_rad
-    off_rad -= tau * round(off_rad / tau)
     soon = 0 <= message.stamp_ns - before.stamp_ns <= LONGEST_PAUSE_NS
-    return soon and abs(off_rad) <= 1.5 * abs(step_rad)
+    return soon and -MOST_OVERLAP * len(before.ranges_m) <= _beams_between(before, message) <= 1.5
+
+
+def _beams_between(before: LaserMessage, message: LaserMessage) -> float:
+    """Return the number of beams that would fit between two segments; below 0, those that the second repeats."""
+    step_rad = before.angle_step_rad
+    off_rad = message.angle_min_rad - before.angle_min_rad - len(before.ranges_m) * step_rad
+    return (off_rad - tau * round(off_rad / tau)) / step_rad

@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
 
-from mavnav.logs.clocks import Clock, clock_of, set_back_text, set_forward_text
+from mavnav.logs.clocks import Clock, clock_of, other_unit_text, set_back_text, set_forward_text
 from mavnav.logs.preprocessing import KINDS
 from mavnav.logs.stamps import Stamps, StampSource, ascending, better_order, impossible_stamps
 from mavnav.units import NS
@@ -142,8 +142,8 @@ class TopicScans(Struct):
 
         So stamps that are all zero or constant are not trusted. A constant stamp above zero keeps one scan, which is
         half of two: two scans count as constant as well. Nor are those of a clock that is set back, where that costs
-        ``_MOST_BACKWARD`` of the scans (scans recorded twice are not such), or forward. The window's ends are in
-        seconds from the first usable scan, both inclusive.
+        ``_MOST_BACKWARD`` of the scans (scans recorded twice are not such), or forward, or that counts in another unit.
+        The window's ends are in seconds from the first usable scan, both inclusive.
         """
         header, log = self._choose("header"), self._choose("log")
         distrust = self._distrust(header, log)
@@ -166,7 +166,8 @@ class TopicScans(Struct):
         set_back = min(backward, len(log) - len(header)) > max(_MOST_BACKWARD * len(log), _FEW_BACKWARD)
         if set_back or 2 * len(header) < len(log):
             return set_back_text(stamps_ns[log], log_ns[log])
-        return set_forward_text(stamps_ns[header], log_ns[header])
+        chosen = stamps_ns[header], log_ns[header]
+        return set_forward_text(*chosen) or other_unit_text(*chosen)
 
     def _choose(self, source: StampSource) -> NDArray[np.int64]:
         """Return the numbers of the scans to use, in the order of the file, or of recording where that keeps more."""

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
+import os
 import re
 import socket
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -102,10 +104,36 @@ def test_a_lost_worker_costs_nothing_and_what_kills_workers_is_named(processes: 
     outcomes = outcomes_of(processes, jobs)
     assert [outcome.status for outcome in outcomes] == [Status.DONE, Status.DIED, Status.DONE, Status.DONE, Status.DONE]
     assert re.fullmatch(
-        rf"{TRIES} workers died of it, the last tcp://127.0.0.1:\d+; given up after 2 tries", outcomes[1].error
+        rf"{TRIES} workers died of it, the last tcp://127.0.0.1:\d+; if the memory .*; given up after 2 tries",
+        outcomes[1].error,
     )
     assert outcomes[1].exit_code == ExitCode.BUG
     assert outcomes[2].value == "done"
+
+
+@pytest.mark.slow
+def test_a_job_that_is_killed_for_its_memory_ends_where_more_is_allowed(tmp_path: Path) -> None:
+    job, outcomes = Job("hungry", strange_jobs.hold, (400,)), []
+    for memory_mb in (400, 2000):
+        with connect(LOCAL, tmp_path, 1, memory_mb, 1) as cluster:
+            outcomes += outcomes_of(cluster, [job])
+    assert [outcome.status for outcome in outcomes] == [Status.DIED, Status.DONE]
+    assert "allow more: --memory-mb, or dask worker --memory-limit" in outcomes[0].error
+
+
+@pytest.mark.slow
+def test_a_worker_that_is_started_with_a_limit_keeps_it(repo_root: Path, tmp_path: Path) -> None:
+    modules = os.environ | {"PYTHONPATH": f"{repo_root}{os.pathsep}{repo_root / 'tests'}"}
+    with distributed.LocalCluster(n_workers=0, dashboard_address="127.0.0.1:0") as scheduler:
+        command = [sys.executable, "-m", "dask", "worker", scheduler.scheduler_address, "--memory-limit", "1.5GB"]
+        with subprocess.Popen([*command, "--no-dashboard"], stderr=subprocess.DEVNULL, env=modules) as worker:
+            try:
+                with connect(scheduler.scheduler_address, tmp_path, 1, None, 1) as cluster:
+                    (limit,) = [each["memory_limit"] for each in cluster.client.scheduler_info()["workers"].values()]
+                    (outcome,) = outcomes_of(cluster, [Job("square", strange_jobs.square, (3,))])
+            finally:
+                worker.terminate()
+    assert (limit, outcome.value) == (1_500_000_000, 9)
 
 
 @pytest.mark.slow

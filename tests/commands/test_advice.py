@@ -20,14 +20,16 @@ from mavnav.config.loading import load_config
 from mavnav.errors import NoScansError, TopicError, UsageError
 from mavnav.logs import open_log, survey
 from mavnav.outputs.documents import verdict
-from mavnav.pose import Pose
+from mavnav.pose import Pose, Trajectory
 from mavnav.scan import Attitude
-from support.field_logs import START_S, drive_log, with_fields
+from support.field_logs import START_S, drive_log, wheels, with_fields
 from support.log_files import LASER, ODOM, PERIOD_NS, START_NS, TF, Message, laser, write_bag1, write_mcap
 from support.synthetic import TOUR, along, box, polyline
 from support.tilted import attitude_message
 
-TURNING = along([(1.0, 0.8), (4.9, 0.8), (4.6, 2.9), (2.2, 3.0)], 0.02, 0.7, 1.5, START_S * 10**9)
+CORNERS = [(1.0, 0.8), (4.9, 0.8), (4.6, 2.9), (2.2, 3.0)]
+TURNING = along(CORNERS, 0.02, 0.7, 1.5, START_S * 10**9)
+MOSTLY_STRAIGHT = along(CORNERS, 0.02, 0.5, 2.5, START_S * 10**9)
 
 
 def replayed(log: Path, directory: Path, *more: str) -> tuple[int, dict[str, Any]]:
@@ -38,7 +40,7 @@ def replayed(log: Path, directory: Path, *more: str) -> tuple[int, dict[str, Any
 
 def advised(text: str) -> list[str]:
     """Return the words of the setting that a message names."""
-    return split(text[text.index("--set") :])[:2]
+    return split(text[text.index("--set") :].replace(";", ""))[:2]
 
 
 def warning_with(document: dict[str, Any], part: str) -> str:
@@ -47,8 +49,9 @@ def warning_with(document: dict[str, Any], part: str) -> str:
 
 
 @pytest.mark.slow
-def test_mirrored_scans_are_named_where_odometry_turns_the_other_way(tmp_path: Path) -> None:
-    messages = drive_log(path=TURNING, odometry=True, beams=120)
+@pytest.mark.parametrize("path", [TURNING, MOSTLY_STRAIGHT], ids=["turning", "mostly straight"])
+def test_mirrored_scans_are_named_where_odometry_turns_the_other_way(path: Trajectory, tmp_path: Path) -> None:
+    messages = drive_log(path=path, odometry=True, beams=120)
     mirrored = [m for m in messages if m.type != LASER] + with_fields(
         [m for m in messages if m.type == LASER], angle_min=np.pi, angle_increment=-2 * np.pi / 120
     )
@@ -57,6 +60,19 @@ def test_mirrored_scans_are_named_where_odometry_turns_the_other_way(tmp_path: P
     words = advised(warning_with(document, "the laser turns the other way"))
     assert words == ["--set", "upside_down=true"]
     code, document = replayed(log, tmp_path / "b", *words)
+    assert (code, document["tracking"]["odometry"]["used"]) == (0, True)
+    assert not [text for text in document["warnings"] if "contradicts" in text]
+
+
+@pytest.mark.slow
+def test_scans_that_transforms_turn_over_wrongly_are_used_as_recorded(tmp_path: Path) -> None:
+    over = {"parent": "base_link", "child": "laser", "x": 0.0, "y": 0.0, "q": {"x": 1.0, "y": 0.0, "z": 0.0, "w": 0.0}}
+    messages = drive_log(path=MOSTLY_STRAIGHT, beams=120) + wheels(MOSTLY_STRAIGHT, child="base_link")
+    messages.append(Message("/tf_static", TF, messages[0].stamp_ns, over))
+    log = write_mcap(tmp_path / "log.mcap", sorted(messages, key=lambda m: m.time_ns))
+    _, document = replayed(log, tmp_path / "a")
+    assert "--extrinsic x,y,yaw instead" in warning_with(document, "the laser turns the other way")
+    code, document = replayed(log, tmp_path / "b", "--extrinsic", "0,0,0")
     assert (code, document["tracking"]["odometry"]["used"]) == (0, True)
     assert not [text for text in document["warnings"] if "contradicts" in text]
 
@@ -135,12 +151,19 @@ def test_a_mounting_that_is_given_takes_the_warning_away(messages: list[Message]
     assert (log.base_T_laser, [text for text in log.warnings if "--extrinsic" in text]) == (Pose(0.1, 0.0, 0.2), [])
 
 
-def test_ranges_divided_as_the_error_says_are_used(tmp_path: Path) -> None:
-    walls = np.linspace(60.0, 900.0, 60)
-    wrong = {"ranges": walls, "range_min": 10.0, "range_max": 1200.0, "angle_increment": 0.1}
-    with pytest.raises(NoScansError, match="divide them by 100, range_min and range_max too"):
+@pytest.mark.parametrize(
+    ("units", "limits_too", "advice"),
+    [
+        (100, True, "divide them by 100, range_min and range_max too"),
+        (1000, False, "divide them by 1000, not the limits"),
+    ],
+)
+def test_ranges_divided_as_the_error_says_are_used(units: int, limits_too: bool, advice: str, tmp_path: Path) -> None:
+    walls, of_limits = np.linspace(0.6, 9.0, 60), units if limits_too else 1
+    right = {"ranges": walls, "range_min": 0.1, "range_max": 12.0, "angle_increment": 0.1}
+    wrong = right | {"ranges": walls * units, "range_min": 0.1 * of_limits, "range_max": 12.0 * of_limits}
+    with pytest.raises(NoScansError, match=advice):
         open_log(write_mcap(tmp_path / "a", scans(**wrong)))
-    right = {"ranges": walls / 100, "range_min": 0.1, "range_max": 12.0, "angle_increment": 0.1}
     assert len(open_log(write_mcap(tmp_path / "b", scans(**right)))) == 30
 
 

@@ -22,7 +22,7 @@ from mavnav.logs.formats import decompress
 from mavnav.logs.formats.mcap_records import HEAD, Op
 from mavnav.logs.read_report import MAX_DAMAGE, MAX_TEXT, MAX_WARNINGS, ReadReport
 from mavnav.logs.writing.convert import convert_log
-from mavnav.pipelines.log_documents import info_document
+from mavnav.pipelines.info import info_document
 from support.log_files import (
     ODOM,
     PERIOD_NS,

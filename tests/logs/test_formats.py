@@ -5,12 +5,14 @@ from __future__ import annotations
 import shutil
 import struct
 import tracemalloc
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from mavnav.logs import open_log, survey
+from mavnav.logs.formats.rosbag1 import _parse_fields
 from mavnav.pose import Pose
 from support import log_files
 from support.log_files import (
@@ -246,3 +248,14 @@ def test_strings_and_encapsulations_that_no_library_takes_cost_no_scan(
     assert [(s.stamp_ns, s.ranges_m.tobytes()) for s in log.scans()] == [
         (s.stamp_ns, s.ranges_m.tobytes()) for s in sound.scans()
     ]
+
+
+def test_headers_of_a_bag_are_split_alike_by_the_quick_and_the_full_reading() -> None:
+    values = {b"op": b"\x02", b"conn": b"\n\0=\0", b"time": b"12345\n\0\x0d"}
+    for names in product(values, repeat=3):  # in any order, and twice
+        fields = [name + b"=" + values[name] for name in names]
+        header = b"".join(struct.pack("<I", len(each)) + each for each in fields)
+        assert _parse_fields(header) == {name: values[name] for name in names}
+        assert _parse_fields(header + b"\0") is None
+        another = _parse_fields(header + b"\x02\0\0\0x=")
+        assert another is not None and another.pop(b"x") == b"" and another == _parse_fields(header)

@@ -43,6 +43,19 @@ def test_segments_become_the_sweeps_that_they_are_of(
     assert np.array_equal(again, ranges_of(log), equal_nan=True)
 
 
+@pytest.mark.parametrize(("parts", "overlap"), [(12, 1), (12, 5), (6, 8), (3, 20)])
+@pytest.mark.parametrize("stated", [True, False], ids=["increment", "none"])
+def test_segments_that_repeat_beams_of_the_one_before_are_joined(
+    parts: int, overlap: int, stated: bool, sweeps: list[Message], tmp_path: Path
+) -> None:
+    cut = segments(sweeps, parts, overlap)
+    log = open_log(write_mcap(tmp_path / "a", cut if stated else with_fields(cut, time_increment=0.0)))
+    original = open_log(write_mcap(tmp_path / "b", sweeps))
+    assert np.array_equal(ranges_of(log), ranges_of(original), equal_nan=True)
+    assert log.sensor.sweep_s == pytest.approx(0.1, rel=1e-3)
+    assert not any("missing" in text for text in log.warnings)
+
+
 def test_lost_segments_are_beams_without_a_return(sweeps: list[Message], tmp_path: Path) -> None:
     cut = segments(sweeps, 12)
     lost = {30, 31, 64, 100, 101, 102}

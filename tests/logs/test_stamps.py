@@ -138,6 +138,19 @@ def test_a_clock_that_is_set_forward_is_told_from_a_pause_by_the_times_of_record
     assert any("set forward 1 time, by 3600 s at 1.9 s" in text for text in log.warnings) == (source == "log")
 
 
+@pytest.mark.parametrize("recorded_ns", [PERIOD_NS, 0, 20], ids=["as scanned", "all at once", "copied at once"])
+@pytest.mark.parametrize("per_unit", [1, 1000, 10**6], ids=["ns", "us", "ms"])
+def test_stamps_in_another_unit_give_way_to_the_times_of_recording(
+    per_unit: int, recorded_ns: int, tmp_path: Path
+) -> None:
+    times_ns = [START_NS + k * PERIOD_NS for k in range(60)]
+    messages = [at(k, t // per_unit, START_NS + k * recorded_ns) for k, t in enumerate(times_ns)]
+    log = open_log(write_mcap(tmp_path / "a", messages))
+    wrong = per_unit > 1 and recorded_ns == PERIOD_NS
+    assert (log.counts.usable, log.stamp_source) == (60, "log" if wrong else "header")
+    assert any("recording 5.9 s: they are in another unit" in text for text in log.warnings) == wrong
+
+
 @pytest.mark.parametrize("off_s", [-60.0, -16.0, 1.5, 20.0])
 def test_odometry_of_another_clock_is_brought_to_that_of_the_scans(off_s: float, tmp_path: Path) -> None:
     times_ns = [START_NS + k * PERIOD_NS for k in range(100)]

@@ -99,13 +99,17 @@ def with_fields(messages: list[Message], **fields: object) -> list[Message]:
     return [replace(m, fields=m.fields | fields) if m.type == LASER else m for m in messages]
 
 
-def segments(messages: list[Message], parts: int) -> list[Message]:
-    """Return every scan as parts of a turn, stamped at their first beams; of sweeps with one time increment."""
+def segments(messages: list[Message], parts: int, overlap: int = 0) -> list[Message]:
+    """Return every scan as parts of a turn, stamped at their first beams; of sweeps with one time increment.
+
+    Each but the first begins with the last ``overlap`` beams of the one before.
+    """
     cut = []
     for scan in messages:
         f = scan.fields
         edges = np.linspace(0, len(f["ranges"]), parts + 1).astype(int).tolist()
-        for a, b in pairwise(edges):
+        for begin, b in pairwise(edges):
+            a = max(begin - overlap, 0)
             fields = f | {
                 "angle_min": f["angle_min"] + a * f["angle_increment"],
                 "ranges": f["ranges"][a:b],

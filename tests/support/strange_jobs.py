@@ -52,6 +52,13 @@ def devour(megabytes: int, report) -> int:
     return len(bytearray(megabytes * 2**20))
 
 
+def hold(megabytes: int, report) -> int:
+    """Keep memory that is written to for as long as Dask takes to notice."""
+    block = b"x" * (megabytes * 2**20)
+    time.sleep(2.0)
+    return len(block)
+
+
 def sleep_with_a_file(path: Path, report) -> None:
     """Create a file, sleep, and remove the file in any case."""
     path.write_text(str(os.getpid()))

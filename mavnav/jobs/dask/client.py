@@ -128,7 +128,9 @@ def _outcome(job: _Submitted) -> Outcome:
     error = future.exception()
     if isinstance(error, KilledWorker):
         count = error.allowed_failures + 1
-        status, text = Status.DIED, f"{pluralize(count, 'worker')} died of it, the last {error.last_worker.address}"
+        memory = "if the memory ran out, allow more: --memory-mb, or dask worker --memory-limit"
+        last = error.last_worker.address
+        status, text = Status.DIED, f"{pluralize(count, 'worker')} died of it, the last {last}; {memory}"
     else:
         status, text = Status.FAILED, f"its worker could not run it: {type(error).__name__}: {error}"
     return Outcome(status, 0, monotonic() - job.began_s, error=text, exit_code=ExitCode.BUG)

@@ -37,6 +37,11 @@ class ReaderState(Struct):
     undeclared: set[int] = field(default_factory=set)
     messages: int = 0
 
+    def usual_channel(self, number: int) -> Channel | None:
+        """Return the channel of a message if it and its type are declared, as they nearly always are."""
+        channel = self.channels.get(number)
+        return channel if channel is not None and states_type(channel) else None
+
     def channel(self, number: int, data: bytes, kind: str, where: str) -> tuple[Channel | None, bool]:
         """Return the channel of a message, and whether it is declared; the bytes decide where a declaration is lost.
 

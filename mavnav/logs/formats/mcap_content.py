@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import field
 
-from mavnav.logs.formats.channels import ReaderState, states_type
+from mavnav.logs.formats.channels import ReaderState
 from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES
 from mavnav.logs.formats.mcap_records import MESSAGE_HEAD, Op, RecordFields
 from mavnav.logs.records import AttachedFile, Channel, MetadataRecord, RawMessage, Schema, ros_type
@@ -58,12 +58,11 @@ class McapState(ReaderState):
 
 
 def plain_message(content: bytes, state: McapState) -> RawMessage | None:
-    """Return the message of a record if its channel and its type are declared, as they nearly always are."""
+    """Return the message of a record on a usual channel."""
     if len(content) < MESSAGE_HEAD.size:
         return None
     number, _, log_ns, publish_ns = MESSAGE_HEAD.unpack_from(content)
-    channel = state.channels.get(number)
-    if channel is None or not states_type(channel):
+    if (channel := state.usual_channel(number)) is None:
         return None
     state.messages += 1
     return RawMessage(channel, log_ns, content[MESSAGE_HEAD.size :], publish_ns=publish_ns)

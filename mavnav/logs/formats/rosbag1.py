@@ -8,6 +8,7 @@ file: the length of the chunk is not needed, and memory use does not grow with i
 
 from __future__ import annotations
 
+import re
 import struct
 from enum import IntEnum
 from functools import partial
@@ -33,6 +34,8 @@ _BLOCK_BYTES = 1 << 20
 _RECORD_COST = 4
 """Cost of a record of this format, or of a candidate for one, in the unit of ``Allowance.spend_record``."""
 _U32 = struct.Struct("<I")
+_USUAL_FIELDS = re.compile(rb"(?:\x04\0\0\0op=(.)|\x09\0\0\0conn=(.{4})|\x0d\0\0\0time=(.{8})){3}", re.DOTALL)
+"""The header of a message, its three fields in any order: matched in a tenth of the time of splitting it."""
 _VERSION = 1
 """Version of the index and of its entries for chunks."""
 _U32_PAIR = struct.Struct("<II")
@@ -193,7 +196,9 @@ def _message(source: Source, record: _BagRecord, state: _BagState) -> RawMessage
     (number,) = _U32.unpack(record.fields[b"conn"])
     if number not in state.channels and number not in state.spare and state.search:
         state.spare, state.search = state.search() | state.spare, None
-    channel, declared = state.channel(number, data, "connection", source.where(record.start))
+    channel, declared = state.usual_channel(number), True
+    if channel is None:
+        channel, declared = state.channel(number, data, "connection", source.where(record.start))
     return None if channel is None else RawMessage(channel, _time_ns(record), data, record.suspect or not declared)
 
 
@@ -295,7 +300,7 @@ def _parse_header(source: Source, offset: int) -> _BagRecord | None:
     if len(block) < 4:
         return None
     (length,) = _U32.unpack_from(block)
-    if not 0 < length <= min(_MAX_HEADER_BYTES, source.size - offset - 8):
+    if not 0 < length <= _MAX_HEADER_BYTES or offset + 8 + length > source.size:
         return None
     if length + 8 > len(block):
         block = source.read(offset, length + 8)
@@ -309,8 +314,9 @@ def _parse_header(source: Source, offset: int) -> _BagRecord | None:
 
 def _parse_fields(header: bytes) -> dict[bytes, bytes] | None:
     """Split a header into its fields; None unless they fill it exactly."""
-    fields: dict[bytes, bytes] = {}
-    offset = 0
+    if (usual := _USUAL_FIELDS.fullmatch(header)) and None not in (values := usual.groups()):
+        return {b"op": values[0], b"conn": values[1], b"time": values[2]}
+    fields, offset = dict[bytes, bytes](), 0
     while offset + 4 <= len(header):
         (length,) = _U32.unpack_from(header, offset)
         name, equals, value = header[offset + 4 : offset + 4 + length].partition(b"=")

@@ -16,6 +16,7 @@ from msgspec import Struct
 
 from mavnav.config.layers import by_dotted_key
 from mavnav.config.loading import load_config
+from mavnav.logs.health import SLOW_HZ
 from mavnav.metrics.fields import text
 from mavnav.metrics.gates import VERDICTS
 from mavnav.slam.findings import HIGH, NOT_PLANAR, SECOND_MOTION
@@ -158,9 +159,10 @@ def _advice_if_lost(run: Run) -> str:
         return "replay the parts that are left out alone with --start and --end"
     if run["config"]["odom"] == "off":
         return "use --odom auto if the log has odometry"
-    if stretch := _longest_stretch(run, run["tracking"]["intervals"], "start_s", "end_s"):
-        return f"map what has poses alone, with {stretch}"
     record = "more scans a second" if run["input"]["odometry"] else "odometry, or more scans a second"
+    if stretch := _longest_stretch(run, run["tracking"]["intervals"], "start_s", "end_s"):
+        slow = run["scans"]["processed"] < SLOW_HZ * run["input"]["duration_s"]
+        return f"map what has poses alone, with {stretch}" + (f"; record {record}" if slow else "")
     return f"look at the sensor with mavnav info; record {record}"
 
 
@@ -213,7 +215,7 @@ def _advice_if_doubted(run: Run) -> str:
     if run["config"]["odom"] == "off" and run["method"] == "robust":
         return f"use --odom auto if the log has odometry; {LOOK}"
     if sound := _longest_stretch(run, run["tracking"]["doubt"]["reasons"], "from_s", "to_s"):
-        return f"map the rest alone, with {sound}; {LOOK}"
+        return f"map a part alone, with {sound}; {LOOK}"
     return LOOK if run["input"]["odometry"] else f"{LOOK}; record odometry"
 
 

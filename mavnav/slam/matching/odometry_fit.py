@@ -184,6 +184,14 @@ def with_noise(odometry: LogOdometry, map_T_laser: Trajectory, used: OdometryFit
     return _fit(odometry, _motions(path, odometry), used.offset_s, used)._replace(mean_stamps=used.mean_stamps)
 
 
+def share_of_turns(odometry: LogOdometry, map_T_laser: Trajectory, used: OdometryFit) -> float:
+    """Return the turns over a second by odometry as a share of those of a path, by least squares; 0 without turns."""
+    motions = _motions(map_T_laser, odometry)
+    base, covered = _by_odometry(odometry.odom_T_base, motions, used.offset_s)
+    turned = motions.turned[covered]
+    return float(np.vdot(base[:, 2], turned)) / max(float(np.vdot(turned, turned)), 1e-9)
+
+
 def _motions(map_T_laser: Trajectory, odometry: LogOdometry) -> _Motions:
     """Return the motions of a path over a second."""
     stamps_ns = map_T_laser.stamps_ns

@@ -8,7 +8,14 @@ import numpy as np
 from msgspec.structs import replace
 
 from mavnav.slam.matching.motion_model import MOST_ERROR
-from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, UNITS, OdometryFit, fit_odometry, with_noise
+from mavnav.slam.matching.odometry_fit import (
+    GOOD_ODOMETRY,
+    UNITS,
+    OdometryFit,
+    fit_odometry,
+    share_of_turns,
+    with_noise,
+)
 from mavnav.slam.matching.steps import NEARLY_ALL, Steps, tracked_trajectory
 from mavnav.slam.retries.attempt import Attempt
 from mavnav.units import DEG
@@ -32,6 +39,9 @@ SCALES: Final = (0.4, 2.5)
 
 FIRST_CHECK, CHECK_RATIO = 200, 3
 """Number of poses at which a track is first compared with its odometry, and ratio of those of one check to the next."""
+
+OPPOSITE: Final = -0.5
+"""Share of the turns of a path below which odometry turns the other way; -1 beside mirrored scans."""
 
 LEAST_TURN_RAD: Final = 90 * DEG
 """Turns that show whether scans are mirrored, and in which order their beams were fired."""
@@ -71,7 +81,7 @@ def correction(track: Track, steps: Steps) -> OdometryFit | None:
     if odometry is None or not len(path):
         return None
     best = fit_odometry(odometry, path, used)
-    if best is None or best.error > MOST_ERROR or not is_plausible(best):
+    if best is None or best.error > MOST_ERROR or not is_plausible(best) or turns_against(best, odometry, path):
         return None
     differs = any(abs(a - b) >= least for a, b, least in zip(best[:3], used[:3], LEAST_CHANGE[:3], strict=True))
     differs, unused = differs or best.mean_stamps != used.mean_stamps, track.motion.odometry is None
@@ -88,8 +98,14 @@ def contradicts(track: Track, steps: Steps) -> bool:
     """Return whether the odometry that is used contradicts the steps of a track."""
     if track.log_odometry is None or track.motion.odometry is None:
         return False
-    error = with_noise(track.log_odometry, tracked_trajectory(steps), track.findings.odometry).error
-    return bool(MOST_ERROR < error < np.inf)
+    path = tracked_trajectory(steps)
+    fit = with_noise(track.log_odometry, path, track.findings.odometry)
+    return bool(MOST_ERROR < fit.error < np.inf) or turns_against(fit, track.log_odometry, path)
+
+
+def turns_against(fit: OdometryFit, odometry: LogOdometry, path: Trajectory) -> bool:
+    """Return whether odometry fits a path, but for its turns, which are few, and its mirror image as a whole."""
+    return share_of_turns(odometry, path, fit) < OPPOSITE and is_mirrored(odometry, path)
 
 
 def correct_odometry(track: Track) -> Track | None:
@@ -114,7 +130,7 @@ def contradiction(track: Track) -> str:
     if odometry and is_mirrored(odometry, path):
         return (
             "the laser turns the other way; if it is mounted upside down, or its scans are mirrored, replay with --set "
-            "upside_down=true"
+            "upside_down=true; if the transforms have turned them over, with --extrinsic x,y,yaw instead"
         )
     best = fit_odometry(odometry, path, GOOD_ODOMETRY) if odometry and len(path) else None
     if best and best.error <= MOST_ERROR:
@@ -128,8 +144,9 @@ def contradiction(track: Track) -> str:
 
 def is_mirrored(odometry: LogOdometry, path: Trajectory) -> bool:
     """Return whether odometry fits the mirror image of a path that turns."""
-    turned_rad = float(np.abs(np.diff(np.unwrap(path.xyyaw[:, 2]))).sum())
-    if turned_rad < LEAST_TURN_RAD:
+    if (
+        not len(path) or np.ptp(np.unwrap(path.xyyaw[:, 2])) < LEAST_TURN_RAD
+    ):  # the sum of all turns grows with their noise
         return False
     fit = fit_odometry(odometry, replace(path, xyyaw=path.xyyaw * (1.0, -1.0, -1.0)), GOOD_ODOMETRY)
     return fit is not None and fit.error <= MOST_ERROR and is_plausible(fit)

@@ -165,7 +165,7 @@ def test_what_makes_a_run_suspect(change: dict[str, Any], reason: str, advice: s
     [
         ({"config": {"odom": "auto", "robust": {"cell_mm": 2.0}}}, "leave out robust.cell_mm=2.0 (default 20.0)"),
         ({"config": {"odom": "off"}}, "use --odom auto if the log has odometry; compare map.png with the place"),
-        ({}, "map the rest alone, with --start 12.0 --end 60.0; compare map.png with the place"),
+        ({}, "map a part alone, with --start 12.0 --end 60.0; compare map.png with the place"),
     ],
 )
 def test_advice_for_a_doubtful_path(change: dict[str, Any], advice: str) -> None:
@@ -227,6 +227,8 @@ def test_of_a_lost_run_the_longest_stretch_with_poses_is_worth_a_map() -> None:
     assert verdict_of(lost(0.2, intervals=gaps) | {"input": short}).advice == (
         "map what has poses alone, with --start 8.3 --end 16.2; look at map.png"
     )
+    slow = verdict_of(lost(0.2, intervals=gaps) | {"input": short, "scans": GOOD["scans"] | {"processed": 22}})
+    assert slow.advice.endswith("--end 16.2; record odometry, or more scans a second; look at map.png")
     gaps[1]["start_s"] = 9.0
     assert "--start" not in verdict_of(lost(0.2, intervals=gaps) | {"input": short}).advice
 

@@ -17,6 +17,7 @@ from mavnav.slam.matching.odometry_fit import (
     average_stamps,
     fit_odometry,
     in_meters,
+    share_of_turns,
     with_noise,
 )
 from mavnav.units import NS
@@ -186,3 +187,12 @@ def test_odometry_is_unknown_outside_and_in_a_gap() -> None:
     assert pose_at(int(path.stamps_ns[103])) is None
     assert int(path.stamps_ns[107] - path.stamps_ns[99]) > GAP_S / NS
     assert pose_at(int(path.stamps_ns[50]) + 30 * MS) is not None
+
+
+@pytest.mark.parametrize("mounting", [CENTRED, MOUNTING], ids=["centred", "mounted"])
+@pytest.mark.parametrize("turn", [1.0, 0.8, 0.0, -1.0])
+def test_the_share_of_the_turns_is_that_of_all_windows(turn: float, mounting: Pose) -> None:
+    path = swerving()
+    used = GOOD_ODOMETRY._replace(offset_s=0.2)
+    assert share_of_turns(wheels(path, 0.2, turn=turn, mounting=mounting), path, used) == pytest.approx(turn, abs=0.01)
+    assert share_of_turns(wheels(steady()), steady(), GOOD_ODOMETRY) == 0.0

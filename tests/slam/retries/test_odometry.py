@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from mavnav.config.models import Config
 from mavnav.logs import open_log
@@ -73,6 +74,32 @@ def test_no_wheels_and_no_unit_explain_some_scales(scale: float) -> None:
     track = track_with(correct_path(path, 0, scale), path)
     assert correction(track, track.steps) is None
     assert contradicts(track, track.steps)
+
+
+def hairpin(turn_s: float) -> Trajectory:
+    """Return a path of 10 poses a second that turns back once, within so many seconds of 60."""
+    at_s = 0.1 * np.arange(600)
+    yaws_rad = np.clip((at_s - 30.0) / turn_s, 0.0, 1.0) * 0.9 * np.pi
+    steps = 0.04 * np.column_stack((np.cos(yaws_rad), np.sin(yaws_rad)))
+    return Trajectory(S + np.arange(600) * 100 * MS, np.column_stack((np.cumsum(steps, axis=0), yaws_rad)))
+
+
+@pytest.mark.parametrize("turn_s", [1.5, 4.0])
+def test_a_few_turns_the_other_way_contradict(turn_s: float) -> None:
+    """The windows in which they lie were among the worst, which are left out: a mirrored map was called good."""
+    path = hairpin(turn_s)
+    right, wrong, standing = (track_with(each, path) for each in (path, mirrored(path), hairpin(1e9)))
+    assert not contradicts(right, right.steps)
+    assert contradicts(wrong, wrong.steps)
+    assert correction(replace(wrong, motion=wrong.motion._replace(odometry=None)), wrong.steps) is None
+    assert not contradicts(standing, standing.steps)  # odometry that shows no turn is no mirror image
+
+
+def test_turns_that_are_noise_contradict_nothing() -> None:
+    rng, path = np.random.default_rng(0), hairpin(1e9)
+    noisy = path.xyyaw + 0.02 * rng.standard_normal((600, 1)) * (0.0, 0.0, 1.0)
+    track = track_with(Trajectory(path.stamps_ns, noisy), Trajectory(path.stamps_ns, 2.0 * path.xyyaw - noisy))
+    assert not contradicts(track, track.steps)
 
 
 @pytest.mark.parametrize(("wrong", "ends"), [(False, False), (True, True)])
