@@ -187,7 +187,7 @@ def with_noise(odometry: LogOdometry, map_T_laser: Trajectory, used: OdometryFit
 def share_of_turns(odometry: LogOdometry, map_T_laser: Trajectory, used: OdometryFit) -> float:
     """Return the turns over a second by odometry as a share of those of a path, by least squares; 0 without turns."""
     motions = _motions(map_T_laser, odometry)
-    base, covered = _by_odometry(odometry.odom_T_base, motions, used.offset_s)
+    base, covered = _by_odometry(motions, used.offset_s)
     turned = motions.turned[covered]
     return float(np.vdot(base[:, 2], turned)) / max(float(np.vdot(turned, turned)), 1e-9)
 
