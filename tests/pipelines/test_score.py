@@ -106,11 +106,11 @@ def test_names_frames_and_instants_are_read(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a,b.tum").touch()
     for text, source in {
-        "x=poses.tum": TrajectorySource("x", "poses.tum", "laser", "middle"),
+        "x=poses.tum": TrajectorySource("x", "poses.tum", "laser", "whole"),
         "poses.tum,base@first": TrajectorySource("poses", "poses.tum", "base", "first"),
-        "a,b.tum": TrajectorySource("a,b", "a,b.tum", "laser", "middle"),
+        "a,b.tum": TrajectorySource("a,b", "a,b.tum", "laser", "whole"),
         "me@home=poses.tum@last": TrajectorySource("me@home", "poses.tum", "laser", "last"),
-        "slam=tf:map,base_link": TrajectorySource("slam", "tf:map,base_link", "", "middle"),
+        "slam=tf:map,base_link": TrajectorySource("slam", "tf:map,base_link", "", "whole"),
         "topic:/a/odom@first": TrajectorySource("odom", "topic:/a/odom", "", "first"),
     }.items():
         assert read_source(text) == source
