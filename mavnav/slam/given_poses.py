@@ -8,7 +8,8 @@ import numpy as np
 from msgspec.structs import replace
 
 from mavnav.pose import MAX_GAP_NS, Pose
-from mavnav.slam.doubt.judge import UNDECIDED, judge, match_again, redraw
+from mavnav.slam.doubt.judge import UNASKED, UNDECIDED, judge, match_again, redraw
+from mavnav.slam.findings import SECOND_LOST
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.scan_matching import first_match, no_match
 from mavnav.slam.matching.steps import Step, Steps
@@ -76,6 +77,8 @@ def draw_at_poses(
             refiner = redraw(track, recorded=whole)
     drawn = match_again(track, refiner)
     judged = judge(drawn, refiner, UNDECIDED)
+    if (doubt := judged.findings.doubt) and SECOND_LOST in {reason.name for reason in doubt.reasons}:
+        judged = judge(drawn, refiner, UNASKED)  # a laser that is lost says nothing of where others put it
     unmoved = (
         step._replace(match=best.match._replace(map_T_laser=step.match.map_T_laser, evaluations=0, iterations=0))
         for step, best in zip(steps, drawn.steps, strict=True)

@@ -37,6 +37,7 @@ UNDECIDED: Limits = (0.1, 0.8)
 """Outside of these limits a second track hardly ever changes the verdict."""
 
 ALWAYS: Limits = (0.0, 1.0)
+UNASKED: Limits = (1.0, 0.0)
 
 LEAST_SHARE = 0.2
 """Minimum share of scans with a pose of a track that is worth another one: with fewer the log is lost in any case."""
