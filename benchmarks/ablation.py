@@ -39,10 +39,10 @@ from mavnav.slam import pipeline
 from mavnav.slam.result import SlamResult
 from mavnav.units import NS
 
-PASSES = ("ATTEMPTS", "RECOVERING", "CHECKING", "SMOOTHING")
+PASSES = ("ATTEMPTS", "RECOVERING", "CHECKING", "FINISHING")
 """The tuples of the pipeline of which each entry is undone."""
 
-NEEDED = ("refine_and_draw", "judge_track")
+NEEDED = ("refine_poses", "judge_track")
 """Passes without which there is nothing to compare: the evidence, and the doubt."""
 
 OPEN = ("ccny_demo", "lego_robot4", "slambot_rplidar", "turtlebot4_mac2", "urg_exp1")

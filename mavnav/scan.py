@@ -164,13 +164,20 @@ class Scan(Struct, frozen=True):
         """Time that the beams take."""
         return self.spec.sweep_s if self.times_s is None else float(np.ptp(self.times_s))
 
+    @property
+    def late_s(self) -> NDArray[np.float64]:
+        """Times of the beams (beams,) after mid-sweep."""
+        n = self.spec.beams
+        times_s = self.spec.time_increment_s * np.arange(n) if self.times_s is None else self.times_s
+        late_s: NDArray[np.float64] = times_s - 0.5 * (times_s.min() + times_s.max())
+        return late_s
+
     def seen_at_mid_sweep(self, twist: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return ranges (beams,) and directions (beams, 2) as from the pose at mid-sweep, of merged lasers.
 
         ``twist`` (3,) is the motion of the laser in its own frame, m/s, m/s, rad/s.
         """
-        times_s = np.zeros(self.spec.beams) if self.times_s is None else self.times_s
-        late_s = times_s - 0.5 * (times_s.min() + times_s.max())
+        late_s = self.late_s
         c, s = np.cos(twist[2] * late_s), np.sin(twist[2] * late_s)
         x, y = self.ranges_m * self.spec.directions.T
         xy = np.column_stack((c * x - s * y + twist[0] * late_s, s * x + c * y + twist[1] * late_s))

@@ -312,6 +312,7 @@ TWINS = {
     "maps.linemap.rebuild": "insert_points",
     "planning.potential.wall_centres": "occupied",
     "scans.points.place_points": "placed",
+    "scans.sweep_shift.sweep_shift": "naive_sweep_shift",
     "walls.smoothing.smooth_image": "smoothed",
     "line_search.search.search": "coarse_to_fine",
     "polar_search.search.search": "coarse_to_fine",

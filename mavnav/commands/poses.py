@@ -11,8 +11,8 @@ Trajectories = Annotated[
     input_option(
         "--trajectory",
         metavar="[NAME=]SOURCE",
-        help="FILE[,FRAME] (TUM, CSV, EuRoC, or a run), topic:/T or tf:MAP,FRAME; @first, @middle or @last: where "
-        "in the sweep a pose holds (default middle). Repeatable.",
+        help="FILE[,FRAME] (TUM, CSV, EuRoC, or a run), topic:/T or tf:MAP,FRAME; @first, @middle or @last: beam "
+        "at whose time a pose holds (default: that of the scan as recorded). Repeatable.",
     ),
 ]
 Programs = Annotated[

@@ -23,6 +23,7 @@ from mavnav.metrics.reference import position_errors
 from mavnav.outputs.directory import check_directory
 from mavnav.outputs.documents.provenance import Typed, provenance, utc_now
 from mavnav.outputs.documents.run_json import External, StartPose
+from mavnav.outputs.files.finished_run import finished_run
 from mavnav.outputs.run import RunResult, Timing, half_sweep_s
 from mavnav.outputs.writers import write_run
 from mavnav.pipelines.again import changed_values
@@ -48,6 +49,8 @@ if TYPE_CHECKING:
 LASER: Final = "laser"
 BASE: Final = "base"
 RUN_POSES: Final = "trajectory.tum"
+WHOLE: Final = "whole"
+"""Where in a sweep the pose holds at which the scan as recorded fits best."""
 PROGRAMS: Final = "programs"
 """Folder of what programs write and print."""
 
@@ -55,13 +58,14 @@ PROGRAMS: Final = "programs"
 class TrajectorySource(Struct, frozen=True):
     """Where a trajectory comes from: ``in_log`` is a topic or ``tf:MAP,FRAME`` of the log, else ``path`` is a file.
 
-    Poses of a file are those of ``frame``. With the stamp of a scan they hold at its beam ``pose_at``.
+    Poses of a file are those of ``frame``. With the stamp of a scan they hold at its beam ``pose_at``, or for the
+    ``whole`` scan as recorded.
     """
 
     name: str
     text: str
     frame: str = ""
-    pose_at: str = "middle"
+    pose_at: str = WHOLE
 
     @property
     def in_log(self) -> str | None:
@@ -76,14 +80,14 @@ class TrajectorySource(Struct, frozen=True):
 
 
 def read_source(text: str) -> TrajectorySource:
-    """Read ``[NAME=]FILE[,FRAME]``, ``[NAME=]topic:/T`` or ``[NAME=]tf:MAP,FRAME``, each with ``@first|middle|last``.
+    """Read ``[NAME=]FILE[,FRAME]``, ``[NAME=]topic:/T`` or ``[NAME=]tf:MAP,FRAME``, and after ``@`` where poses hold.
 
     Raises UsageError for a name that cannot be that of a directory.
     """
     name, has_name, source = text.partition("=")
     source = source if has_name else text
     before, _, at = source.rpartition("@")
-    source, at = (before, at) if at in SWEEPS else (source, "middle")
+    source, at = (before, at) if at in {*SWEEPS, WHOLE} else (source, _usual_instant(Path(source)))
     if recorded_topic(source) is not None:
         frame = ""
         name = name if has_name else source.rpartition("/")[2].replace(":", "_")
@@ -94,6 +98,13 @@ def read_source(text: str) -> TrajectorySource:
     if not name or Path(name).name != name:
         raise UsageError(f"--trajectory {text!r}: {name!r} names no directory; write NAME=FILE with a plain name")
     return TrajectorySource(name, source, frame, at)
+
+
+def _usual_instant(path: Path) -> str:
+    """Return where poses hold if nothing is said: those of a run in causal mode at mid-sweep."""
+    if not (path / "run.json").is_file():
+        return WHOLE
+    return WHOLE if finished_run(path).record.config.final_pass else "middle"
 
 
 class ScoreRequest(Struct, frozen=True):
@@ -292,8 +303,10 @@ def _score(
         log.period_s,
         poses.world_T_laser,
         log.stamps_ns,
-        round(SWEEPS[source.pose_at] * log.mid_sweep_s / NS),
-        lambda _, done: progress(source.name, done, log.counts.usable),
+        round(SWEEPS.get(source.pose_at, 0.0) * log.mid_sweep_s / NS),
+        whole=source.pose_at == WHOLE,
+        of_run=source.in_log is None and Path(source.text).is_dir(),
+        on_step=lambda _, done: progress(source.name, done, log.counts.usable),
     )
     held = in_time_of_truth(outcome.trajectory, half_sweep_s(log, outcome), config.truth_at)
     references, warnings = references_in_map(references, log, int(held.stamps_ns[0]) if len(held) else None)

@@ -254,7 +254,7 @@ def merged_map(
     method, refined_poses, done, total = Robust(config), list(placed), 0, sum(map(len, placed))
     for doubtful in sorted({session.doubtful for session in sessions}):
         numbers = [k for k, session in enumerate(sessions) if session.doubtful == doubtful]
-        for scan, motion in _all_scans([sessions[k] for k in numbers], [placed[k] for k in numbers]):
+        for scan, motion in _all_scans([sessions[k] for k in numbers], [placed[k] for k in numbers], method):
             method.insert(scan, motion.map_T_laser, motion)
             done += 1
             progress("draw map", done, total)
@@ -264,7 +264,7 @@ def merged_map(
     map_T_here = frame_of([refined_poses[k] for k in framing], [sessions[k].map_T_laser for k in framing])
     refined_poses = [poses.seen_from(map_T_here) for poses in refined_poses]
     grid = GridBuilder(method.grid.cell_m)
-    for done, (scan, motion) in enumerate(_all_scans(sessions, refined_poses), start=1):
+    for done, (scan, motion) in enumerate(_all_scans(sessions, refined_poses, method), start=1):
         grid.insert(motion.map_T_laser, *method.placed_points(scan, motion.map_T_laser, motion))
         progress("draw map again", done, total)
     grid.remove_dynamic_cells()
@@ -284,10 +284,14 @@ def _points(path: Trajectory) -> NDArray[np.float64]:
     return np.concatenate((path.xyyaw[:, :2], ahead))
 
 
-def _all_scans(sessions: Sequence[Session], placed: Sequence[Trajectory]) -> Iterator[tuple[Scan, Motion]]:
-    """Give every scan with its pose and velocity."""
+def _all_scans(
+    sessions: Sequence[Session], placed: Sequence[Trajectory], method: Robust
+) -> Iterator[tuple[Scan, Motion]]:
+    """Give every scan with its velocity and the pose at mid-sweep."""
     for session, poses in zip(sessions, placed, strict=True):
-        yield from zip(session.scans(), motions_along(poses, session.at_rest), strict=True)
+        for scan, motion in zip(session.scans(), motions_along(poses, session.at_rest), strict=True):
+            map_T_mid = motion.map_T_laser @ method.sweep_T_mid(scan, motion)
+            yield scan, motion._replace(map_T_laser=map_T_mid)
 
 
 def _match_scans(session: Session, poses: Trajectory, method: Robust) -> Trajectory:

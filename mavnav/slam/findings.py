@@ -22,6 +22,9 @@ HIGH: Final = 0.5
 NOT_PLANAR: Final = "not planar"
 """The reason with which a map of the plane is meaningless."""
 
+SECOND_LOST: Final = "a second track is lost"
+"""The reason that another track of the same log has not all of its poses."""
+
 SECOND_MOTION: Final = "another motion fits as well"
 """The reason that something large moves with the laser, or past it."""
 

@@ -8,12 +8,15 @@ import numpy as np
 from msgspec.structs import replace
 
 from mavnav.pose import MAX_GAP_NS, Pose
-from mavnav.slam.doubt.judge import UNDECIDED, judge, match_again, redraw
+from mavnav.slam.doubt.judge import UNASKED, UNDECIDED, judge, match_again, redraw
+from mavnav.slam.findings import SECOND_LOST
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.scan_matching import first_match, no_match
 from mavnav.slam.matching.steps import Step, Steps
 from mavnav.slam.methods.robust import Robust
 from mavnav.slam.result import summarize
+from mavnav.slam.retries.beam_order import reverse_beams
+from mavnav.slam.retries.sweep_time import time_sweeps
 from mavnav.slam.track import Track
 
 if TYPE_CHECKING:
@@ -37,12 +40,16 @@ def draw_at_poses(
     world_T_laser: Trajectory,
     scans_ns: NDArray[np.int64],
     holds_ns: int = 0,
+    *,
+    whole: bool = False,
+    of_run: bool = False,
     on_step: OnStep | None = None,
 ) -> tuple[SlamResult, Pose, float]:
     """Draw the map of scans at the poses of a trajectory, and judge it.
 
     Returns that, the pose of the map frame in the world, and how far from its pose, m, the median scan fits the map.
-    The map frame is the laser at the first scan with a pose. Neither odometry nor an inertial sensor is evidence.
+    The map frame is the laser at the first scan with a pose, or that of a run. Neither odometry nor an inertial sensor
+    is evidence. The scans show the order and the time of the beams.
 
     Parameters
     ----------
@@ -52,17 +59,26 @@ def draw_at_poses(
     world_T_laser : the poses, interpolated between the stamps
     scans_ns : stamps (n,) of all scans
     holds_ns : time from the stamp of a scan to that of its pose
+    whole : the poses are those at which the scans as recorded fit best, not those of the laser at mid-sweep
+    of_run : they are those of the scans of a run: its map has their frame, and scans without one were left out
     on_step : called with the name of the pass and the number of scans done
     """
     xyyaw = world_T_laser.poses_at(_within_rounding(scans_ns + holds_ns, world_T_laser), MAX_GAP_NS)
+    xyyaw[of_run & ~np.isin(scans_ns, world_T_laser.stamps_ns)] = np.nan
     known = np.flatnonzero(np.isfinite(xyyaw[:, 0]))
-    world_T_map = Pose(*xyyaw[known[0]].tolist()) if len(known) else Pose()
+    world_T_map = Pose(*xyyaw[known[0]].tolist()) if len(known) and not of_run else Pose()
     steps = Steps(_steps(scans_ns, xyyaw, world_T_map.inverse()))
     causal = replace(config, final_pass=False)  # what warns of a log that mavnav tracked does not apply
     track = Track(log_scans, causal, Motion(period_s), Robust(config), steps=steps, on_step=on_step)
-    refiner = redraw(track)
+    refiner = redraw(track, recorded=whole)
+    for change in (time_sweeps, reverse_beams):
+        if changed := change(replace(track, config=config, method=refiner)):
+            track = replace(track, log_scans=changed.log_scans, findings=changed.findings)
+            refiner = redraw(track, recorded=whole)
     drawn = match_again(track, refiner)
     judged = judge(drawn, refiner, UNDECIDED)
+    if (doubt := judged.findings.doubt) and SECOND_LOST in {reason.name for reason in doubt.reasons}:
+        judged = judge(drawn, refiner, UNASKED)  # a laser that is lost says nothing of where others put it
     unmoved = (
         step._replace(match=best.match._replace(map_T_laser=step.match.map_T_laser, evaluations=0, iterations=0))
         for step, best in zip(steps, drawn.steps, strict=True)

@@ -17,7 +17,7 @@ from mavnav.slam.recovery.parts import drop_late_poses, join_lost_parts
 from mavnav.slam.recovery.rematch import rematch_beginning, rematch_rejected
 from mavnav.slam.refinement.contradicted import drop_contradicted
 from mavnav.slam.refinement.place import place_map
-from mavnav.slam.refinement.refine import match_deskewed, refine_and_draw, remove_dynamic_cells, smooth_jitter
+from mavnav.slam.refinement.refine import draw_map, match_deskewed, refine_poses, remove_dynamic_cells, smooth_jitter
 from mavnav.slam.result import summarize
 from mavnav.slam.retries.attempt import COARSER_VOXELS, try_again
 from mavnav.slam.retries.beam_order import REVERSED_BEAMS
@@ -52,16 +52,16 @@ CHECKING: Final[tuple[Pass, ...]] = (
     drop_contradicted,  # "Localization in a given map"
     place_map,  # --align
     remove_dynamic_cells,  # step 12
-    refine_and_draw,  # steps 13 and 14
+    refine_poses,  # step 13
     judge_track,  # "Doubt"
 )
 """Passes that correct and judge the finished track, and make the final map."""
 
-SMOOTHING: Final[tuple[Pass, ...]] = (smooth_jitter,)
-"""What makes the final poses: step 15."""
+FINISHING: Final[tuple[Pass, ...]] = (smooth_jitter, draw_map)
+"""What makes the final poses and the map of the scans there: steps 14 and 15."""
 
 MEASURING: Final[tuple[Pass, ...]] = (match_deskewed,)
-"""What makes the poses of a calibration instead: nothing is smoothed."""
+"""What makes the poses of a calibration instead: nothing is smoothed or drawn."""
 
 
 def run_slam(
@@ -72,7 +72,7 @@ def run_slam(
     on_step: OnStep | None = None,
     prior_map: PriorMap | None = None,
     rotation: Rotation | None = None,
-    last: tuple[Pass, ...] = SMOOTHING,
+    last: tuple[Pass, ...] = FINISHING,
     base_T_laser: Pose | None = None,
     scans_ns: NDArray[np.int64] | None = None,
     recorded: LogScans | None = None,
@@ -117,7 +117,7 @@ def run_slam(
 
 def finish(track: Track) -> SlamResult:
     """Run the last passes over the track of a mission and summarize it."""
-    return summarize(after(track, (*CHECKING[:-1], judge_flown, *SMOOTHING)))
+    return summarize(after(track, (*CHECKING[:-1], judge_flown, *FINISHING)))
 
 
 def after(track: Track, passes: tuple[Pass, ...]) -> Track:

@@ -151,7 +151,7 @@ def test_programs_are_run_and_measured_and_those_that_fail_are_rows(
     words = [f"--external={how}={run_it} {how}" for how in ("writes", "fails", "hangs", "nothing", "nonsense")]
     words += ["--external", "absent=no-such-program {out}", "--time-limit", "3"]
     started_s = time.monotonic()
-    assert score(folder, f"own={folder}/own", out="programs", more=tuple(words)) == 1
+    assert score(folder, f"own={folder}/own/trajectory.tum", out="programs", more=tuple(words)) == 1
     assert time.monotonic() - started_s < 55.0
     printed, page = capsys.readouterr().err, json.loads((folder / "programs" / "comparison.json").read_text())
     errors = {cell["name"]: cell["error"] for cell in page["cells"]}

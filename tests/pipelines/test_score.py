@@ -17,8 +17,12 @@ from mavnav.pipelines.maps import measured_map
 from mavnav.pipelines.score import ScoreRequest, TrajectorySource, read_source, score_log
 from mavnav.pose import Pose, Trajectory
 from mavnav.profiling import silent
+from mavnav.slam import given_poses
+from mavnav.slam.doubt import judge
+from mavnav.slam.findings import SECOND_LOST
 from mavnav.slam.given_poses import draw_at_poses
 from mavnav.slam.result import SlamResult
+from mavnav.slam.track import Track
 from support.field_logs import START_S, drive_log
 from support.log_files import write_mcap
 from support.synthetic import along
@@ -85,6 +89,25 @@ def test_the_truth_is_good_and_stays_where_it_is(log: Log, true: tuple[SlamResul
     assert outcome.tracked_share == 1.0
 
 
+def half_lost(track: Track) -> np.ndarray:
+    """Return the poses of another track that goes astray, and is lost in the second half."""
+    poses = track.steps.column("map_T_laser")[track.steps.column("tracked")] * 1.5
+    poses[len(poses) // 2 :] = np.nan
+    return poses
+
+
+def test_a_second_track_that_is_lost_says_nothing(
+    log: Log, true: tuple[SlamResult, Pose], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(given_poses, "UNDECIDED", (0.0, 1.0))
+    monkeypatch.setattr(judge, "resampled_poses", half_lost)
+    assert drawn(log, PATH)[0].doubt == true[0].doubt
+    monkeypatch.setattr(given_poses, "SECOND_LOST", "")  # what it would say
+    doubt = drawn(log, PATH)[0].doubt
+    assert doubt is not None
+    assert SECOND_LOST in {reason.name for reason in doubt.reasons}
+
+
 def test_stamps_that_a_text_file_has_rounded_are_those_of_the_scans(log: Log) -> None:
     at_scans = log.stamps_ns + np.where(np.arange(len(log.stamps_ns)) < 5, 400, -400)  # just inside
     path = Trajectory(at_scans, PATH.poses_at(log.stamps_ns, 10**9))
@@ -106,11 +129,11 @@ def test_names_frames_and_instants_are_read(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a,b.tum").touch()
     for text, source in {
-        "x=poses.tum": TrajectorySource("x", "poses.tum", "laser", "middle"),
+        "x=poses.tum": TrajectorySource("x", "poses.tum", "laser", "whole"),
         "poses.tum,base@first": TrajectorySource("poses", "poses.tum", "base", "first"),
-        "a,b.tum": TrajectorySource("a,b", "a,b.tum", "laser", "middle"),
+        "a,b.tum": TrajectorySource("a,b", "a,b.tum", "laser", "whole"),
         "me@home=poses.tum@last": TrajectorySource("me@home", "poses.tum", "laser", "last"),
-        "slam=tf:map,base_link": TrajectorySource("slam", "tf:map,base_link", "", "middle"),
+        "slam=tf:map,base_link": TrajectorySource("slam", "tf:map,base_link", "", "whole"),
         "topic:/a/odom@first": TrajectorySource("odom", "topic:/a/odom", "", "first"),
     }.items():
         assert read_source(text) == source

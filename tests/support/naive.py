@@ -8,7 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from mavnav.pose import transform_points
+from mavnav.kernels.scans.sweep_shift import BENT, BESIDE_M, JOINED_M, STILL
+from mavnav.pose import Pose, transform_points
 
 # ---- hits, raycast -------------------------------------------------------------------------------------------------
 
@@ -536,3 +537,22 @@ def add_to_slices(
         if 0 <= layer < len(hits):
             passes[layer, row, col] -= 1
             hits[layer, row, col] += 1
+
+
+def naive_sweep_shift(scan, twist):
+    """Return x, y and yaw of the laser at mid-sweep in the scan as recorded, by one least-squares fit."""
+    used = np.flatnonzero(np.isfinite(scan.ranges_m))
+    recorded = scan.ranges_m[used, None] * scan.spec.directions[used]
+    poses = [Pose(*(twist * scan.late_s[i])) for i in used]
+    seen = np.array([transform_points(pose, p[None])[0] for pose, p in zip(poses, recorded, strict=True)])
+    rows, right = [], []
+    for k in range(1, len(used) - 1):
+        along_m = seen[k + 1] - seen[k - 1]
+        apart_m = np.linalg.norm(along_m)
+        normal = np.array((-along_m[1], along_m[0])) / apart_m
+        if apart_m < JOINED_M and abs(normal @ (seen[k] - seen[k - 1])) <= BESIDE_M + BENT * apart_m:
+            rows.append((*normal, normal @ (-seen[k][1], seen[k][0])))
+            right.append(normal @ (recorded[k] - seen[k]))
+    still = np.sqrt(STILL * len(rows)) * np.eye(3)
+    answer = np.linalg.lstsq(np.vstack((rows, still)), np.concatenate((right, np.zeros(3))), rcond=None)
+    return np.asarray(answer[0])

@@ -163,7 +163,9 @@ class External(Struct, frozen=True):
     name: Annotated[str, text("name of the trajectory")]
     source: Annotated[str, text("file, topic or frames of the poses, or the command that wrote them")]
     frame: Annotated[str, text("what the poses are of: laser, base or a frame of the log")]
-    pose_at: Annotated[str, text("beam of a scan, first, middle or last, at whose time a pose with its stamp holds")]
+    pose_at: Annotated[
+        str, text("beam, first, middle or last, at whose time a pose holds, or whole: of the scan as recorded")
+    ]
     poses: Annotated[int, number("poses of the trajectory")]
     origin: StartPose
     misfit_mm: Annotated[Measured, number("how far from its pose the median scan fits the map of all best")] = OPTIONAL

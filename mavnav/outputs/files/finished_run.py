@@ -76,6 +76,7 @@ class Settings(Struct, frozen=True):
     """What is read of the configuration as it stands; the whole of it is checked where it is used."""
 
     method: str = ""
+    final_pass: bool = True
     truth_at: Literal["first", "middle", "last"] = "first"
 
 

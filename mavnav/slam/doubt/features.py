@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from mavnav.pose import motions
 from mavnav.slam.doubt.second_motion import LEAST_AGREEING, second_motion
-from mavnav.slam.findings import NOT_PLANAR, SECOND_MOTION
+from mavnav.slam.findings import NOT_PLANAR, SECOND_LOST, SECOND_MOTION
 from mavnav.slam.matching.observability import LEAST_OBSERVABILITY
 from mavnav.slam.matching.steps import Steps
 from mavnav.slam.retries.attempt import COARSER, FEW_POINTS
@@ -282,7 +282,7 @@ ONE_SCAN, MANY_SCANS = 1.0, 0.9
 
 FEATURES: Final = {
     DISAGREEMENT: Feature("two tracks disagree", disagreement, ONE_SCAN, 0.0, 1.47),
-    "second_lost": Feature("a second track is lost", second_lost, ONE_SCAN, 0.0, 0.56),
+    "second_lost": Feature(SECOND_LOST, second_lost, ONE_SCAN, 0.0, 0.56),
     "slip": Feature("slip", slip, ONE_SCAN, 0.53, 0.1),
     "weakly_constrained": Feature("weakly constrained pose", weak, ONE_SCAN, 1.07, 0.75),
     "second_motion": Feature(SECOND_MOTION, other_motion, ONE_SCAN, 1.93, 1.78),

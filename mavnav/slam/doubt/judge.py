@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec.structs import replace
 
+from mavnav.pose import Pose
 from mavnav.profiling import timed
 from mavnav.slam.doubt.features import DISAGREEMENT, FEATURES, ONE_TRACK, TWO_TRACKS, evidence_of, resampled_poses
 from mavnav.slam.findings import Doubt, Reason
 from mavnav.slam.matching.steps import Steps
 from mavnav.slam.methods.robust import Robust
-from mavnav.slam.refinement.refine import refine_against_final_map
+from mavnav.slam.refinement.refine import refine_poses
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ UNDECIDED: Limits = (0.1, 0.8)
 """Outside of these limits a second track hardly ever changes the verdict."""
 
 ALWAYS: Limits = (0.0, 1.0)
+UNASKED: Limits = (1.0, 0.0)
 
 LEAST_SHARE = 0.2
 """Minimum share of scans with a pose of a track that is worth another one: with fewer the log is lost in any case."""
@@ -66,16 +68,24 @@ def judge_redrawn(track: Track) -> Track:
     the default one.
     """
     default, method = track.config.method == "robust", track.method
-    drawn = deepcopy(method) if isinstance(method, Robust) and method.builds_map else redraw(track)
+    drawn = (
+        deepcopy(method)
+        if isinstance(method, Robust) and method.builds_map
+        else redraw(track, recorded=track.refiner is not None)
+    )
     judged = judge(match_again(track, drawn), drawn, UNDECIDED if default else ALWAYS)
     return track.with_findings(doubt=judged.findings.doubt)
 
 
-def redraw(track: Track) -> Robust:
-    """Return the default method with a new map, of the scans of a track at their poses."""
+def redraw(track: Track, *, recorded: bool) -> Robust:
+    """Return the default method with a new map, of the scans of a track at their poses.
+
+    These are of the scans as ``recorded``, else of the laser at mid-sweep.
+    """
     drawn = Robust(replace(track.config, method="robust"))
     for step, scan, motion in track.placed_scans("doubt"):
-        drawn.insert(scan, step.match.map_T_laser, motion)
+        sweep_T_mid = drawn.sweep_T_mid(scan, motion) if recorded else Pose()
+        drawn.insert(scan, step.match.map_T_laser @ sweep_T_mid, motion)
     return drawn
 
 
@@ -84,7 +94,7 @@ def match_again(track: Track, drawn: Robust) -> Track:
     drawn.remove_dynamic_cells()
     config, motion = replace(track.config, method="robust", final_pass=True), track.motion._replace(expects_rest=False)
     alone = replace(track, config=config, method=drawn, motion=motion, steps=Steps(track.steps), prior_map=None)
-    return refine_against_final_map(alone, drawn)
+    return refine_poses(alone, drawn)
 
 
 @timed("doubt")

@@ -51,6 +51,9 @@ class Refiner(Protocol):
     def placed_points(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> tuple[NDArray[np.float64], Extent]:
         """Return all points (n, 2) of the de-skewed scan for insertion, m, map frame, and their extent."""
 
+    def sweep_T_mid(self, scan: Scan, motion: Motion) -> Pose:
+        """Return the pose of the laser at mid-sweep, seen from that at which the scan as recorded fits best."""
+
     def observability(self, points: NDArray[np.float64], match: Match) -> tuple[float, NDArray[np.float64]]:
         """Return how well the map constrains a refined scan in its least constrained direction (0 to 1), and a Hessian.
 

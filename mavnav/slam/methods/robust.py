@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.kernels.scans.points import place_points, scan_points
+from mavnav.kernels.scans.sweep_shift import sweep_shift
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose
 from mavnav.profiling import timed
@@ -66,16 +67,12 @@ NEAR_MINIMA = 3
 """Number of separate minima near the prediction that are refined: the lowest one of a coarse grid may be wrong."""
 
 FOUND_PERIODS = 1.5
-"""Time since the last accepted pose, in periods, below which the previous scan was accepted.
-
-Its refundable work is then returned: each scan of a sparse log may need a wide search.
-"""
+"""Time since the last accepted pose, in periods, below which the previous scan was accepted. Its refundable work is
+then returned: each scan of a sparse log may need a wide search."""
 
 FOUND_COST, FOUND_ANYWHERE_COST = 0.4, 0.25
-"""Maximum cost of a minimum that is refined when the laser is lost, in a wide region and in the whole map.
-
-It is a share of the worst cost. Poses at which a lost laser was found cost up to 0.1 at 10 scans a second.
-"""
+"""Maximum cost, as a share of the worst, of a minimum that is refined when the laser is lost, in a wide region and in
+the whole map. Poses at which a lost laser was found cost up to 0.1 at 10 scans a second."""
 
 OBSERVED_SHARE = 1 / 30
 """Weight of the odometry where the walls show all directions, as a share of that along a corridor: a bias adds up."""
@@ -310,7 +307,7 @@ class Robust:
         self.lines.remove(self.grid.remove_dynamic_cells())
 
     def refine(self, points: NDArray[np.float64], match: Match) -> Match:
-        """Match points of a scan as recorded, not de-skewed, so that the pose fits the raw ranges."""
+        """Match points (n, 2), m, laser frame, against the finished map, close to an earlier match."""
         return search_lines(points, self.lines, match.map_T_laser, self._final, match)
 
     def observability(self, points: NDArray[np.float64], match: Match) -> tuple[float, NDArray[np.float64]]:
@@ -342,15 +339,27 @@ class Robust:
         """
         if (last := self._deskewed) and last[0] is scan and last[1] is motion:
             return last[2]
-        spec, twist, increment_s = scan.spec, AT_REST, 0.0
-        # One of several merged lasers may start half a period later.
-        longest = LONGEST_SWEEP if scan.times_s is None else LONGEST_SWEEP + 1.0
-        if self.config.robust.deskew != "off" and motion and scan.sweep_s <= longest * motion.period_s:
-            twist, increment_s = np.array(motion.twist_at(scan.stamp_ns)), spec.time_increment_s
+        spec, twist = scan.spec, self._twist(scan, motion)
         seen = (scan.ranges_m, spec.directions) if scan.times_s is None else scan.seen_at_mid_sweep(twist)
         ends, means = np.empty((spec.beams, 2)), np.empty((spec.beams, 2))
-        n, m = scan_points(*seen, twist, increment_s, self._limits_m, ends, means)
+        n, m = scan_points(*seen, twist, spec.time_increment_s, self._limits_m, ends, means)
         points = ends[:n], means[:m]
         if motion:
             self._deskewed = scan, motion, points
         return points
+
+    def _twist(self, scan: Scan, motion: Motion | None) -> NDArray[np.float64]:
+        """Return the twist (3,) by which a scan is de-skewed."""
+        longest = LONGEST_SWEEP + (scan.times_s is not None)  # one of merged lasers may start half a period later
+        if self.config.robust.deskew == "off" or motion is None or scan.sweep_s > longest * motion.period_s:
+            return AT_REST
+        return np.array(motion.twist_at(scan.stamp_ns))
+
+    @timed("cleaning")
+    def sweep_T_mid(self, scan: Scan, motion: Motion) -> Pose:
+        """Return the pose of the laser at mid-sweep, seen from that at which the scan as recorded fits best."""
+        twist, equations = self._twist(scan, motion), np.empty((3, 4))
+        if not scan.sweep_s or not twist.any():
+            return Pose()
+        sweep_shift(scan.ranges_m, scan.spec.directions, scan.late_s, twist, self._limits_m, equations)
+        return Pose(*np.linalg.solve(equations[:, :3], equations[:, 3]).tolist())

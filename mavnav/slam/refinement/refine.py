@@ -48,30 +48,15 @@ def remove_dynamic_cells(track: Track, refiner: Refiner) -> Track:
     return track
 
 
-def refine_and_draw(track: Track, refiner: Refiner) -> Track:
-    """Match every tracked scan against the finished map, and draw it again, every scan where it fits best.
-
-    The method takes the new map if it has fewer hit cells, because blurred and doubled walls have more: scans were
-    inserted before the whole map was known. If the run is stopped early, the old map stays.
-    """
-    drawn = GridBuilder(track.method.grid.cell_m) if refiner.builds_map else None
-    track = refine_against_final_map(track, refiner, drawn)
-    if drawn and len(track.findings.observed) == len(track.steps):
-        drawn.remove_dynamic_cells()
-        if np.count_nonzero(drawn.hits) < np.count_nonzero(track.method.grid.hits):
-            track.method.grid = drawn
-    return track
-
-
-def refine_against_final_map(track: Track, refiner: Refiner, drawn: GridBuilder | None = None) -> Track:
+def refine_poses(track: Track, refiner: Refiner) -> Track:
     """Match every tracked scan against the finished map; without odometry, warn where its geometry is degenerate.
 
     The steps are changed in place, because there may be many. Observability, visibility conflicts and Hessians of the
-    scans are stored in its findings. The scans are inserted into the map ``drawn``.
+    scans are stored in its findings.
     """
     evidence = array("d")
     motions = motions_along(tracked_trajectory(track.steps), track.motion)
-    coming = refine_steps(track.log_scans(), track.steps, refiner, evidence, motions, drawn)
+    coming = refine_steps(track.log_scans(), track.steps, refiner, evidence, motions)
     for step in track.report_progress(coming, "final pass"):
         track.steps[step.index] = step
     columns = np.array(evidence).reshape(-1, 8)
@@ -91,14 +76,12 @@ def refine_steps(
     refiner: Refiner,
     evidence: array[float],
     motions: Iterable[Motion] = (),
-    drawn: GridBuilder | None = None,
 ) -> Iterator[Step]:
     """Match every tracked scan once more against the finished map, close to its pose; yield the steps.
 
     If the run is stopped and the scans end early, the remaining steps are yielded unchanged. Observability, visibility
     conflicts and Hessian of each of the others are appended to ``evidence``. ``motions`` are those at the tracked
-    scans: the map is made of de-skewed scans, with which a scan as recorded conflicts in a turn. De-skewed, they are
-    inserted into the map ``drawn``.
+    scans: the map is made of de-skewed scans, with which a scan as recorded conflicts in a turn.
     """
     moving = iter(motions)
     waiting, coming = iter(steps), iter(scans)
@@ -112,16 +95,30 @@ def refine_steps(
                 continue
             observed, hessian = refiner.observability(p, match)
             conflicts, motion = refiner.conflicts(p, match), next(moving, None)
-            skewed = motion and conflicts >= NOTABLE_CONFLICTS and abs(motion.twist[2]) * scan.sweep_s >= SKEWED_RAD
-            if motion and (skewed or drawn):
+            turn_rad = abs(motion.twist[2]) * scan.sweep_s if motion else 0.0
+            if motion and conflicts >= NOTABLE_CONFLICTS and turn_rad >= SKEWED_RAD:
                 deskewed = refiner.match_points(scan, motion)
-                placed = match if np.array_equal(deskewed, p) else refiner.refine(deskewed, match)
-                conflicts = min(conflicts, refiner.conflicts(deskewed, placed)) if skewed else conflicts
-                if drawn:
-                    drawn.insert(placed.map_T_laser, *refiner.placed_points(scan, placed.map_T_laser, motion))
+                conflicts = min(conflicts, refiner.conflicts(deskewed, refiner.refine(deskewed, match)))
             evidence.extend((observed, conflicts, *hessian.tolist()))
         yield from (step._replace(match=match) for step, match in zip(some, matches, strict=False))
         yield from some[len(matches) :]
+
+
+def draw_map(track: Track, refiner: Refiner) -> Track:
+    """Draw the map again, of the scans at their final poses; they were inserted before the whole map was known.
+
+    A given map stays, and the old one if the run is stopped early.
+    """
+    if not refiner.builds_map:
+        return track
+    drawn, waiting = GridBuilder(track.method.grid.cell_m), track.steps.column("tracked")
+    for step, scan, motion in track.placed_scans("draw map"):
+        map_T_mid, waiting[step.index] = step.match.map_T_laser @ refiner.sweep_T_mid(scan, motion), False
+        drawn.insert(map_T_mid, *refiner.placed_points(scan, map_T_mid, motion))
+    if not waiting.any():
+        drawn.remove_dynamic_cells()
+        track.method.grid = drawn
+    return track
 
 
 TURNING_RAD_S: Final = 15 * DEG

@@ -72,7 +72,8 @@ def test_the_map_goes_with_the_poses() -> None:
     there = np.floor((transform_points(PLACE, xy_m) - placed.grid.origin_xy_m) / placed.grid.cell_m).astype(int)
     near = [placed.grid.hits[there[:, 1] + i, there[:, 0] + j] for i in (-1, 0, 1) for j in (-1, 0, 1)]
     assert (np.max(near, axis=0) > 0).mean() > 0.99
-    assert int(placed.grid.hits.sum()) == int(plain.grid.hits.sum())
+    gone = abs(int(placed.grid.hits.sum()) - int(plain.grid.hits.sum()))
+    assert gone <= 5  # of 31 000: hits in cells that are dynamic in one of the frames
 
 
 def test_the_verdict_stays() -> None:

@@ -112,7 +112,7 @@ def test_plenty_of_points_on_line_and_the_paper_want_no_second_opinion(tour: Rec
 def test_the_second_track_is_told_as_such(sparse: list[Scan]) -> None:
     passes: dict[str, int] = {}
     run_slam(lambda: sparse[:20], Config(), PERIOD_S, None, passes.__setitem__)
-    assert passes == {"track": 20, "track again": 20, "close loops": 0, "final pass": 20}
+    assert passes == {"track": 20, "track again": 20, "close loops": 0, "final pass": 20, "draw map": 20}
 
 
 def test_a_stopped_run_keeps_the_first_track(sparse: list[Scan]) -> None:
