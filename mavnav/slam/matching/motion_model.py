@@ -94,6 +94,10 @@ class Motion(NamedTuple):
         ahead = self.by_odometry(stamp_ns)
         return ahead or (self.map_T_laser if self.expects_rest else self.by_velocity(stamp_ns))
 
+    def expected_poses(self, predicted: Pose, stamp_ns: int) -> tuple[Pose, ...]:
+        """Return the expected poses of a scan: as predicted, by constant velocity, and at rest."""
+        return tuple(dict.fromkeys((predicted, self.by_velocity(stamp_ns), self.map_T_laser)))
+
     def by_velocity(self, stamp_ns: int) -> Pose:
         """Extrapolate the last pose with its twist, ``LONGEST_S`` at most; also back in time."""
         ahead_s = copysign(min(self.elapsed_s(stamp_ns), LONGEST_S), stamp_ns - self.stamp_ns)

@@ -130,7 +130,7 @@ def in_meters(odometry: LogOdometry, fastest_m_s: float) -> OdometryFit:
     return OdometryFit(distance_scale=next(units, 1.0))
 
 
-class _Motions(NamedTuple):
+class _Windows(NamedTuple):
     """Motions of the laser (n,): when they begin and end, s, distances in the base's axes, m, and turns, rad.
 
     Beside them the path of the base by the odometry: stamps (k,) and steps (k - 1,), s, and x, y, yaw, m and rad,
@@ -159,7 +159,7 @@ def fit_odometry(odometry: LogOdometry, map_T_laser: Trajectory, used: OdometryF
     return best if np.isfinite(best.error) else None
 
 
-def _fit_offset(odometry: LogOdometry, motions: _Motions, used_s: float) -> OdometryFit:
+def _fit_offset(odometry: LogOdometry, motions: _Windows, used_s: float) -> OdometryFit:
     """Return the best fit at any offset; at the one that is used where others fit about as well."""
     fits = {offset_s: _fit(odometry, motions, offset_s) for offset_s in COARSE_S.tolist()}
     best_s = min(fits, key=lambda offset_s: fits[offset_s].error)
@@ -170,7 +170,7 @@ def _fit_offset(odometry: LogOdometry, motions: _Motions, used_s: float) -> Odom
     return _fit(odometry, motions, _vertex_s(odometry, motions, best_s) if distinct else used_s)
 
 
-def _vertex_s(odometry: LogOdometry, motions: _Motions, best_s: float) -> float:
+def _vertex_s(odometry: LogOdometry, motions: _Windows, best_s: float) -> float:
     """Return where the parabola through the squared errors at the best offset and ``STEP_S`` beside it is least, s."""
     before, at, after = (_fit(odometry, motions, best_s + k * STEP_S).error ** 2 for k in (-1, 0, 1))
     bend = before - 2.0 * at + after
@@ -192,7 +192,7 @@ def share_of_turns(odometry: LogOdometry, map_T_laser: Trajectory, used: Odometr
     return float(np.vdot(base[:, 2], turned)) / max(float(np.vdot(turned, turned)), 1e-9)
 
 
-def _motions(map_T_laser: Trajectory, odometry: LogOdometry) -> _Motions:
+def _motions(map_T_laser: Trajectory, odometry: LogOdometry) -> _Windows:
     """Return the motions of a path over a second."""
     stamps_ns = map_T_laser.stamps_ns
     ends = np.searchsorted(stamps_ns, stamps_ns + round(WINDOW_S / NS))
@@ -206,10 +206,10 @@ def _motions(map_T_laser: Trajectory, odometry: LogOdometry) -> _Motions:
     (x_m, y_m, yaw_rad), path_ns = odometry.odom_T_base.xyyaw.T, odometry.odom_T_base.stamps_ns
     start_s, end_s, odometry_s = ((ns - path_ns[0]) * NS for ns in (stamps_ns[starts], stamps_ns[ends], path_ns))
     columns = (x_m, y_m, np.unwrap(yaw_rad))
-    return _Motions(start_s, end_s, in_base, moved[:, 2], odometry_s, np.diff(path_ns) * NS, columns)
+    return _Windows(start_s, end_s, in_base, moved[:, 2], odometry_s, np.diff(path_ns) * NS, columns)
 
 
-def _fit(odometry: LogOdometry, motions: _Motions, offset_s: float, scales: OdometryFit | None = None) -> OdometryFit:
+def _fit(odometry: LogOdometry, motions: _Windows, offset_s: float, scales: OdometryFit | None = None) -> OdometryFit:
     """Return the scales that fit best at an offset, or the error of given ones; infinite where too little is covered.
 
     A scale that the motions do not show to differ from 1 is 1.
@@ -260,7 +260,7 @@ def _mean2(values: NDArray[Any]) -> float:
     return float(np.square(np.abs(values)).mean())
 
 
-def _by_odometry(motions: _Motions, offset_s: float) -> tuple[Array, NDArray[np.bool_]]:
+def _by_odometry(motions: _Windows, offset_s: float) -> tuple[Array, NDArray[np.bool_]]:
     """Return the motions of the base (m, 3) by the odometry, m, m, rad, and which (n,) it covers without a gap."""
     at_s, times = motions.odometry_s, np.array((motions.start_s, motions.end_s)) - offset_s
     after = np.searchsorted(at_s, times)

@@ -67,8 +67,7 @@ NEAR_MINIMA = 3
 """Number of separate minima near the prediction that are refined: the lowest one of a coarse grid may be wrong."""
 
 FOUND_PERIODS = 1.5
-"""Time since the last accepted pose, in periods, below which the previous scan was accepted. Its refundable work is
-then returned: each scan of a sparse log may need a wide search."""
+"""Time since the last accepted pose, in periods, below which the work of the previous scan is returned."""
 
 FOUND_COST, FOUND_ANYWHERE_COST = 0.4, 0.25
 """Maximum cost, as a share of the worst, of a minimum that is refined when the laser is lost, in a wide region and in
@@ -79,11 +78,6 @@ OBSERVED_SHARE = 1 / 30
 
 AT_REST = np.zeros(3)
 """Twist of a laser at rest, for scans that are not de-skewed."""
-
-
-def _expected_poses(scan: Scan, predicted: Pose, motion: Motion) -> tuple[Pose, ...]:
-    """Return the expected poses of a scan: as predicted, by constant velocity, and at rest."""
-    return tuple(dict.fromkeys((predicted, motion.by_velocity(scan.stamp_ns), motion.map_T_laser)))
 
 
 def _is_lost(motion: Motion, elapsed_s: float) -> bool:
@@ -157,12 +151,13 @@ class Robust:
             return no_match(predicted, len(points))
         self._wide_budget.earn(found=elapsed_s < FOUND_PERIODS * motion.period_s)
         self._whole_budget.earn()
+        expected = motion.expected_poses(predicted, scan.stamp_ns)
         if self._missed_before(motion) >= RARELY_SCANS and motion.odometry is None:
-            return self._search_rarely(points, predicted, motion, _expected_poses(scan, predicted, motion), elapsed_s)
+            return self._search_rarely(points, predicted, motion, expected, elapsed_s)
         tried, good = self._search_near(points, predicted, motion, elapsed_s)
         if good:
             return tried[0]
-        expected, lost = _expected_poses(scan, predicted, motion), _is_lost(motion, elapsed_s)
+        lost = _is_lost(motion, elapsed_s)
         regions = self._lost_region(points, expected, elapsed_s) if lost else []
         given_up = lost and not regions
         if given_up and tried and motion.odometry is None:
@@ -281,7 +276,7 @@ class Robust:
         self._free, self._bounded = self._free or everywhere(self.known), True
         limit = FOUND_ANYWHERE_COST if _is_lost(motion, elapsed_s) else np.inf
         matches = [match, *candidates(points, self.lines, self.known, self._free, self.config, limit=limit)]
-        expected = _expected_poses(scan, motion.predict(scan.stamp_ns), motion)
+        expected = motion.expected_poses(motion.predict(scan.stamp_ns), scan.stamp_ns)
         best = best_of(matches, expected, elapsed_s, self.config)
         if best.ambiguous or self.acceptance.conflicts_after_gap(best, motion, elapsed_s):
             return None
