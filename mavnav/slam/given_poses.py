@@ -18,6 +18,7 @@ from mavnav.slam.result import summarize
 from mavnav.slam.retries.beam_order import reverse_beams
 from mavnav.slam.retries.sweep_time import time_sweeps
 from mavnav.slam.track import Track
+from mavnav.units import DEG
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -31,6 +32,12 @@ if TYPE_CHECKING:
 
 ROUNDED_NS: Final = 1_000_000
 """Largest time of a scan before the first pose or after the last that rounding in a text file explains."""
+
+MOST_SCANS: Final = 0.5
+"""Share of the scans with a pose of their own from which on the others have none: they were lost, or left out."""
+
+NEAR_M, NEAR_RAD = 0.1, 1 * DEG
+"""Poses that begin this near to their origin, as those of most programs do, keep their frame, and so the same cells."""
 
 
 def draw_at_poses(
@@ -48,25 +55,28 @@ def draw_at_poses(
     """Draw the map of scans at the poses of a trajectory, and judge it.
 
     Returns that, the pose of the map frame in the world, and how far from its pose, m, the median scan fits the map.
-    The map frame is the laser at the first scan with a pose, or that of a run. Neither odometry nor an inertial sensor
-    is evidence. The scans show the order and the time of the beams.
+    The map frame is that of the poses of a run, or of poses that begin near their origin; else the laser at the first.
+    Neither odometry nor an inertial sensor is evidence. The scans show the order and the time of the beams.
 
     Parameters
     ----------
     log_scans : returns the scans; every call starts at the first scan
     config : how the map is drawn: the cells, ranges and de-skewing of the robust method
     period_s : time between scans
-    world_T_laser : the poses, interpolated between the stamps
+    world_T_laser : the poses, interpolated between the stamps unless most scans have one of their own
     scans_ns : stamps (n,) of all scans
     holds_ns : time from the stamp of a scan to that of its pose
     whole : the poses are those at which the scans as recorded fit best, not those of the laser at mid-sweep
-    of_run : they are those of the scans of a run: its map has their frame, and scans without one were left out
+    of_run : they are those of a run: its map has their frame
     on_step : called with the name of the pass and the number of scans done
     """
     xyyaw = world_T_laser.poses_at(_within_rounding(scans_ns + holds_ns, world_T_laser), MAX_GAP_NS)
-    xyyaw[of_run & ~np.isin(scans_ns, world_T_laser.stamps_ns)] = np.nan
+    has_pose = np.isin(scans_ns, world_T_laser.stamps_ns)
+    if of_run or has_pose.mean() >= MOST_SCANS:
+        xyyaw[~has_pose] = np.nan
     known = np.flatnonzero(np.isfinite(xyyaw[:, 0]))
-    world_T_map = Pose(*xyyaw[known[0]].tolist()) if len(known) and not of_run else Pose()
+    first = Pose(*xyyaw[known[0]].tolist()) if len(known) else Pose()
+    world_T_map = Pose() if of_run or _is_near_origin(first) else first
     steps = Steps(_steps(scans_ns, xyyaw, world_T_map.inverse()))
     causal = replace(config, final_pass=False)  # what warns of a log that mavnav tracked does not apply
     track = Track(log_scans, causal, Motion(period_s), Robust(config), steps=steps, on_step=on_step)
@@ -85,6 +95,10 @@ def draw_at_poses(
     )
     misfit_m = _misfit_m(steps, drawn.steps)
     return summarize(replace(judged, steps=Steps(unmoved))), world_T_map, misfit_m
+
+
+def _is_near_origin(pose: Pose) -> bool:
+    return pose.distance_m <= NEAR_M and abs(pose.yaw_rad) <= NEAR_RAD
 
 
 def _misfit_m(steps: Steps, fitted: Steps) -> float:

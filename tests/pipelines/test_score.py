@@ -119,6 +119,23 @@ def test_stamps_that_a_text_file_has_rounded_are_those_of_the_scans(log: Log) ->
     assert len(outcome.steps) - len(outcome.trajectory) == 3
 
 
+def test_poses_that_begin_near_their_origin_keep_their_frame(log: Log) -> None:
+    first = Pose(*PATH.xyyaw[0])
+    for off in (Pose(0.05, 0.0, np.radians(0.5)), Pose(0.2, 0.0, 0.0), Pose(0.0, 0.0, np.radians(2.0))):
+        moved = Trajectory(PATH.stamps_ns, np.array([off @ first.inverse() @ Pose(*pose) for pose in PATH.xyyaw]))
+        _, world_T_map = drawn(log, moved)
+        assert (world_T_map == Pose()) == (off.x_m < 0.1 and off.yaw_rad < np.radians(1.0))
+
+
+@pytest.mark.parametrize(("step", "placed"), [(2, 0.5), (3, 1.0)])
+def test_scans_between_poses_have_none_where_most_scans_have_their_own(log: Log, step: int, placed: float) -> None:
+    stamps_ns = log.stamps_ns[::step]
+    path = Trajectory(stamps_ns, PATH.poses_at(stamps_ns, 10**9))
+    config = load_config(None, [], {})
+    outcome, *_ = draw_at_poses(log.scans, config, log.period_s, path, log.stamps_ns)
+    assert outcome.tracked_share == pytest.approx(placed, abs=0.03)
+
+
 def test_poses_of_another_time_give_no_map(log: Log) -> None:
     outcome, *_ = drawn(log, Trajectory(PATH.stamps_ns - 10**12, PATH.xyyaw))
     assert len(outcome.trajectory) == 0
