@@ -52,7 +52,7 @@ class Differences(NamedTuple):
 
 def differences(given: Trajectory, tracked: Trajectory) -> Differences:
     """Return how poses differ from a track of the same scans; nothing where too little moves, or is covered."""
-    fit = fit_odometry(LogOdometry(given), tracked, GOOD_ODOMETRY)
+    fit = fit_odometry(LogOdometry(given), tracked, GOOD_ODOMETRY) if len(given) and len(tracked) else None
     if fit is None or fit.error > MOST_ERROR:
         return Differences()
     fitted = correct_path(given, round(fit.offset_s / NS), fit.distance_scale, fit.turn_scale)

@@ -59,4 +59,6 @@ def test_poses_that_share_no_motion_show_nothing() -> None:
     assert differences(still, still) == Differences()
     assert differences(Trajectory(PATH.stamps_ns + 10**12, PATH.xyyaw), PATH) == Differences()
     assert differences(PATH, Trajectory(PATH.stamps_ns[:1], PATH.xyyaw[:1])) == Differences()
+    empty = Trajectory(PATH.stamps_ns[:0], PATH.xyyaw[:0])
+    assert differences(empty, PATH) == differences(PATH, empty) == Differences()
     assert jumps(PATH, Trajectory(PATH.stamps_ns[:1], PATH.xyyaw[:1])) == ()
