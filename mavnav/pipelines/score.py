@@ -28,8 +28,8 @@ from mavnav.outputs.files.finished_run import finished_run
 from mavnav.outputs.run import RunResult, Timing, half_sweep_s
 from mavnav.outputs.writers import write_run
 from mavnav.pipelines.again import changed_values
-from mavnav.pipelines.differing import differing, own_path
 from mavnav.pipelines.maps import check_references, measured_map, references_in_map, with_true_map_placed
+from mavnav.pipelines.own_track import difference_section, own_path
 from mavnav.pipelines.programs import Program, run_program
 from mavnav.pipelines.reach import with_reach
 from mavnav.pipelines.replay import ReplayRequest
@@ -337,7 +337,7 @@ def _score(
             poses=len(poses.world_T_laser),
             origin=origin,
             misfit_mm=misfit_m / MM,
-            **{"source": source.text, **poses.program, **differing(outcome.trajectory, poses.own, log)},
+            **{"source": source.text, **poses.program, **difference_section(outcome.trajectory, poses.own, log)},
         ),
         reference=compare_to(references, held, occupied_xy_m(outcome.grid)),
         true_map=references.true_map,

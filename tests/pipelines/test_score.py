@@ -14,8 +14,8 @@ from mavnav.logs import Log, open_log
 from mavnav.metrics.wall_spread import wall_report
 from mavnav.outputs.documents.sections import PoseJump
 from mavnav.outputs.files.document import track_verdict
-from mavnav.pipelines.differing import differing, own_path
 from mavnav.pipelines.maps import measured_map
+from mavnav.pipelines.own_track import difference_section, own_path
 from mavnav.pipelines.score import ScoreRequest, TrajectorySource, read_source, score_log
 from mavnav.pose import Pose, Trajectory
 from mavnav.profiling import silent
@@ -98,7 +98,7 @@ def own(log: Log) -> Trajectory | None:
 
 @pytest.mark.parametrize("error", ERRORS)
 def test_every_planted_error_is_told(log: Log, own: Trajectory | None, error: str) -> None:
-    differs = differing(drawn(log, planted(PATH.xyyaw, error))[0].trajectory, own, log)
+    differs = difference_section(drawn(log, planted(PATH.xyyaw, error))[0].trajectory, own, log)
     (jump,) = differs["jumps"] or [PoseJump(0.0, 0.0, 0.0)]
     late_s, scale = differs["late_s"], differs["distance_scale"]
     assert late_s == pytest.approx(0.2 if error == "0.2 s late" else 0.0, abs=0.02)
@@ -113,8 +113,8 @@ def test_every_planted_error_is_told(log: Log, own: Trajectory | None, error: st
 def test_nothing_is_told_of_the_truth_nor_without_a_track(
     log: Log, true: tuple[SlamResult, Pose], own: Trajectory | None
 ) -> None:
-    assert differing(true[0].trajectory, own, log) == {"late_s": 0.0, "distance_scale": 1.0, "jumps": []}
-    assert differing(true[0].trajectory, None, log) == {}
+    assert difference_section(true[0].trajectory, own, log) == {"late_s": 0.0, "distance_scale": 1.0, "jumps": []}
+    assert difference_section(true[0].trajectory, None, log) == {}
 
 
 def half_lost(track: Track) -> np.ndarray:

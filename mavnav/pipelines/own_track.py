@@ -27,7 +27,7 @@ def own_path(log: Log, config: Config, progress: Progress, *, whole: bool) -> Tr
     return own.trajectory if own.doubt and not own.doubt.high and not own.lost_for_good else None
 
 
-def differing(path: Trajectory, own: Trajectory | None, log: Log) -> dict[str, Any]:
+def difference_section(path: Trajectory, own: Trajectory | None, log: Log) -> dict[str, Any]:
     """Return how given poses differ from mavnav's own, as `External` has it; nothing without those."""
     if own is None:
         return {}
