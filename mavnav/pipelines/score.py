@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache, partial
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
@@ -28,6 +29,7 @@ from mavnav.outputs.run import RunResult, Timing, half_sweep_s
 from mavnav.outputs.writers import write_run
 from mavnav.pipelines.again import changed_values
 from mavnav.pipelines.maps import check_references, measured_map, references_in_map, with_true_map_placed
+from mavnav.pipelines.own_track import difference_section, own_path
 from mavnav.pipelines.programs import Program, run_program
 from mavnav.pipelines.reach import with_reach
 from mavnav.pipelines.replay import ReplayRequest
@@ -161,12 +163,13 @@ class Scored(NamedTuple):
 
 
 class _GivenPoses(Struct, frozen=True):
-    """A trajectory of the laser, what its poses were of, and what a program took to write it."""
+    """A trajectory of the laser, what its poses were of, what a program took to write it, and mavnav's own."""
 
     source: TrajectorySource
     world_T_laser: Trajectory
     frame: str
     program: dict[str, Any] = {}
+    own: Trajectory | None = None
 
 
 def score_log(request: ScoreRequest, progress: Progress) -> list[Scored]:
@@ -190,7 +193,13 @@ def score_log(request: ScoreRequest, progress: Progress) -> list[Scored]:
     load_kernels(config, progress)
     log = replace(log, warnings=(*warnings, *log.warnings))
     request = replace(request, config=config)
-    scored = [Scored(each.source.name, _score(each, request, log, references, progress)) for each in poses]
+    own = cache(partial(own_path, log, config, progress))
+
+    def score(given: _GivenPoses) -> Scored:
+        given = replace(given, own=own(whole=given.source.pose_at == WHOLE))
+        return Scored(given.source.name, _score(given, request, log, references, progress))
+
+    scored = [score(each) for each in poses]
     for program in request.programs:
         progress(program.name, 0, None)
         cost = run_program(program, request.log, _written(program, request), request.limit_s)
@@ -198,7 +207,7 @@ def score_log(request: ScoreRequest, progress: Progress) -> list[Scored]:
         if isinstance(poses_or_error, str):
             scored.append(Scored(program.name, None, poses_or_error))
         else:
-            scored.append(Scored(program.name, _score(poses_or_error, request, log, references, progress)))
+            scored.append(score(poses_or_error))
     return scored
 
 
@@ -328,7 +337,7 @@ def _score(
             poses=len(poses.world_T_laser),
             origin=origin,
             misfit_mm=misfit_m / MM,
-            **{"source": source.text, **poses.program},
+            **{"source": source.text, **poses.program, **difference_section(outcome.trajectory, poses.own, log)},
         ),
         reference=compare_to(references, held, occupied_xy_m(outcome.grid)),
         true_map=references.true_map,

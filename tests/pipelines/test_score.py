@@ -12,8 +12,10 @@ from mavnav.config.models import Config
 from mavnav.errors import UsageError
 from mavnav.logs import Log, open_log
 from mavnav.metrics.wall_spread import wall_report
+from mavnav.outputs.documents.sections import PoseJump
 from mavnav.outputs.files.document import track_verdict
 from mavnav.pipelines.maps import measured_map
+from mavnav.pipelines.own_track import difference_section, own_path
 from mavnav.pipelines.score import ScoreRequest, TrajectorySource, read_source, score_log
 from mavnav.pose import Pose, Trajectory
 from mavnav.profiling import silent
@@ -87,6 +89,32 @@ def test_the_truth_is_good_and_stays_where_it_is(log: Log, true: tuple[SlamResul
     expected = PATH.poses_at(outcome.trajectory.stamps_ns + round(log.mid_sweep_s * 1e9), 10**9)
     np.testing.assert_allclose(outcome.trajectory.seen_from(world_T_map).xyyaw, expected, atol=1e-9)
     assert outcome.tracked_share == 1.0
+
+
+@pytest.fixture(scope="module")
+def own(log: Log) -> Trajectory | None:
+    return own_path(log, load_config(None, [], {}), silent, whole=False)
+
+
+@pytest.mark.parametrize("error", ERRORS)
+def test_every_planted_error_is_told(log: Log, own: Trajectory | None, error: str) -> None:
+    differs = difference_section(drawn(log, planted(PATH.xyyaw, error))[0].trajectory, own, log)
+    (jump,) = differs["jumps"] or [PoseJump(0.0, 0.0, 0.0)]
+    late_s, scale = differs["late_s"], differs["distance_scale"]
+    assert late_s == pytest.approx(0.2 if error == "0.2 s late" else 0.0, abs=0.02)
+    assert scale == pytest.approx(1.02 if error == "scale of 1.02" else 1.0, abs=0.005)
+    assert jump.moved_m == pytest.approx(0.1 if error == "slip of 0.1 m" else 0.0, abs=0.03)
+    assert jump.turned_deg == pytest.approx(2.0 if error == "bend of 2 deg" else 0.0, abs=0.4)
+    if jump.at_s:
+        half_s = (PATH.stamps_ns[len(PATH) // 2] - log.first_ns) / 1e9
+        assert jump.at_s == pytest.approx(half_s, abs=0.2)
+
+
+def test_nothing_is_told_of_the_truth_nor_without_a_track(
+    log: Log, true: tuple[SlamResult, Pose], own: Trajectory | None
+) -> None:
+    assert difference_section(true[0].trajectory, own, log) == {"late_s": 0.0, "distance_scale": 1.0, "jumps": []}
+    assert difference_section(true[0].trajectory, None, log) == {}
 
 
 def half_lost(track: Track) -> np.ndarray:

@@ -16,7 +16,7 @@ from mavnav.metrics.fields import Measured, number, text
 from mavnav.metrics.map_quality import MapQuality
 from mavnav.metrics.reference import Reference
 from mavnav.metrics.wall_spread import WallThicknessReport
-from mavnav.outputs.documents.sections import OPTIONAL, AttitudeSource, Continued, MapSlice, Options, Tracking
+from mavnav.outputs.documents.sections import OPTIONAL, AttitudeSource, Continued, MapSlice, Options, PoseJump, Tracking
 from mavnav.outputs.documents.verdict import Verdict
 
 
@@ -169,6 +169,9 @@ class External(Struct, frozen=True):
     poses: Annotated[int, number("poses of the trajectory")]
     origin: StartPose
     misfit_mm: Annotated[Measured, number("how far from its pose the median scan fits the map of all best")] = OPTIONAL
+    late_s: Annotated[float, number("how late the poses are beside mavnav's own track, 0 if hardly")] = OPTIONAL
+    distance_scale: Annotated[float, number("their distances as a multiple of its distances, 1 if hardly")] = OPTIONAL
+    jumps: Annotated[list[PoseJump], text("their jumps that the scans do not show")] = OPTIONAL
     wall_s: Annotated[float, number("time that the command took by the clock")] = OPTIONAL
     cpu_s: Annotated[Measured, number("processor time of the command")] = OPTIONAL
     peak_memory_mb: Annotated[Measured, number("largest memory of a process of the command")] = OPTIONAL

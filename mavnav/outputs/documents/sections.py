@@ -303,3 +303,11 @@ def _plain(value: Any) -> Any:  # noqa: ANN401  the value of any option
     if isinstance(value, tuple):
         return GivenPose(*value)
     return str(value) if isinstance(value, Path) else value
+
+
+class PoseJump(Struct, frozen=True):
+    """A jump of given poses that the scans do not show."""
+
+    at_s: Annotated[float, number("when, from the beginning of the log")]
+    moved_m: Annotated[float, number("distance that the poses move more than the scans")]
+    turned_deg: Annotated[float, number("turn that the poses make more than the scans")]

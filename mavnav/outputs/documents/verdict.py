@@ -198,6 +198,8 @@ def _evidence(run: Run) -> str:
 
     It is a symptom of the others.
     """
+    if seen := _differences(run.get("external") or {}):
+        return seen
     reasons = run["tracking"]["doubt"]["reasons"]
     causes = [each for each in reasons if each["reason"] != SYMPTOM] or reasons
     if not causes:
@@ -283,6 +285,23 @@ def _beside(run: Run) -> Cause:
     return f"the median scan fits the map {misfit_mm:.0f} mm beside its pose", LOOK
 
 
+def _differs(run: Run) -> Cause:
+    """Say of given poses how they differ from mavnav's own track."""
+    seen = _differences(run.get("external") or {})
+    return (seen, f"check the clock and the units of the poses; {LOOK}") if seen else None
+
+
+def _differences(external: Mapping[str, Any]) -> str:
+    late_s, scale = external.get("late_s", 0.0), external.get("distance_scale", 1.0)
+    said = [f"the poses are {abs(late_s):.2f} s {'late' if late_s > 0.0 else 'early'} beside the scans"] * bool(late_s)
+    if scale != 1.0:
+        said.append(f"distances are {100.0 * abs(scale - 1.0):.1f} % {'long' if scale > 1.0 else 'short'}")
+    for k, jump in enumerate(external.get("jumps", [])):
+        jumped = f"{jump['moved_m']:.2f} m and {jump['turned_deg']:.1f} deg at {jump['at_s']:.1f} s"
+        said.append(jumped if k else f"the path jumps where the scans do not, by {jumped}")
+    return ", ".join(said)
+
+
 def _unchecked(run: Run) -> Cause:
     """Say of a track without a doubt why it has none."""
     if run["tracking"]["doubt"]["probability"] is not None:
@@ -296,6 +315,7 @@ RULES: Final[tuple[tuple[Literal["suspect", "wrong", "lost"], Callable[[Run], Ca
     ("lost", _not_joined),
     ("lost", _lost),
     ("wrong", partial(_doubted, above=CERTAIN, how="is probably wrong")),
+    ("suspect", _differs),
     ("suspect", partial(_doubted, above=HIGH, how="may be wrong")),
     ("suspect", _ended),
     ("suspect", _left_out),

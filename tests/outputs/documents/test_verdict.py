@@ -46,6 +46,12 @@ def beside(misfit_mm: float | None) -> dict[str, Any]:
     return external(0, None, None) | {"config": config, "external": {"misfit_mm": misfit_mm}}
 
 
+def differing(late_s: float = 0.0, distance_scale: float = 1.0, **jump: float) -> dict[str, Any]:
+    """Return a run at given poses that differ from those of mavnav."""
+    section = {"late_s": late_s, "distance_scale": distance_scale, "jumps": [jump] if jump else []}
+    return external(0, None, None) | {"external": section}
+
+
 def lost(share: float = 0.3, **more: Any) -> dict[str, Any]:
     return run(lost=True, tracked_share=share, **more)
 
@@ -72,6 +78,7 @@ def test_the_doubt_decides(probability: float, word: str) -> None:
         external(100, 90.0, 10.0) | {"method": "robust"},
         beside(14.9),
         beside(None),
+        differing(),
     ],
 )
 def test_revisits_that_fit_as_well_as_those_of_good_tracks_do_no_harm(sections: dict[str, Any]) -> None:
@@ -142,6 +149,17 @@ def test_every_reason_of_the_doubt_has_a_meaning() -> None:
             },
             "the map cannot be measured: 0.3 m of its occupied cells lie on straight lines, 2 m are needed",
             "compare map.png with the place",
+        ),
+        (
+            differing(-0.2, 1.02),
+            "the poses are 0.20 s early beside the scans, distances are 2.0 % long",
+            "check the clock and the units of the poses; compare map.png with the place",
+        ),
+        (
+            differing(0.2, at_s=12.44, moved_m=0.1, turned_deg=2.0),
+            "the poses are 0.20 s late beside the scans, "
+            "the path jumps where the scans do not, by 0.10 m and 2.0 deg at 12.4 s",
+            "check the clock and the units of the poses; compare map.png with the place",
         ),
         (beside(15.1), "the median scan fits the map 15 mm beside its pose", "compare map.png with the place"),
         (
