@@ -28,7 +28,7 @@ def plan(
     output: Annotated[
         Path | None,
         shared.output_option(
-            "--output", "-o", metavar="FILE.svg|FILE.dxf", help="The drawing (default beside it, NAME-plan.svg)."
+            "--output", "-o", metavar="FILE.svg|FILE.dxf", help="The drawing (default RUN/plan.svg, or MAP-plan.svg)."
         ),
     ] = None,
     scale: Annotated[
@@ -42,9 +42,8 @@ def plan(
     with reporting(quiet=quiet) as report:
         with loading_modules():
             from mavnav.pipelines.plan import draw_plan
-        named = source.absolute()
-        target = output or named.with_name(f"{named.name if source.is_dir() else named.stem}-plan.svg")
-        document = draw_plan(source, target, scale, report, force=force)
+        usual = source / "plan.svg" if source.is_dir() else source.with_name(f"{source.stem}-plan.svg")
+        document = draw_plan(source, output or usual, scale, report, force=force)
     print_result(document, _rows(document), json=json)
 
 

@@ -11,6 +11,7 @@ from mavnav.commands import poses, shared
 from mavnav.commands.comparison_table import print_result_of
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.sources import local_log
+from mavnav.commands.terminal import note, printable
 from mavnav.config.options import REFERENCES, read_options, settings_of
 from mavnav.errors import worst
 
@@ -73,6 +74,8 @@ def score(
         document = write_scores(source.name, scored, target)
         report("drawing the report", 0, None)
         write_page(document, target)
+    for warning in dict.fromkeys(text for each in scored if each.document for text in each.document["warnings"]):
+        note(f"mavnav: warning: {printable(warning)}")
     print_result_of(document, target / REPORT_FILE, json=json)
     gated = [shared.gated_code(each.document, bounds) for each in scored if each.document]
     raise typer.Exit(worst([document["exit_code"], *gated]))

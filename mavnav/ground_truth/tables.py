@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+from collections import Counter
 from decimal import Decimal, InvalidOperation
 from math import isfinite
+from operator import itemgetter
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -15,8 +17,11 @@ from mavnav.metrics.reference import Relations
 from mavnav.pose import Trajectory, yaw_of_quaternion
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
     from pathlib import Path
+
+    _Row = tuple[int, tuple[float, float, float]]
+    """Stamp in ns, and x (m), y (m), yaw (rad)."""
 
 COLUMNS: Final = 8
 UNIT_TOLERANCE: Final = 0.01
@@ -33,13 +38,15 @@ LATEST_S: Final = 9_000_000_000
 def read_tum(path: Path) -> Trajectory:
     """Read a trajectory: rows of ``t x y z qx qy qz qw`` (s, m, unit quaternion), ``#`` begins a comment.
 
-    Rows may have any order of time. Raises UsageError with file and line.
+    Rows may have any order of time; of several with one stamp the last counts. Raises UsageError with file and line.
     """
-    poses = {}
+    return _in_order(_of_tum(path))[0]
+
+
+def _of_tum(path: Path) -> Iterator[_Row]:
     for where, columns in _rows(path, "a TUM trajectory, t x y z qx qy qz qw"):
         x, y, _, *quaternion = (_number(where, text) for text in columns[1:])
-        poses[_stamp_ns(where, columns[0])] = (x, y, _yaw_rad(where, quaternion))
-    return _in_order(poses)
+        yield _stamp_ns(where, columns[0]), (x, y, _yaw_rad(where, quaternion))
 
 
 TRAJECTORIES: Final = "a trajectory: TUM, CSV with t,x,y,yaw (s, m, rad), trajectory.csv of a run, or EuRoC"
@@ -48,8 +55,10 @@ EUROC_COLUMNS: Final = 8
 """Least number of columns of EuRoC's state estimates: time in ns, position, quaternion from w on, and more."""
 
 
-def read_trajectory(path: Path) -> Trajectory:
-    """Read a trajectory by its content: TUM, or comma-separated rows of one of three kinds.
+def read_trajectory(path: Path) -> tuple[Trajectory, int]:
+    """Read a trajectory by its content, and count its stamps with poses that differ, of which the last counts.
+
+    It is TUM, or comma-separated rows of one of three kinds:
 
     ``t,x,y,yaw`` (s, m, m, rad); ``trajectory.csv`` of a run, whose scans without a pose are left out; and the state
     estimates of EuRoC, ``t,x,y,z,qw,qx,qy,qz`` (ns, m). Raises UsageError with file and line, also for KITTI's poses,
@@ -58,21 +67,21 @@ def read_trajectory(path: Path) -> Trajectory:
     lines = [line for line in _text(path, TRAJECTORIES).splitlines() if line.strip()]
     data = next((line for line in lines if not line.startswith("#")), "")
     if "," in data:
-        return _of_table(path, list(csv.reader(lines)))
+        return _in_order(_of_table(path, list(csv.reader(lines))))
     if len(data.split()) == KITTI_COLUMNS:
         advice = "make a TUM file of poses and times with evo's kitti_poses_and_timestamps_to_trajectory.py"
         raise UsageError(f"{path} has poses without times (KITTI); {advice}")
-    return read_tum(path)
+    return _in_order(_of_tum(path))
 
 
-def _of_table(path: Path, rows: list[list[str]]) -> Trajectory:
+def _of_table(path: Path, rows: list[list[str]]) -> list[_Row]:
     """Return the poses of comma-separated rows, the first of which may be a head."""
     head = [name.strip(" #") for name in rows[0]]
     names = {name: k for k, name in enumerate(head)}
     euroc = any("[ns]" in name for name in head)
     wanted = ("stamp", "x_m", "y_m", "yaw_rad") if "stamp" in names else ("t", "x", "y", "yaw")
     columns = [names.get(name, k) for k, name in enumerate(wanted)]
-    poses = {}
+    poses = []
     for number, row in enumerate(rows, start=1):
         where = f"{path}, row {number}"
         if row[0].startswith("#") or (number == 1 and not _is_number(row[0])):
@@ -81,18 +90,21 @@ def _of_table(path: Path, rows: list[list[str]]) -> Trajectory:
             raise UsageError(f"{where}: {len(row)} columns are too few; name a file of {TRAJECTORIES}")
         if euroc:
             x, y, _, w, *xyz = (_number(where, text) for text in row[1:EUROC_COLUMNS])
-            poses[_stamp_ns(where, f"{row[0]}e-9")] = (x, y, _yaw_rad(where, [*xyz, w]))
+            poses.append((_stamp_ns(where, f"{row[0]}e-9"), (x, y, _yaw_rad(where, [*xyz, w]))))
         elif all(row[k].strip() for k in columns):
             x, y, yaw = (_number(where, row[k]) for k in columns[1:])
-            poses[_stamp_ns(where, row[columns[0]])] = (x, y, yaw)
+            poses.append((_stamp_ns(where, row[columns[0]]), (x, y, yaw)))
     if not poses:
         raise UsageError(f"{path} has no pose; name a file of {TRAJECTORIES}")
-    return _in_order(poses)
+    return poses
 
 
-def _in_order(poses: dict[int, tuple[float, float, float]]) -> Trajectory:
-    stamps_ns = sorted(poses)
-    return Trajectory(np.array(stamps_ns, np.int64), np.array([poses[t] for t in stamps_ns], np.float64))
+def _in_order(rows: Iterable[_Row]) -> tuple[Trajectory, int]:
+    """Return a trajectory with the last pose of each stamp, and how many stamps have poses that differ."""
+    pairs = set(rows := list(rows))
+    poses = dict(sorted(rows, key=itemgetter(0)))
+    several = sum(count > 1 for count in Counter(stamp_ns for stamp_ns, _ in pairs).values())
+    return Trajectory(np.array([*poses], np.int64), np.array([*poses.values()], np.float64)), several
 
 
 def _yaw_rad(where: str, quaternion: list[float]) -> float:

@@ -20,7 +20,7 @@ from mavnav.metrics.map_quality import measure_map
 from mavnav.outputs.directory import MERGE_FILE, RUN_FILE, atomic_directory, check_directory, document_of, file_sha256
 from mavnav.outputs.documents.run_json import RunDocument
 from mavnav.outputs.documents.sections import evidence
-from mavnav.outputs.documents.verdict import Verdict, worst_verdict
+from mavnav.outputs.documents.verdict import Verdict, joining_advice, worst_verdict
 from mavnav.outputs.files.document import plain, to_json
 from mavnav.outputs.files.finished_run import MergeRecord, finished_run, of_document
 from mavnav.outputs.files.gridmap import GridMap, write_npz, write_pgm, write_yaml
@@ -52,8 +52,6 @@ if TYPE_CHECKING:
 
 TRACKING: Final = ("lost", "tracked_share", "intervals", "doubt")
 """What merge.json repeats of the tracking of each session."""
-
-OVERLAP: Final = "record it along 3 m or more of the way of another session"
 
 OF_LOGS: Final = (ExitCode.DAMAGED_INPUT, ExitCode.TRACKING_LOST)
 """Exit codes of a run that a merge takes over."""
@@ -235,8 +233,8 @@ def merge_verdict(sessions: list[dict[str, Any]]) -> Verdict:
     """Return the verdict on the map of sessions: the worst of theirs; suspect where one did not join."""
     known = [each for each in sessions if each["joined"] and each["verdict"]]
     own = [Verdict(**each["verdict"] | {"reason": f"{each['name']}: {each['verdict']['reason']}"}) for each in known]
-    apart = [Verdict("suspect", f"{e['name']} did not join: {e['why']}", OVERLAP) for e in sessions if not e["joined"]]
-    worst = worst_verdict([*own, *apart])
+    apart = [(f"{e['name']} did not join: {e['why']}", joining_advice(e["why"])) for e in sessions if not e["joined"]]
+    worst = worst_verdict([*own, *(Verdict("suspect", *each) for each in apart)])
     return worst if worst and worst.word != "good" else Verdict("good", "every session joined and is good", "")
 
 

@@ -51,6 +51,7 @@ if TYPE_CHECKING:
 LASER: Final = "laser"
 BASE: Final = "base"
 RUN_POSES: Final = "trajectory.tum"
+MERGED_POSES: Final = "session_*.tum"
 WHOLE: Final = "whole"
 """Where in a sweep the pose holds at which the scan as recorded fits best."""
 PROGRAMS: Final = "programs"
@@ -76,8 +77,11 @@ class TrajectorySource(Struct, frozen=True):
 
     @property
     def path(self) -> Path:
-        """The file; that of the poses in a run directory."""
+        """The file; that of the poses in a run directory. Raises UsageError for a merge, which has several."""
         path = Path(self.text)
+        if not (path / RUN_POSES).exists() and (sessions := sorted(path.glob(MERGED_POSES))):
+            names = " or ".join(map(str, sessions))
+            raise UsageError(f"{path} is a merge, with a trajectory of each session; name {names}")
         return path / RUN_POSES if path.is_dir() else path
 
 
@@ -168,6 +172,7 @@ class _GivenPoses(Struct, frozen=True):
     source: TrajectorySource
     world_T_laser: Trajectory
     frame: str
+    warnings: tuple[str, ...] = ()
     program: dict[str, Any] = {}
     own: Trajectory | None = None
 
@@ -273,17 +278,22 @@ def _open(request: ScoreRequest, recorded: str | None) -> Log:
 
 def _read(source: TrajectorySource, request: ScoreRequest, log: Log) -> _GivenPoses:
     """Read the poses of the laser; raises UsageError for those of another time, and for a frame without a mounting."""
+    warnings: tuple[str, ...] = ()
     if source.in_log is not None:
         truth = _open(request, source.in_log).truth
         path, frame = (truth.world_T_laser, truth.body_frame or BASE) if truth else (None, "")
     else:
-        path, frame = read_trajectory(source.path).compose(_mounting(source, log)), source.frame
+        poses, several = read_trajectory(source.path)
+        path, frame = poses.compose(_mounting(source, log)), source.frame
+        if several:
+            stamps = f"{several} of {len(poses)} stamps have poses that differ"
+            warnings = (f"{source.text}: {stamps}; the last of each is used; leave one row of each stamp",)
     if path is None or not log.shares_time(path.stamps_ns):
         ends = "no poses" if not path else "{:.1f} to {:.1f} s".format(*(path.stamps_ns[[0, -1]] * NS))
         span = f"{log.first_ns * NS:.1f} to {log.last_ns * NS:.1f} s"
         advice = "give poses with the clock of the scans"
         raise UsageError(f"{source.text}: its poses ({ends}) and the scans ({span}) share no time; {advice}")
-    return _GivenPoses(source, path, frame)
+    return _GivenPoses(source, path, frame, warnings)
 
 
 def _mounting(source: TrajectorySource, log: Log) -> Pose:
@@ -320,7 +330,7 @@ def _score(
     held = in_time_of_truth(outcome.trajectory, half_sweep_s(log, outcome), config.truth_at)
     references, warnings = references_in_map(references, log, int(held.stamps_ns[0]) if len(held) else None)
     references = with_true_map_placed(references, outcome.grid, config)
-    outcome = replace(outcome, warnings=(*outcome.warnings, *warnings))
+    outcome = replace(outcome, warnings=(*outcome.warnings, *poses.warnings, *warnings))
     origin = StartPose(world_T_map.x_m, world_T_map.y_m, world_T_map.yaw_rad / DEG)
     measured = measured_map(outcome, log)
     run = RunResult(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from shutil import copytree
 from xml.etree import ElementTree
 
 import numpy as np
@@ -87,6 +88,18 @@ def test_a_map_of_another_tool_has_a_plan_beside_it(mavnav, tmp_path) -> None:
     assert read_map(tmp_path / "map.yaml").grid.hits.sum() > 0
     code, _, err = mavnav("plan", tmp_path / "map.yaml")
     assert (code, "exists; choose another file, or --force" in err) == (6, True)
+
+
+def test_a_run_has_its_plan_inside_so_that_runs_can_still_be_checked_all(mavnav, walls, tmp_path) -> None:
+    """A file beside the runs would be one of ``runs/*``."""
+    for name in ("a", "b"):
+        copytree(walls, tmp_path / name)
+        (tmp_path / name / "run.json").write_text('{"exit_code": 0, "outputs": {}}')
+    code, out, err = mavnav("plan", tmp_path / "a", "--json")
+    assert (code, json.loads(out)["output"]) == (0, str(tmp_path / "a" / "plan.svg")), err
+    code, out, err = mavnav("check", *sorted(tmp_path.iterdir()))
+    assert (code, len(out.splitlines())) == (0, 2), err
+    assert mavnav("check", tmp_path / "a" / "plan.svg")[0] == 2
 
 
 def test_what_cannot_be_drawn_is_refused(mavnav, walls, tmp_path) -> None:

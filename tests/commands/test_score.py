@@ -127,6 +127,24 @@ def test_what_has_no_pose_is_counted(folder: Path) -> None:
     assert "of the scans have a pose" in short["verdict"]["reason"]
 
 
+def test_several_poses_of_a_stamp_are_counted_and_the_last_is_used(
+    folder: Path, scores: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = (folder / "truth.tum").read_text().splitlines(keepends=True)
+    others = [f"{row.split()[0]} 9 9 0 0 0 0 1\n" for row in rows[10:13]]
+    for name, first in (("twice", others), ("same", rows[10:13])):
+        (folder / f"{name}.tum").write_text("".join([*first, *rows]))
+    assert score(folder, f"{folder}/twice.tum@first", f"{folder}/same.tum@first", out="repeated") == 0
+    said = f"{folder}/twice.tum: 3 of {len(PATH)} stamps have poses that differ; the last of each is used"
+    err = capsys.readouterr().err
+    assert f"warning: {said}" in err
+    assert "same.tum" not in err
+    for name in ("twice", "same"):
+        poses, true = (read_tum(path / "trajectory.tum") for path in (folder / "repeated" / name, scores / "truth"))
+        np.testing.assert_array_equal(poses.xyyaw, true.xyyaw)
+    assert [said in text for text in document(folder / "repeated" / "twice")["warnings"]] == [True]
+
+
 WRITER = """
 import sys, time, subprocess
 log, poses, out, how = sys.argv[1:]
@@ -196,6 +214,7 @@ def test_programs_are_checked_before_the_work(
         (["a={folder}/early.tum"], "share no time"),
         (["a={folder}/truth.tum,wheel"], "known are laser, base, laser, base_link"),
         (["../a={folder}/truth.tum"], "names no directory"),
+        (["a={folder}/merge"], "merge/session_a.tum or {folder}/merge/session_b.tum"),
         (["a=tf:map,wheel"], "no transforms lead from 'map' to 'wheel'"),
         (
             ["a=topic:/nothing"],
@@ -207,8 +226,11 @@ def test_mistakes_are_found_before_the_work(
     folder: Path, words: list[str], why: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_poses(Trajectory(PATH.stamps_ns - 10**12, PATH.xyyaw), folder / "early.tum")
+    (folder / "merge").mkdir(exist_ok=True)
+    for name in "ab":
+        write_poses(PATH, folder / "merge" / f"session_{name}.tum")
     assert score(folder, *(word.format(folder=folder) for word in words), out="none") == 2
-    assert why in capsys.readouterr().err
+    assert why.format(folder=folder) in capsys.readouterr().err
     assert not (folder / "none").exists()
 
 

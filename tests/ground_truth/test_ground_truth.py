@@ -231,7 +231,8 @@ FORMATS = {
 def test_trajectories_are_read_by_their_content(tmp_path, name) -> None:
     file = tmp_path / "poses.txt"
     file.write_text(FORMATS[name])
-    trajectory = read_trajectory(file)
+    trajectory, several = read_trajectory(file)
+    assert several == 0
     assert trajectory.stamps_ns.tolist() == [7_000_000_000, 7_500_000_000]
     np.testing.assert_allclose(trajectory.xyyaw, [[0, 0, 0], [1, 2, np.pi / 2]], atol=1e-12)
 

@@ -319,6 +319,7 @@ TRIALS = [
         "sweep log.mcap",
         f"compare log.mcap --set odom=auto,off {SHORT} -o new",
     ),
+    ("write 'mavnav batch benchmark'", "benchmark log.mcap", "batch benchmark --help"),
     ("write 'mavnav convert LOG OUT.mcap'", "export log.mcap", "convert log.mcap made.mcap --force"),
     ("write 'mavnav merge RUN RUN'", "join run merged", "merge run next.mcap -o new -q"),
     ("write 'mavnav replay LOG --map MAP'", "localize log.mcap", f"replay log.mcap --map run -o new {FAST}"),

@@ -112,7 +112,14 @@ def _not_joined(run: Run) -> Cause:
     if not continued or continued["joined"]:
         return None
     why = f"{continued['name']} did not join {continued['run']}: {continued['why']}; it is alone in a frame of its own"
-    return why, "record it with an overlap of 3 m or more"
+    return why, joining_advice(continued["why"])
+
+
+def joining_advice(why: str) -> str:
+    """Return what to do about a session that did not join for a reason."""
+    if "has the scans of" in why:
+        return "leave it out: its scans are in the map already"
+    return "record it along 3 m or more of the way of another session"
 
 
 def _lost(run: Run) -> Cause:

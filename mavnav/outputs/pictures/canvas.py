@@ -72,6 +72,11 @@ class Canvas(Struct, frozen=True):
         image = Image.new("RGB", (width * density, height * density), "white")
         return cls(image, ImageDraw.Draw(image), density)
 
+    def part(self, box: Box) -> Canvas:
+        """Copy what a box of a picture of density 1 shows, to draw on."""
+        image = self.image.crop(box)
+        return Canvas(image, ImageDraw.Draw(image))
+
     @property
     def width(self) -> int:
         """Width."""

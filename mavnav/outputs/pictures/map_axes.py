@@ -35,6 +35,9 @@ HIT_COLOURS: Final = ramp(("#35b779", "#1f9e89", "#26828e", "#31688e", "#3e4989"
 FRAME_GREY: Final = "#cccccc"
 HIT_TICKS: Final = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000)
 
+TICK_ROOM: Final = (60, 30)
+"""Of a label in x and in y, in pixels."""
+
 MARGINS: Final = (100, 110, 130, 120)
 """Left, top, right and bottom of a map with a scale of hits in its picture, in pixels."""
 
@@ -154,25 +157,23 @@ def hit_ticks(top: float) -> list[tuple[float, str]]:
 def draw_axes(axes: Axes, most: tuple[int, int] = (9, 9)) -> None:
     """Draw border and ticks, at most so many in x and y; in a turned map they are where lines of the map's x and y end.
 
-    x is told at the lower border, y at the left one.
+    x is told at the lower border, y at the left one; fewer where there is no room for the labels.
     """
     (x0, x1, y0, y1), c, s = axes.limits, cos(axes.turn_rad), sin(axes.turn_rad)
-    in_x = plot.ticks(c * x0 + s * y0, c * x1 + s * y0, most[0])
-    in_y = plot.ticks(c * y0 - s * x0, c * y1 - s * x0, most[1])
+    (left, top, right, bottom), (width, height) = axes.box, TICK_ROOM
+    in_x = c * x0 + s * y0, c * x1 + s * y0, max(1, min(most[0], (right - left) // width))
+    in_y = c * y0 - s * x0, c * y1 - s * x0, max(1, min(most[1], (bottom - top) // height))
     if axes.turn_rad:
-        _draw_graticule(axes, (in_x, in_y))
+        _draw_graticule(axes, (plot.tick_step(*in_x), plot.tick_step(*in_y)))
     axes.canvas.rectangle(axes.box, outline=FRAME_GREY)
-    axes.ticks([((x - s * y0) / c, f"{x:g}") for x in in_x], [((y + s * x0) / c, f"{y:g}") for y in in_y])
+    at_x, at_y = plot.ticks(*in_x), plot.ticks(*in_y)
+    axes.ticks([((x - s * y0) / c, f"{x:g}") for x in at_x], [((y + s * x0) / c, f"{y:g}") for y in at_y])
 
 
-def _draw_graticule(axes: Axes, ticks: tuple[list[float], list[float]]) -> None:
+def _draw_graticule(axes: Axes, steps: tuple[float, float]) -> None:
     """Draw the lines of equal x and y of a turned map at the distance of its ticks."""
-    (low_x, low_y), (high_x, high_y) = Viewport(*axes.limits, axes.turn_rad).ends_in_map()
-    at_x, at_y = (
-        np.arange(first - (first - low) // step * step, high, step)
-        for (first, second, *_), low, high in zip(ticks, (low_x, low_y), (high_x, high_y), strict=True)
-        for step in (second - first,)
-    )
+    (low_x, low_y), (high_x, high_y) = ends = Viewport(*axes.limits, axes.turn_rad).ends_in_map()
+    at_x, at_y = (np.arange(ceil(low / step) * step, high, step) for low, high, step in zip(*ends, steps, strict=True))
     upright = [np.array([(x, low_y), (x, high_y)]) for x in at_x]
     axes.lines(GRATICULE, [*upright, *(np.array([(low_x, y), (high_x, y)]) for y in at_y)])
 

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 MARK_HALF: Final = 20
 """A mark lies in a square of twice this side; lines are narrower."""
+EDGE: Final = 10
+"""Between a name and the edge of the picture at least."""
 AREA_HALF: Final = 9
 """Half the side of the square that stands for an area in the legend."""
 
@@ -115,9 +117,11 @@ class Axes(Struct, frozen=True):
             self.canvas.text((left - length - gap, at), label, colour=MUTED, anchor="rm")
 
     def names(self, x: str, y: str, size_pt: float = 9.0, left: int = 62) -> None:
-        """Write what the axes show; the name of y lies this far to the left."""
+        """Write what the axes show; the name of x inside the picture, that of y this far to the left."""
         x0, y0, x1, y1 = self.box
-        self.canvas.text(((x0 + x1) / 2, y1 + 36), x, size_pt, anchor="ma")
+        half = font(size_pt).getlength(x) / 2 + EDGE
+        middle = max(min((x0 + x1) / 2, self.canvas.width - half), half)
+        self.canvas.text((middle, y1 + 36), x, size_pt, anchor="ma")
         self.canvas.text((x0 - left, (y0 + y1) / 2), y, size_pt, upright=True)
 
 
@@ -249,10 +253,15 @@ def heading(
 
 def ticks(low: float, high: float, most: int = 9) -> list[float]:
     """Choose round numbers between two ends, at most so many."""
+    step = tick_step(low, high, most)
+    return [round(k * step, 10) + 0.0 for k in range(ceil(low / step), floor(high / step) + 1)]
+
+
+def tick_step(low: float, high: float, most: int) -> float:
+    """Return the distance of these numbers."""
     least = (high - low) / most
     power = 10.0 ** floor(log10(least))
-    step = next(f * power for f in (1.0, 2.0, 5.0, 10.0) if f * power >= least)
-    return [round(k * step, 10) + 0.0 for k in range(ceil(low / step), floor(high / step) + 1)]
+    return next(f * power for f in (1.0, 2.0, 5.0, 10.0) if f * power >= least)
 
 
 def label_ticks(values: Iterable[float]) -> list[tuple[float, str]]:

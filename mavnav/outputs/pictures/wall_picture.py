@@ -95,9 +95,11 @@ def _draw_cuts(axes: Axes, cuts: WallCuts) -> None:
 
 def _draw_lines(axes: Axes, cuts: WallCuts, which: NDArray[np.bool_], colours: NDArray[np.uint8]) -> None:
     lines = cut_lines(cuts, 0.012 * max(axes.size))[which]
-    ends = np.hstack((axes.to_canvas(lines[:, 0]), axes.to_canvas(lines[:, 1]))).round().astype(int)
-    for line, colour in zip(ends.tolist(), colours.tolist(), strict=True):
-        axes.canvas.line(line, tuple(colour), width=3)
+    first, last = (axes.to_canvas(ends) - axes.box[:2] for ends in (lines[:, 0], lines[:, 1]))
+    inside = axes.canvas.part(axes.box)  # a window may leave far walls out
+    for line, colour in zip(np.hstack((first, last)).round().astype(int).tolist(), colours.tolist(), strict=True):
+        inside.line(line, tuple(colour), width=3)
+    axes.canvas.image.paste(inside.image, axes.box[:2])
 
 
 def cut_lines(cuts: WallCuts, least_m: float) -> NDArray[np.float64]:

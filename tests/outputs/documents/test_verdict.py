@@ -263,7 +263,10 @@ def test_a_session_that_did_not_join_is_lost() -> None:
     apart = {"name": "tuesday", "run": "runs/monday", "joined": False, "why": "too few scans fit"}
     verdict = verdict_of(GOOD | {"continued": apart})
     assert (verdict.word, "tuesday did not join runs/monday" in verdict.reason) == ("lost", True)
+    assert verdict.advice == "record it along 3 m or more of the way of another session"
     assert verdict_of(GOOD | {"continued": apart | {"joined": True}}).word == "good"
+    repeated = verdict_of(GOOD | {"continued": apart | {"why": "it has the scans of monday"}})
+    assert repeated.advice == "leave it out: its scans are in the map already"
 
 
 def test_the_worst_of_some_verdicts() -> None:

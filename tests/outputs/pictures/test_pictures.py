@@ -1,6 +1,7 @@
 """Pictures: there, of a sane size, and drawn from any map."""
 
 from io import BytesIO
+from itertools import pairwise
 from math import floor
 from types import SimpleNamespace
 
@@ -287,6 +288,33 @@ def test_ticks_tell_the_coordinates_of_the_map_also_if_the_picture_is_turned(tur
         assert (back @ Pose(-3.0, 2.0 + (700 - y) / 100, 0.0)).y_m == pytest.approx(value)
     grey = (np.asarray(axes.canvas.image)[101:700, 101:900] < 255).any()
     assert grey == (turn_deg != 0.0)  # lines of equal x and y
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, -23.7])
+def test_the_labels_of_a_narrow_map_are_apart_and_inside_the_picture(turn_deg, monkeypatch):
+    drawn, write = [], Canvas.text
+    monkeypatch.setattr(Canvas, "text", lambda *args, **kw: (drawn.append((args, kw)), write(*args, **kw)))
+    window = Viewport(1.4, 2.8, -3.6, 3.2, np.radians(turn_deg))
+    axes = map_axes.map_axes(Canvas.of(1000, 1100), window, (100, 60, 285, 960))
+    map_axes.draw_axes(axes)
+    map_axes.name_axes(axes)
+    lower = [(xy[0], font(8.0).getlength(text) / 2) for (_, xy, text, *_), kw in drawn if kw.get("anchor") == "ma"]
+    in_x = lower[:-1]  # the last is the name
+    assert len(in_x) >= 2
+    assert all(x + a + 8 < y - b for (x, a), (y, b) in pairwise(in_x))
+    picture = np.asarray(axes.canvas.image)
+    assert picture[:, :5].min() == picture[:, -5:].min() == 255
+
+
+def test_walls_outside_the_framed_part_are_not_drawn_over_the_rest_of_the_picture():
+    axes = map_axes.map_axes(Canvas.of(300, 300), Viewport(0.0, 1.0, 0.0, 1.0), (100, 100, 200, 200))
+    at = np.array([(0.5, 0.5), (0.5, 0.995), (0.5, 1.5), (-0.5, 0.5)])
+    cuts = WallCuts(at, np.full(4, 0.0), np.full(4, 0.2), np.full(4, 1.0))
+    wall_picture._draw_lines(axes, cuts, np.full(4, True), np.zeros((4, 3), np.uint8))
+    dark = np.asarray(axes.canvas.image).max(axis=2) == 0
+    assert dark[100:110, 150].all()  # the half of the second that is inside
+    assert dark[150, 150]
+    assert dark.sum() == dark[100:200, 100:200].sum() == pytest.approx(3 * (20 + 10), abs=9)
 
 
 def cuts_along(*directions_deg, length_m=1.0):
