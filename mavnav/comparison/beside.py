@@ -7,15 +7,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.comparison.scores import POSES, write_scores
 from mavnav.errors import UsageError
-from mavnav.pipelines.score import (
-    LASER,
-    RUN_POSES,
-    ScoreRequest,
-    TrajectorySource,
-    check_names,
-    score_log,
-    scored_options,
-)
+from mavnav.pipelines.score import ScoreRequest, check_names, score_log, scored_options
+from mavnav.pipelines.trajectory_source import LASER, RUN_POSES, TrajectorySource
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

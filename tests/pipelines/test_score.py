@@ -16,7 +16,8 @@ from mavnav.outputs.documents.sections import PoseJump
 from mavnav.outputs.files.document import track_verdict
 from mavnav.pipelines.maps import measured_map
 from mavnav.pipelines.own_track import difference_section, own_path
-from mavnav.pipelines.score import ScoreRequest, TrajectorySource, read_source, score_log
+from mavnav.pipelines.score import ScoreRequest, score_log
+from mavnav.pipelines.trajectory_source import TrajectorySource, read_source
 from mavnav.pose import Pose, Trajectory
 from mavnav.profiling import silent
 from mavnav.slam import given_poses
