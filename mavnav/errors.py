@@ -60,7 +60,12 @@ def reason_of(error: Exception) -> str:
 
 
 def lacks_memory(error: BaseException) -> bool:
-    """Return whether the system refused memory: for data, for a file, or for a library that is loaded."""
+    """Return whether the system refused memory: for data, for a file, or for a library that is loaded.
+
+    Without memory Python itself may fail to make the exception, and raises a SystemError that says so.
+    """
+    if isinstance(error, SystemError):
+        return "without exception set" in str(error) or "without setting an exception" in str(error)
     of_library = isinstance(error, (ImportError, OSError)) and "failed to map segment" in f"{error} {error.__context__}"
     return of_library or isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno == ENOMEM)
 

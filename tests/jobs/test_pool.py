@@ -129,6 +129,8 @@ def unmapped() -> OSError:
         MemoryError(),
         OSError(errno.ENOMEM, "Cannot allocate memory", "a.bag"),
         ImportError("a.so: failed to map segment from shared object"),
+        SystemError("error return without exception set"),
+        SystemError("<function f> returned NULL without setting an exception"),
         unmapped(),
     ],
 )
