@@ -41,7 +41,7 @@ ALLOWED: dict[str, set[str]] = {
     "batch": SHARED
     | {"config", "ground_truth", "jobs", "kernels", "logs", "mapping", "metrics", "outputs", "pipelines", "slam"},
     "comparison": SHARED
-    | {"batch", "config", "jobs", "logs", "metrics", "outputs", "pipelines", "simulation"}
+    | {"batch", "config", "ground_truth", "jobs", "logs", "metrics", "outputs", "pipelines", "simulation"}
     | {"simulation.world"},
     "commands": SHARED
     | {"batch", "comparison", "config", "ground_truth", "jobs", "kernels", "logs", "metrics", "outputs", "pipelines"}

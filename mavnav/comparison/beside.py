@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.comparison.scores import POSES, write_scores
 from mavnav.errors import UsageError
+from mavnav.ground_truth.tables import read_trajectory
 from mavnav.pipelines.score import ScoreRequest, check_names, score_log, scored_options
 from mavnav.pipelines.trajectory_source import LASER, RUN_POSES, TrajectorySource
 
@@ -23,11 +24,14 @@ OWN: Final = "mavnav"
 
 
 def check_given(plan: BatchPlan, sources: Sequence[TrajectorySource], programs: Sequence[Program]) -> None:
-    """Raise UsageError for several logs, and for names that cannot be used, before any run."""
+    """Raise UsageError for several logs, names that cannot be used and files without poses, before any run."""
     if len({case.log for case in plan.cases}) > 1:
         raise UsageError("--trajectory and --external are about one log; compare one log at a time with them")
     if own := [name for name in check_names(sources, programs) if name.partition("-")[0] == OWN]:
         raise UsageError(f"{own[0]} names the poses of mavnav's own run; write NAME=FILE with another name")
+    for source in sources:
+        if source.in_log is None:
+            read_trajectory(source.path)
 
 
 def compare_with_poses(
@@ -40,8 +44,7 @@ def compare_with_poses(
 ) -> dict[str, Any]:
     """Score the poses of mavnav's ``own`` runs and those that are given, and return comparison.json of all.
 
-    The map of a run may be sharper than that of its poses, because its last step fits each scan to the whole map: so
-    the poses of each run have a row, too. Raises as `score_log`.
+    Raises as `score_log`.
     """
     request = plan.request
     scored = score_log(

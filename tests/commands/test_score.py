@@ -264,6 +264,7 @@ def test_given_poses_stand_beside_the_run_and_its_own_poses(folder: Path) -> Non
         (["--trajectory", "mavnav={folder}/truth.tum"], "mavnav names the poses of mavnav's own run"),
         (["--trajectory", "a={folder}/truth.tum", "{folder}/other.mcap"], "are about one log"),
         (["--external", "a=program {{log}}"], "has no {out}"),
+        (["--trajectory", "a={folder}/missing.tum"], "missing.tum cannot be read"),
     ],
 )
 def test_what_cannot_stand_beside_a_run_is_refused(
