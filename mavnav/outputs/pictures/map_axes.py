@@ -15,7 +15,8 @@ from mavnav.mapping.tiled_arrays import identity, max_pool, where
 from mavnav.outputs.pictures import plot, viewport
 from mavnav.outputs.pictures.canvas import Canvas, draw_dashes, ramp, rgb_of, stroke
 from mavnav.outputs.pictures.plot import Area, Axes, Mark, Style
-from mavnav.outputs.pictures.viewport import FREE_GREY, LEAST_IN, Viewport, turned
+from mavnav.outputs.pictures.viewport import FREE_GREY, LEAST_IN, Viewport
+from mavnav.pose import Pose, transform_points
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
@@ -112,7 +113,7 @@ def _to_squares(axes: Axes, first_m: NDArray[np.float64], edge_m: float) -> tupl
     """Return Pillow's transform from pixels of axes to columns and rows of squares of the map from a corner (2,)."""
     x0_m, y0_m = axes.limits[0], axes.limits[2]
     top_left_m = np.array([[x0_m, y0_m + (axes.box[3] - axes.box[1]) / axes.per_unit[1]]])
-    col, row = ((turned(top_left_m, -axes.turn_rad)[0] - first_m) / edge_m).tolist()
+    col, row = ((transform_points(Pose(yaw_rad=-axes.turn_rad), top_left_m)[0] - first_m) / edge_m).tolist()
     per_pixel = 1.0 / (edge_m * axes.per_unit[0] * axes.canvas.density)
     c, s = per_pixel * cos(axes.turn_rad), per_pixel * sin(axes.turn_rad)
     return c, -s, col, -s, -c, row
@@ -157,7 +158,7 @@ def hit_ticks(top: float) -> list[tuple[float, str]]:
 def draw_axes(axes: Axes, most: tuple[int, int] = (9, 9)) -> None:
     """Draw border and ticks, at most so many in x and y; in a turned map they are where lines of the map's x and y end.
 
-    x is told at the lower border, y at the left one; fewer where there is no room for the labels.
+    x is labelled at the lower border, y at the left one; fewer where there is no room for the labels.
     """
     (x0, x1, y0, y1), c, s = axes.limits, cos(axes.turn_rad), sin(axes.turn_rad)
     (left, top, right, bottom), (width, height) = axes.box, TICK_ROOM

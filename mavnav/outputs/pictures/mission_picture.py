@@ -10,8 +10,8 @@ import numpy as np
 from mavnav.outputs.pictures import map_axes
 from mavnav.outputs.pictures.canvas import stroke
 from mavnav.outputs.pictures.plot import Mark, Style, arrow, circle, legend_room
-from mavnav.outputs.pictures.viewport import INK, PATH_GREY, POSE_MAGENTA, Viewport, turned, wall_lines, window_around
-from mavnav.pose import transform_points
+from mavnav.outputs.pictures.viewport import INK, PATH_GREY, POSE_MAGENTA, Viewport, wall_lines, window_around
+from mavnav.pose import Pose, transform_points
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -46,7 +46,7 @@ def write(run: RunResult, path: Path) -> None:
 
 def _window(truth: Truth, turn_rad: float) -> Viewport:
     points = np.vstack((truth.map_T_laser.xyyaw[:, :2], [truth.goal_xy_map_m], *wall_lines(truth)))
-    return window_around(turned(points, turn_rad), 0.1, turn_rad).widen(LEAST_SHARE)
+    return window_around(transform_points(Pose(yaw_rad=turn_rad), points), 0.1, turn_rad).widen(LEAST_SHARE)
 
 
 def _draw(axes: Axes, truth: Truth) -> None:

@@ -12,7 +12,8 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.outputs.pictures.canvas import POINT, SMOOTH, Canvas, font, on_mask
-from mavnav.outputs.pictures.viewport import INK, MUTED, turned
+from mavnav.outputs.pictures.viewport import INK, MUTED
+from mavnav.pose import Pose, transform_points
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -59,7 +60,7 @@ class Axes(Struct, frozen=True):
 
     def to_canvas(self, xy: XY) -> XY:
         """Bring points (n, 2) to pixels of the canvas."""
-        xy = turned(xy, self.turn_rad)
+        xy = transform_points(Pose(yaw_rad=self.turn_rad), xy)
         x = self.box[0] + (xy[:, 0] - self.limits[0]) * self.per_unit[0]
         y = self.box[3] - (xy[:, 1] - self.limits[2]) * self.per_unit[1]
         return np.column_stack((x, y))

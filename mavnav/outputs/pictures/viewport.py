@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from math import ceil, cos, pi, sin
+from functools import partial
+from math import ceil, pi
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from msgspec import Struct
 
 from mavnav.mapping.tiled_arrays import where
+from mavnav.pose import Pose, transform_points
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -49,7 +51,7 @@ class Viewport(Struct, frozen=True):
     def ends_in_map(self) -> NDArray[np.float64]:
         """Return the least and the greatest x and y in the map, (2, 2)."""
         corners = np.array([(x, y) for x in (self.x0_m, self.x1_m) for y in (self.y0_m, self.y1_m)])
-        xy_m = turned(corners, -self.turn_rad)
+        xy_m = transform_points(Pose(yaw_rad=-self.turn_rad), corners)
         return np.array((xy_m.min(axis=0), xy_m.max(axis=0)))
 
     def cells_of(self, grid: Grid) -> tuple[int, int, int, int]:
@@ -84,12 +86,6 @@ class Viewport(Struct, frozen=True):
         return Viewport(self.x0_m - dx, self.x1_m + dx, self.y0_m - dy, self.y1_m + dy, self.turn_rad)
 
 
-def turned(xy_m: NDArray[np.float64], turn_rad: float) -> NDArray[np.float64]:
-    """Turn points (n, 2) about the origin."""
-    c, s = cos(turn_rad), sin(turn_rad)
-    return xy_m @ np.array([[c, s], [-s, c]]) if turn_rad else xy_m
-
-
 def window_of(grid: Grid, xy_m: NDArray[np.float64], turn_rad: float = 0.0) -> Viewport:
     """Frame the hit cells and the points ``xy_m`` (n, 2) of a map, turned about its origin, with a margin.
 
@@ -108,9 +104,10 @@ def window_of(grid: Grid, xy_m: NDArray[np.float64], turn_rad: float = 0.0) -> V
 
 def _window(grid: Grid, cells: NDArray[np.intp], share: float, xy_m: NDArray[np.float64], turn_rad: float) -> Viewport:
     """Frame points and cells (n, 2) as row and column, of which a share may fall outside on each side."""
-    corners = [turned(xy_m if len(xy_m) or len(cells) else np.array([grid.origin_xy_m]), turn_rad)]
+    turn = partial(transform_points, Pose(yaw_rad=turn_rad))
+    corners = [turn(xy_m if len(xy_m) or len(cells) else np.array([grid.origin_xy_m]))]
     if len(cells):
-        at = turned(cells[:, ::-1] + 0.5 + np.array(grid.origin_xy_m) / grid.cell_m, turn_rad)
+        at = turn(cells[:, ::-1] + 0.5 + np.array(grid.origin_xy_m) / grid.cell_m)
         ends = np.quantile(at, (share, 1.0 - share), axis=0, method="nearest")
         ends[0], ends[1] = ends[0] - 0.5, ends[1] + 0.5  # whole cells
         corners.append(ends * grid.cell_m)

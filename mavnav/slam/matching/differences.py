@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from mavnav.pose import Trajectory
 
 LEAST_LATE_S, LEAST_SCALE = 0.05, 0.015
-"""Offset and difference of a scale from 1 that are told; seven systems were within 0.025 s and 0.0144 on three logs."""
+"""Offset and difference of a scale from 1 that are reported; seven systems stayed below 0.025 s and 0.0144."""
 
 LEAST_JUMP: Final = np.array((0.06, 1.5 * DEG))
-"""Jump, m and rad, that is told: the truth of five missions was within 0.06 m and 1.2 deg of the track."""
+"""Jump, m and rad, that is reported: the truth of five missions was within 0.06 m and 1.2 deg of the track."""
 
 UNUSUAL: Final = 2.0
 """Ratio of a jump to the 0.9 quantile of the differences elsewhere in the log."""

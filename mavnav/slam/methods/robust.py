@@ -151,13 +151,12 @@ class Robust:
             return no_match(predicted, len(points))
         self._wide_budget.earn(found=elapsed_s < FOUND_PERIODS * motion.period_s)
         self._whole_budget.earn()
-        expected = motion.expected_poses(predicted, scan.stamp_ns)
         if self._missed_before(motion) >= RARELY_SCANS and motion.odometry is None:
-            return self._search_rarely(points, predicted, motion, expected, elapsed_s)
+            return self._search_rarely(points, predicted, motion, scan.stamp_ns)
         tried, good = self._search_near(points, predicted, motion, elapsed_s)
         if good:
             return tried[0]
-        lost = _is_lost(motion, elapsed_s)
+        expected, lost = motion.expected_poses(predicted, scan.stamp_ns), _is_lost(motion, elapsed_s)
         regions = self._lost_region(points, expected, elapsed_s) if lost else []
         given_up = lost and not regions
         if given_up and tried and motion.odometry is None:
@@ -178,10 +177,9 @@ class Robust:
         self._missed = motion.stamp_ns, missed + 1 if last_ns == motion.stamp_ns else 0
         return self._missed[1]
 
-    def _search_rarely(
-        self, points: NDArray[np.float64], predicted: Pose, motion: Motion, expected: tuple[Pose, ...], elapsed_s: float
-    ) -> Match:
+    def _search_rarely(self, points: NDArray[np.float64], predicted: Pose, motion: Motion, stamp_ns: int) -> Match:
         """Search for a laser that has been lost for long, if the budget covers a wide region."""
+        expected, elapsed_s = motion.expected_poses(predicted, stamp_ns), motion.elapsed_s(stamp_ns)
         regions = self._lost_region(points, expected, elapsed_s)
         if not regions:
             return no_match(predicted, len(points))
