@@ -296,6 +296,7 @@ def test_other_types_of_ranges_are_converted() -> None:
         mavnav.Scan(0, [2.0] * 181, SPEC)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_a_run_is_given_where_a_path_can_be(log: Path, run: mavnav.Run, tmp_path: Path) -> None:
     assert mavnav.load_run(run).directory == run.directory
     assert mavnav.diff(run, run)["alignment"] is not None

@@ -85,6 +85,7 @@ def test_the_time_of_every_scan_is_kept_until_the_next_profile(clock: list[float
     assert not scans_s()
 
 
+@pytest.mark.slow
 def test_the_peak_memory_counts_what_was_given_back() -> None:
     before_mb = peak_memory_mb()
     if np.isnan(before_mb):

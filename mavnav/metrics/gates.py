@@ -235,6 +235,20 @@ def find(document: Mapping[str, Any], name: str) -> Number | None:
     The number of a verdict is its place from good to bad. Raises UsageError for a name that the document does
     not have, or that is no number.
     """
+    value = _value(document, name)
+    if value is None or isinstance(value, Number):
+        return value
+    raise UsageError(_unknown(name, names(document)))
+
+
+def number(document: Mapping[str, Any], name: str) -> Number | None:
+    """Return the same as `find`, but None where that raises: of many names, most are not in every document."""
+    value = _value(document, name)
+    return value if isinstance(value, Number) else None
+
+
+def _value(document: Mapping[str, Any], name: str) -> object:
+    """Return the value of that name, None for NaN, `_NOTHING` if there is none."""
     value: Any = document
     if name == VERDICT and (known := stored_verdict(document)):
         return VERDICTS.index(known["word"])
@@ -244,9 +258,7 @@ def find(document: Mapping[str, Any], name: str) -> Number | None:
         value = _child(value, part)
     if value is _NOTHING and _did_not_occur(document, name):
         return 0
-    if value is None or isinstance(value, Number):
-        return None if value != value else value  # noqa: PLR0124  NaN compares with nothing
-    raise UsageError(_unknown(name, names(document)))
+    return None if value != value else value  # noqa: PLR0124  NaN compares with nothing
 
 
 _NOTHING: Final = object()

@@ -45,6 +45,7 @@ def test_programs_are_rows_and_those_that_fail_stop_nothing(home: Path) -> None:
     assert document["exit_code"] == ExitCode.GATE_FAILED
 
 
+@pytest.mark.slow
 def test_a_program_runs_again_when_its_file_has_changed(home: Path) -> None:
     given = programs("copies")
     _, ran = batch(**given)

@@ -119,6 +119,7 @@ def test_reversed_beams_are_found(mavnav, tmp_path) -> None:
     assert found["upside_down"]["value"] is False
 
 
+@pytest.mark.slow
 def test_a_lost_track_calibrates_nothing(mavnav, tmp_path) -> None:
     """From a fifth of the scans on all ranges are random."""
     recording, rng = drive_of(ROBOT, 3), np.random.default_rng(0)

@@ -47,6 +47,7 @@ def test_a_line_for_every_run(again: Callable, directory: Path) -> None:
     assert max(map(len, lines)) <= 200
 
 
+@pytest.mark.slow
 def test_the_report_is_drawn_once(again: Callable, directory: Path) -> None:
     report = directory / "report.html"
     before = report.stat().st_mtime_ns
@@ -171,6 +172,7 @@ def lines_of(process) -> Iterator[str]:
     yield from iter(process.stderr.readline, "")
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_the_finished_runs(spawn: Callable, sample: Path, tmp_path: Path) -> None:
     """The signal reaches the parent alone here; on a terminal the workers, which get it too, do not hear it."""
     few = ("-o", tmp_path / "out", "-j", 1, "--end", 0.5, "--online", "--grid", "5x5", "--grid", "60x60")

@@ -45,6 +45,7 @@ def document(run: Path) -> dict:
     return json.loads((run / "run.json").read_text())
 
 
+@pytest.mark.slow
 def test_three_parts_one_after_another(mavnav, parts, first, tmp_path) -> None:
     """All poses are in the frame of the first part, which is that of the whole drive."""
     before, runs = digests(first), [first, tmp_path / "second", tmp_path / "third"]

@@ -53,6 +53,7 @@ def test_what_changed_is_listed_and_drawn(mavnav, maps, tmp_path) -> None:
     assert "--force" in err
 
 
+@pytest.mark.slow
 def test_changes_that_are_not_printed_are_in_json(mavnav, maps, monkeypatch) -> None:
     monkeypatch.setattr("mavnav.commands.diff.LISTED", 0)
     assert "2 more; --json lists them" in mavnav("diff", *maps, "-q")[1]

@@ -29,6 +29,7 @@ def made(make_log, tmp_path_factory) -> Path:
     return folder / "run"
 
 
+@pytest.mark.slow
 def test_an_edited_run_is_a_run_for_all_commands(mavnav, spawn, made, tmp_path) -> None:
     grid = read_npz(made / "hits.npz")
     y, x = np.argwhere(occupancy(grid) == OCCUPIED)[0].tolist()

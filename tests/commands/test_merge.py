@@ -107,6 +107,7 @@ def test_sessions_follow_one_another_for_the_metrics() -> None:
         assert [scan.stamp_ns for scan in journey.scans()] == journey.map_T_laser.stamps_ns.tolist()
 
 
+@pytest.mark.slow
 def test_what_does_not_join_is_said(mavnav, logs, tmp_path) -> None:
     names = ("cellar", "hall", "blind", "empty")
     (tmp_path / "empty.mcap").touch()
@@ -125,6 +126,7 @@ def test_what_does_not_join_is_said(mavnav, logs, tmp_path) -> None:
     assert "--force" in err
 
 
+@pytest.mark.slow
 def test_a_log_without_any_pose_does_not_join(mavnav, logs, tmp_path) -> None:
     log = write_mcap(tmp_path / "few.mcap", [laser(k, beams=8) for k in range(20)])
     code, _, err = mavnav("merge", log, logs["hall"], "-o", tmp_path / "m", "-q")

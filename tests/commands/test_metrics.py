@@ -228,6 +228,7 @@ def test_replay_takes_references(mavnav, sample, tmp_path) -> None:
     assert not (tmp_path / "s").exists()
 
 
+@pytest.mark.slow
 def test_an_aligned_run_has_the_same_errors(mavnav, sample, tmp_path) -> None:
     documents, truths = {}, ("--truth", "auto", "--truth-map", "corridor")
     for name, align in {"plain": ("--align", "none"), "placed": ("--align", "2,1,1.5707963267948966")}.items():
@@ -265,6 +266,7 @@ def test_the_walls_of_a_scenario_need_the_first_scan_of_the_mission(mavnav, samp
     assert "its map begins after the first scan" in err
 
 
+@pytest.mark.slow
 def test_a_map_that_begins_late_is_not_compared_with_a_scenario(mavnav, sample, tmp_path) -> None:
     scans, rng = list(open_log(sample, end_s=4.0).scans()), np.random.default_rng(0)
     messages = [

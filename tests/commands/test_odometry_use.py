@@ -45,6 +45,7 @@ def test_without_odometry_there_is_nothing_to_state(tmp_path: Path, capsys: pyte
     assert "odometry switched off" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_odometry_of_a_mission_is_its_commands(tmp_path: Path) -> None:
     assert run(["simulate", "corner", "-o", str(tmp_path / "a"), "-q"]) == 0
     used = json.loads((tmp_path / "a" / "run.json").read_text())["tracking"]["odometry"]

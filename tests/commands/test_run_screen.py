@@ -70,6 +70,7 @@ def test_a_terminal_need_not_have_the_map(tmp_path: Path) -> None:
     assert (code, braille(shown)) == (0, 0)
 
 
+@pytest.mark.slow
 def test_verbose_shows_the_metrics(mavnav: Callable, tmp_path: Path) -> None:
     words = ("replay", LOG, "--end", 2, "-q", "-o", tmp_path / "r")
     short, long = mavnav(*words)[1], mavnav(*words, "--force", "-v")[1]
@@ -80,6 +81,7 @@ def test_verbose_shows_the_metrics(mavnav: Callable, tmp_path: Path) -> None:
     assert long.split()[:2] == short.split()[:2]
 
 
+@pytest.mark.slow
 def test_the_map_is_printed_elsewhere_if_that_is_asked(mavnav: Callable, tmp_path: Path) -> None:
     words = ("replay", LOG, "--end", 1, "-q", "--preview")
     assert braille(mavnav(*words, "-o", tmp_path / "a")[1]) > 3

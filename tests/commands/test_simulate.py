@@ -129,6 +129,7 @@ def test_the_document_s_scenario_flies_the_same_mission(
     assert again["mission"] == document["mission"]
 
 
+@pytest.mark.slow
 def test_again_repeats_a_mission_without_its_file(mavnav: Callable, scenario: Path, tmp_path: Path) -> None:
     words = ("--seed", 3, "--set", "vehicle.noise_yaw_deg=2", "--grid", "6x6", "-q")
     assert mavnav("simulate", scenario, *words, "-o", tmp_path / "first")[0] == 0
@@ -143,6 +144,7 @@ def test_again_repeats_a_mission_without_its_file(mavnav: Callable, scenario: Pa
     assert "write mavnav simulate --again" in mavnav("replay", "--again", tmp_path / "first")[2]
 
 
+@pytest.mark.slow
 def test_recordings_replay_to_the_same_map(
     corner: tuple[Path, subprocess.CompletedProcess[str]], mavnav: Callable, tmp_path: Path
 ) -> None:

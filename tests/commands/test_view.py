@@ -51,6 +51,7 @@ def test_what_holds_no_result_is_refused(mavnav, tmp_path):
     assert list(tmp_path.iterdir()) == [tmp_path / "run.json"]
 
 
+@pytest.mark.slow
 def test_the_page_is_served_to_who_knows_its_address_until_ctrl_c(spawn, finished_run):
     before = {path: path.stat().st_mtime_ns for path in finished_run.iterdir()}
     process = spawn("view", finished_run, "--serve", "-q")

@@ -194,6 +194,7 @@ def test_the_same_log_twice_is_compared_once(tmp_path: Path) -> None:
     assert len(plan(request(tmp_path / "out", SAMPLE, copy, SAMPLE)).cases) == 2
 
 
+@pytest.mark.slow
 def test_a_killed_worker_costs_its_run_alone(tmp_path: Path) -> None:
     directory = tmp_path / "out"
 
@@ -262,6 +263,7 @@ def test_a_directory_of_something_else_is_left_alone(tmp_path: Path) -> None:
         plan(request(tmp_path / "thesis.tex"))
 
 
+@pytest.mark.slow
 def test_logs_of_one_file_name_have_names_of_their_own(tmp_path: Path) -> None:
     content = SAMPLE.read_bytes()
     for folder, length in (("p1", len(content)), ("p2", len(content) // 2)):

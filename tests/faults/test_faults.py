@@ -15,6 +15,7 @@ FAULTS = {"config": 1, "convert": 9, "replay --force": 2, "check": 1, "metrics":
 """How many operations fail per command; benchmarks/fuzz_faults.py lets all of them fail."""
 
 
+@pytest.mark.slow
 def test_a_failing_disk_leaves_whole_results(repo_root: Path, tmp_path: Path) -> None:
     log = repo_root / "sample_logs" / "corridor.mcap"
     for trial in trials(tmp_path, log, list(FAULTS)):

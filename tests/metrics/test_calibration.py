@@ -78,6 +78,7 @@ def test_slips_do_not_spoil_it() -> None:
     assert (np.abs(errors(found.fit.values, CROOKED)) < (0.02, 0.02, 1 * DEG, 0.02, 0.02, 0.04, 2 * DEG)).all()
 
 
+@pytest.mark.slow
 def test_a_doubtful_track_has_wider_intervals_that_include_its_halves() -> None:
     path = path_of(CROOKED)
     motions = motions_of(perfect_track(CROOKED, path), odometry_of(CROOKED, path, np.random.default_rng(0)), 0.0)
@@ -94,6 +95,7 @@ def test_a_doubtful_track_has_wider_intervals_that_include_its_halves() -> None:
     assert given >= 6
 
 
+@pytest.mark.slow
 def test_halves_of_a_doubtful_track_that_do_not_agree_are_refused() -> None:
     """From the middle on the track is a third too long, as where a corridor hides the motion."""
     path = path_of(CROOKED)

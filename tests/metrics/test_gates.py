@@ -22,6 +22,7 @@ from mavnav.metrics.gates import (
     judge,
     judge_some,
     names,
+    number,
     parse_gate,
     renaming,
 )
@@ -222,6 +223,7 @@ def test_a_map_that_is_not_meaningful_fails_gates_on_true_walls_and_slices(name:
 def test_unknown_names_are_usage_errors(name: str, nearest: str) -> None:
     with pytest.raises(UsageError) as caught:
         find(RUN, name)
+    assert number(RUN, name) is None
     assert name in str(caught.value)
     assert f"did you mean {nearest}?" in str(caught.value) if nearest else "did you mean" not in str(caught.value)
     assert "\n" not in str(caught.value)
@@ -273,7 +275,7 @@ def test_names_are_those_that_can_be_found() -> None:
     assert "wall_thickness.2.max_mm" in names(RUN)
     assert "grid" not in names(RUN)
     for name in names(RUN):
-        find(RUN, name)
+        assert number(RUN, name) == find(RUN, name)
 
 
 def test_the_worst_exit_code() -> None:

@@ -75,6 +75,7 @@ def test_maps_of_other_frames_are_aligned_despite_changes(before) -> None:
     assert sum(change.moved_with is not None for change in changes) == 2
 
 
+@pytest.mark.slow
 def test_another_room_is_not_aligned(before) -> None:
     other = mapped(room(9.0, 2.2), TURNED, poses=[(1.0, 1.1), (4.0, 1.1), (8.0, 1.0)])
     assert align(known(before), known(other), Config()) == (None, True)

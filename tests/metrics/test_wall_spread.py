@@ -108,6 +108,7 @@ def test_more_passes_read_the_same(tour, sharp) -> None:
         assert found.p95_mm == pytest.approx(sharp.p95_mm, rel=0.1)
 
 
+@pytest.mark.slow
 def test_noise_of_the_poses_makes_walls_thicker(tour, sharp) -> None:
     scans, poses = tour
     noise = np.random.default_rng(1).standard_normal((len(poses), 2))
@@ -140,6 +141,7 @@ def test_a_map_half_sharp_and_half_smeared_is_worse_than_the_sharp_one(tour, sha
     assert found.median_mm > sharp.median_mm
 
 
+@pytest.mark.slow
 def test_what_cannot_be_measured_lowers_the_share(tour, sharp) -> None:
     scans, poses = tour
     assert sharp.measured_share > 0.98

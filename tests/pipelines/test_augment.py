@@ -115,6 +115,7 @@ def test_what_was_recorded_is_unchanged_and_lies_on_the_map(tmp_path: Path, writ
     assert Counter(channel.topic for channel in summary.channels.values())["/tf"] == 1
 
 
+@pytest.mark.slow
 def test_names_that_the_log_has_are_left_to_it(tmp_path: Path) -> None:
     recorded = Message("/pose", "geometry_msgs/msg/PoseStamped", START_S * 10**9, {"x": 1.0, "y": 2.0, "yaw": 0.0})
     log = write_mcap(tmp_path / "log.mcap", [recorded, *messages("map")])
@@ -131,6 +132,7 @@ def test_names_that_the_log_has_are_left_to_it(tmp_path: Path) -> None:
     check_transforms(tmp_path, out, ("mavnav_map", "map", "base_link", "laser"))
 
 
+@pytest.mark.slow
 def test_a_log_without_transforms_gets_the_laser_on_the_map(tmp_path: Path) -> None:
     log = write_mcap(tmp_path / "log.mcap", [m for m in messages("odom") if m.topic == "/scan"])
     check_transforms(tmp_path, augmented(tmp_path, log), ("map", "laser"))

@@ -62,6 +62,7 @@ def drawn(folder: Path, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return pixels, np.column_stack((row, col)), transform_points(flight(1)[0][0], xy_m)
 
 
+@pytest.mark.slow
 def test_the_attitude_makes_track_and_walls_better(flown: Path) -> None:
     used, ignored = (document(flown, attitude) for attitude in ("auto", "off"))
     assert used["reference"]["ate"]["rmse_m"] < 0.003

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
+import pytest
 
 from mavnav.config.models import Config
 from mavnav.ground_truth.map_file import MapFile
@@ -58,6 +59,7 @@ def test_an_error_of_the_map_in_the_same_frame_stays_in_the_distance() -> None:
     assert with_true_map_placed(references, grid, Config()) is references
 
 
+@pytest.mark.slow
 def test_the_true_map_of_another_building_has_no_clear_place() -> None:
     grid, other = drawn(ROOMS), drawn(tuple(map(tuple, room(9.0, 6.5).tolist())))
     placed = with_true_map_placed(true_map(other, WORLD_T_MAP), grid, Config())

@@ -47,6 +47,7 @@ def test_overlapping_sessions_are_joined_to_one_map(tours, sessions) -> None:
     assert np.count_nonzero(grid.hits) > 500
 
 
+@pytest.mark.slow
 def test_a_doubtful_track_bends_no_other(tours, sessions) -> None:
     """It is 0.3 m off at its end, where it must fit the others."""
     back = tours["back"].map_T_laser
@@ -62,6 +63,7 @@ def test_a_doubtful_track_bends_no_other(tours, sessions) -> None:
     assert errors_m(trajectories(group)[-1], tours["back"], world_T_group) < 0.1
 
 
+@pytest.mark.slow
 def test_another_building_does_not_join(sessions) -> None:
     other = session("cellar", tour("hall", 7, CELLAR))
     group, (refused,) = join_sessions([other, sessions["hall"], sessions["back"]], CONFIG, silent)

@@ -60,6 +60,7 @@ def test_a_fine_map_is_placed_in_a_coarse_one_whichever_comes_first(swapped: boo
     assert off_rad < 3 * DEG
 
 
+@pytest.mark.slow
 def test_maps_of_different_buildings_have_no_place_in_each_other() -> None:
     grid = drawn(room(9.0, 6.5), 0.02)
     assert map_alignment.align(thick(), PriorMap(grid, occupied_xy_m(grid)), Config()) == (None, True)

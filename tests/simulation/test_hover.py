@@ -47,6 +47,7 @@ def test_the_attitude_makes_a_mission_as_exact_as_a_level_one() -> None:
     assert used.mission.min_clearance_m > 0.3
 
 
+@pytest.mark.slow
 def test_a_flight_has_an_attitude_for_every_scan() -> None:
     flight = flown(*TILTED)
     true, measured = np.array(flight.tilts), np.array(flight.attitudes)

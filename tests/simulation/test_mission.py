@@ -78,6 +78,7 @@ def test_the_trap_holds_the_plain_field_only() -> None:
     assert trapped.goal_distance_m > 1.0
 
 
+@pytest.mark.slow
 def test_a_door_of_little_more_than_twice_the_width_is_passed() -> None:
     """The laser sees the second room only from the door: future work of the paper."""
     flight = flown("doorway")
@@ -133,6 +134,7 @@ def test_steps_run_out() -> None:
     assert flight.mission.steps == len(flight.slam.steps) == 8  # the first before any command
 
 
+@pytest.mark.slow
 def test_a_mission_may_use_all_of_its_steps() -> None:
     needed = flown("corner").mission.steps - 1
     assert fly(load_scenario("corner", (), {"max_steps": needed})).mission == flown("corner").mission

@@ -144,6 +144,7 @@ def test_a_log_of_one_scan_has_no_period_and_one_pose() -> None:
     assert not outcome.lost
 
 
+@pytest.mark.slow
 def test_a_part_beyond_the_reach_of_any_vehicle_is_not_joined() -> None:
     drive = record(furnished_rooms(), along(TOUR[:4], speed_m_s=0.8))
     froze = [replace(drive.scans[20], stamp_ns=scan.stamp_ns) for scan in drive.scans[21:46]]

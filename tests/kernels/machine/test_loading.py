@@ -39,6 +39,7 @@ def test_machine_code_is_loaded_without_numba() -> None:
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
+@pytest.mark.slow
 def test_kernels_are_loaded_while_another_thread_imports_numba() -> None:
     code = (
         "import sys, time, threading, numpy as np\n"
@@ -290,6 +291,7 @@ def built(trial: Path) -> subprocess.Popen[str]:
     )
 
 
+@pytest.mark.slow
 def test_kernels_compile_in_other_processes_and_say_so_once(trial: Path) -> None:
     told = [f"compiling kernels (first run only): {done} of 2" for done in range(3)]
     assert built(trial).communicate(timeout=120)[0].splitlines() == [*told, "True 0 0"]

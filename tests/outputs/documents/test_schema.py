@@ -65,6 +65,7 @@ def made(folder: Path, *args: object) -> dict[str, Any]:
     return json.loads((folder / "run.json").read_text())
 
 
+@pytest.mark.slow
 def test_a_scored_run(tmp_path: Path, repo_root: Path) -> None:
     log, first = str(repo_root / "sample_logs" / "corridor.mcap"), tmp_path / "first"
     made(first, "replay", log, "--end", 2)
@@ -72,6 +73,7 @@ def test_a_scored_run(tmp_path: Path, repo_root: Path) -> None:
     check(json.loads((tmp_path / "scores" / "own" / "run.json").read_text()), "external")
 
 
+@pytest.mark.slow
 def test_a_replay_with_references_and_its_localisation(tmp_path: Path, repo_root: Path) -> None:
     log, first = repo_root / "sample_logs" / "corridor.mcap", tmp_path / "first"
     check(made(first, "replay", log, "--end", 2))
@@ -86,6 +88,7 @@ def test_a_replay_with_references_and_its_localisation(tmp_path: Path, repo_root
     check(made(tmp_path / "fourth", "replay", log, "--start", 2, "--end", 3, "--continue", first), "continued")
 
 
+@pytest.mark.slow
 def test_simulated_runs(tmp_path: Path) -> None:
     quick = ("simulate", "corner", "--grid", "5x5", "--set", "slam.final_pass=false")
     document = made(tmp_path / "a", *quick, "--set", "max_steps=8")

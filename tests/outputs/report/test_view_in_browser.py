@@ -307,6 +307,7 @@ def test_without_script_the_page_is_read_as_before(page):
         page.driver.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": False})
 
 
+@pytest.mark.slow
 def test_the_dark_theme_is_dark(folder, tmp_path):
     with browser(tmp_path / "profile", dark=True) as driver:
         page = Shown(driver, folder / "report.html")

@@ -179,6 +179,7 @@ def test_a_ring_is_closed() -> None:
     assert rmse_m(loops.map_T_laser, ring_walk.truth) < 0.35 * rmse_m(tracked, ring_walk.truth)
 
 
+@pytest.mark.slow
 def test_a_loop_is_closed_across_a_plain_corridor_and_left_as_tracked_along_it() -> None:
     ring_walk = walk("plain ring")
     tracked = ring_walk.sheared((0.2, 0.63))

@@ -265,6 +265,7 @@ def two_rooms(seed: int) -> np.ndarray:
     return np.vstack(walls)
 
 
+@pytest.mark.slow
 def test_a_laser_carried_into_another_room_is_not_found_in_the_first() -> None:
     walls = two_rooms(seed := 3)
     first = record(walls, along([(-1, 0.2), (1.2, -0.2), (-0.5, 0.1)]), seed=seed).scans

@@ -151,6 +151,7 @@ def test_a_grid_is_brought_to_its_map_frame(x_m: float, y_m: float, yaw_rad: flo
     assert seen == pytest.approx(hits.size, rel=0.25)
 
 
+@pytest.mark.slow
 def test_a_laser_lost_in_the_map_is_mapped_by_itself_and_placed_as_a_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     """The map of another tool fits no single scan well; here, none is accepted."""
     monkeypatch.setattr(Localizer, "first", lambda self, scan: no_match(Pose(), len(self.match_points(scan))))

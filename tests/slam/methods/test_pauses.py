@@ -59,6 +59,7 @@ def drive_with_pause(seed: int, first_s: float, last_s: float, *, odometry: bool
     return run, float(np.linalg.norm(run.trajectory.xyyaw[:, :2] - true_xy, axis=1).max())
 
 
+@pytest.mark.slow
 def test_a_place_that_looks_like_another_is_not_taken_for_it() -> None:
     run, error_m = drive_with_pause(3, 17.0, 24.0)
     assert error_m < 0.3

@@ -45,6 +45,7 @@ def replayed(odometry: Trajectory | None, scans: list[Scan] | None = None) -> Sl
     return run_slam(lambda: kept, Config(), 0.1, odometry)
 
 
+@pytest.mark.slow
 def test_odometry_leads_across_a_hall() -> None:
     truth = drive().map_T_laser
     run = replayed(drifting_odometry(truth, 1))

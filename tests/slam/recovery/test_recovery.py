@@ -190,6 +190,7 @@ def test_a_person_enters_the_map_on_line_but_thickens_no_wall() -> None:
     assert after < before + 20.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("odometry", [slow(True), False], ids=["odometry", "scans"])
 def test_a_person_has_left_the_finished_map(*, odometry: bool) -> None:
     assert cells_in_the_open(*replayed("a person for 5 scans", odometry=odometry, final_pass=True)) == 0

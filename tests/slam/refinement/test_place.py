@@ -41,6 +41,7 @@ def plan_direction_rad(slam: SlamResult) -> float:
     return (floor_plan(slam.grid, Pose()).plan_T_map.yaw_rad + np.pi / 4) % (np.pi / 2) - np.pi / 4
 
 
+@pytest.mark.slow
 def test_walls_lie_along_the_axes() -> None:
     plain, straight = result(), result(turn_to_walls)
     assert abs(abs(plan_direction_rad(plain)) - 30 * DEG) < 0.5 * DEG

@@ -49,6 +49,7 @@ def worst_m(outcome: SlamResult, truth: Trajectory) -> float:
     return float(np.hypot(*(outcome.trajectory.xyyaw - truth.xyyaw)[:, :2].T).max())
 
 
+@pytest.mark.slow
 def test_a_false_tilt_of_a_level_laser_is_not_used_and_named() -> None:
     recording = record(WALLS, way(), LASER, noise=0.005)
     recorded = recording.scans
