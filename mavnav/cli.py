@@ -10,6 +10,7 @@ from contextlib import suppress
 from importlib import import_module
 from io import TextIOWrapper
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Final, NoReturn, get_type_hints
 
 import typer
@@ -108,7 +109,7 @@ def app_for(args: Sequence[str]) -> typer.Typer:
     wanted = next((arg for arg in args if not arg.startswith("-")), "")
     for name in (wanted,) if wanted in COMMANDS else COMMANDS:
         module = import_module(f"mavnav.commands.{name}")
-        epilog = _epilog(module.EPILOG, COMMANDS[name])
+        epilog = _epilog(_examples_of(module), COMMANDS[name])
         if name == "config":
             app.add_typer(module.app, name=name, epilog=epilog)
             for command in module.app.registered_commands:
@@ -118,6 +119,11 @@ def app_for(args: Sequence[str]) -> typer.Typer:
             command.__annotations__ = get_type_hints(command, include_extras=True)  # typer would do so four times
             app.command(cls=PlainCommand, epilog=epilog)(command)
     return app
+
+
+def _examples_of(module: ModuleType) -> str:
+    """Return what the docstring of a command's module says after its title."""
+    return re.sub(r"^(\w+)\n-+$", r"[bold]\1[/bold]", (module.__doc__ or "").partition("\n")[2], flags=re.MULTILINE)
 
 
 def _epilog(text: str, page: str) -> str:

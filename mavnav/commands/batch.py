@@ -1,4 +1,15 @@
-"""``mavnav batch [MANIFEST.yaml | LOG ...]``: many logs with many settings, each run apart, one verdict."""
+"""``mavnav batch [MANIFEST.yaml | LOG ...]``: many logs with many settings, each run apart, one verdict.
+
+Examples
+--------
+mavnav batch logs/ -j 4 --gate 'map.accepted_share>=0.95'
+mavnav batch 'drives/**/*.mcap' --method robust --method paper --grid 10x10 --grid 20x20
+mavnav batch nightly.yaml --baseline baseline.json --gate baseline --junit batch.xml --summary batch.md
+mavnav batch nightly.yaml --scheduler tcp://10.0.0.1:8786
+mavnav batch logs/ --repeat 2 --gate identical
+mavnav batch logs/ --external kiss='python kiss.py {log} {out}' --time-limit 600
+mavnav batch benchmark --only ccny_demo --junit benchmark.xml
+"""
 
 from __future__ import annotations
 
@@ -24,17 +35,6 @@ if TYPE_CHECKING:
     from mavnav.batch.runner import BatchPlan
     from mavnav.jobs.dask import Cluster
     from mavnav.profiling import Progress
-
-EPILOG = """
-[bold]Examples[/bold]
-mavnav batch logs/ -j 4 --gate 'map.accepted_share>=0.95'
-mavnav batch 'drives/**/*.mcap' --method robust --method paper --grid 10x10 --grid 20x20
-mavnav batch nightly.yaml --baseline baseline.json --gate baseline --junit batch.xml --summary batch.md
-mavnav batch nightly.yaml --scheduler tcp://10.0.0.1:8786
-mavnav batch logs/ --repeat 2 --gate identical
-mavnav batch logs/ --external kiss='python kiss.py {log} {out}' --time-limit 600
-mavnav batch benchmark --only ccny_demo --junit benchmark.xml
-"""
 
 
 @shared.with_options(*READING, "strict", "resolution_m", "online")

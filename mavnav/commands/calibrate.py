@@ -1,4 +1,11 @@
-"""``mavnav calibrate LOG``: the mounting of the laser, the time offset and the scales of the odometry, from one log."""
+"""``mavnav calibrate LOG``: the mounting of the laser, the time offset and the scales of the odometry, from one log.
+
+Examples
+--------
+mavnav calibrate drive.mcap
+mavnav calibrate drive.bag --odom /wheel_odom -o calibration.json --picture calibration.png
+mavnav calibrate drive.mcap --json | jq -r .lines.static_transform
+"""
 
 from __future__ import annotations
 
@@ -11,13 +18,6 @@ from mavnav.commands import shared
 from mavnav.commands.progress import REPLAY, loading_modules, reporting
 from mavnav.commands.terminal import Rows, emit, emit_json, note, note_problems, print_verdict
 from mavnav.config.options import read_options, settings_of
-
-EPILOG = """
-[bold]Examples[/bold]
-mavnav calibrate drive.mcap
-mavnav calibrate drive.bag --odom /wheel_odom -o calibration.json --picture calibration.png
-mavnav calibrate drive.mcap --json | jq -r .lines.static_transform
-"""
 
 MOUNTING: Final = ("x_m", "y_m", "yaw_deg")
 

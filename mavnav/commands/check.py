@@ -1,4 +1,10 @@
-"""``mavnav check RUN ... --gate ...``: gates on runs that are finished."""
+"""``mavnav check RUN ... --gate ...``: gates on runs that are finished.
+
+Examples
+--------
+mavnav check runs/drive-robust-20-10x10 --gate 'wall_thickness.p95_mm<=150'
+mavnav check runs/* --gate 'map.accepted_share>=0.95' --gate 'tracking.lost==false'
+"""
 
 from __future__ import annotations
 
@@ -12,12 +18,6 @@ from mavnav.commands.terminal import emit, emit_json, note, printable
 
 if TYPE_CHECKING:
     from mavnav.errors import ExitCode
-
-EPILOG = """
-[bold]Examples[/bold]
-mavnav check runs/drive-robust-20-10x10 --gate 'wall_thickness.p95_mm<=150'
-mavnav check runs/* --gate 'map.accepted_share>=0.95' --gate 'tracking.lost==false'
-"""
 
 
 def check(

@@ -1,4 +1,15 @@
-"""``mavnav compare [LOG ...]``: maps, metrics and relative cost of several search grids, side by side."""
+"""``mavnav compare [LOG ...]``: maps, metrics and relative cost of several search grids, side by side.
+
+Examples
+--------
+mavnav compare drive.mcap --grid 5x5 --grid 10x10 --grid 20x20
+mavnav compare --grid 20x20
+mavnav compare drive.mcap --set robust.cell_mm=10,20,50
+mavnav compare runs/before runs/after
+mavnav compare drive.mcap --trajectory toolbox=toolbox.tum --external kiss='python kiss.py {log} {out}'
+mavnav compare a.bag b.mcap --method robust --method paper -j 4 -o grids
+mavnav compare drive.mcap --grid 40x40 --azimuth 40 --gate 'wall_thickness.p95_mm<=150'
+"""
 
 from __future__ import annotations
 
@@ -23,17 +34,6 @@ if TYPE_CHECKING:
     from mavnav.profiling import Progress
 
     GivenPoses = tuple[Sequence[TrajectorySource], Sequence[Program], float]
-
-EPILOG = """
-[bold]Examples[/bold]
-mavnav compare drive.mcap --grid 5x5 --grid 10x10 --grid 20x20
-mavnav compare --grid 20x20
-mavnav compare drive.mcap --set robust.cell_mm=10,20,50
-mavnav compare runs/before runs/after
-mavnav compare drive.mcap --trajectory toolbox=toolbox.tum --external kiss='python kiss.py {log} {out}'
-mavnav compare a.bag b.mcap --method robust --method paper -j 4 -o grids
-mavnav compare drive.mcap --grid 40x40 --azimuth 40 --gate 'wall_thickness.p95_mm<=150'
-"""
 
 
 @shared.with_options(*READING, "resolution_m", "online", *REFERENCES)

@@ -1,4 +1,11 @@
-"""``mavnav config``: see the effective configuration, and the schema for editors."""
+"""``mavnav config``: see the effective configuration, and the schema for editors.
+
+Examples
+--------
+mavnav config show paper
+mavnav config show --set robust.cell_mm=25 > my.yaml
+mavnav config schema run
+"""
 
 from __future__ import annotations
 
@@ -9,13 +16,6 @@ import typer
 from mavnav.commands import completion, shared
 from mavnav.commands.terminal import emit, emit_json
 from mavnav.commands.values import CommandGroup, PlainCommand
-
-EPILOG = """
-[bold]Examples[/bold]
-mavnav config show paper
-mavnav config show --set robust.cell_mm=25 > my.yaml
-mavnav config schema run
-"""
 
 app = typer.Typer(cls=CommandGroup, help="Show the configuration, its presets and its schema.")
 

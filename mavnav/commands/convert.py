@@ -1,4 +1,11 @@
-"""``mavnav convert LOG OUT.mcap``: what can be read of a log, as a sound and indexed MCAP."""
+"""``mavnav convert LOG OUT.mcap``: what can be read of a log, as a sound and indexed MCAP.
+
+Examples
+--------
+mavnav convert crashed.bag.active drive.mcap
+mavnav convert rosbag2_folder drive.mcap --strict --json | jq .left_out
+mavnav convert drive.bag drive_with_map.mcap --run runs/drive
+"""
 
 from __future__ import annotations
 
@@ -11,13 +18,6 @@ import typer
 from mavnav.commands import shared
 from mavnav.commands.progress import reporting
 from mavnav.commands.terminal import Rows, note_problems, print_result
-
-EPILOG = """
-[bold]Examples[/bold]
-mavnav convert crashed.bag.active drive.mcap
-mavnav convert rosbag2_folder drive.mcap --strict --json | jq .left_out
-mavnav convert drive.bag drive_with_map.mcap --run runs/drive
-"""
 
 
 @shared.with_options("strict")

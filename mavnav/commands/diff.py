@@ -1,4 +1,11 @@
-"""``mavnav diff A B``: what changed between two maps."""
+"""``mavnav diff A B``: what changed between two maps.
+
+Examples
+--------
+mavnav diff runs/monday runs/friday -o diff.png
+mavnav diff map.yaml runs/friday --gate 'changed_m2<=0.2'
+mavnav diff runs/monday runs/friday --json | jq '.changes[] | select(.kind == "new")'
+"""
 
 from __future__ import annotations
 
@@ -11,13 +18,6 @@ from mavnav.commands import shared
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.terminal import LISTED, Rows, emit, emit_json, note, print_table
 from mavnav.errors import UsageError
-
-EPILOG = """
-[bold]Examples[/bold]
-mavnav diff runs/monday runs/friday -o diff.png
-mavnav diff map.yaml runs/friday --gate 'changed_m2<=0.2'
-mavnav diff runs/monday runs/friday --json | jq '.changes[] | select(.kind == "new")'
-"""
 
 _map_argument = "Run directory, or map_server map (YAML)."
 

@@ -1,4 +1,12 @@
-"""``mavnav docs [PAGE]``: the documentation that ships with the program, on the terminal or in the browser."""
+"""``mavnav docs [PAGE]``: the documentation that ships with the program, on the terminal or in the browser.
+
+Examples
+--------
+mavnav docs
+mavnav docs problems
+mavnav docs cli#exit-codes
+mavnav docs report --open
+"""
 
 from __future__ import annotations
 
@@ -16,14 +24,6 @@ from mavnav.errors import UsageError, missing
 
 if TYPE_CHECKING:
     from markdown_it.token import Token
-
-EPILOG = """
-[bold]Examples[/bold]
-mavnav docs
-mavnav docs problems
-mavnav docs cli#exit-codes
-mavnav docs report --open
-"""
 
 
 def docs(

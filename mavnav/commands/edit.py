@@ -1,4 +1,11 @@
-"""``mavnav edit RUN|MAP.yaml``: a map cropped and cleaned, as a new one."""
+"""``mavnav edit RUN|MAP.yaml``: a map cropped and cleaned, as a new one.
+
+Examples
+--------
+mavnav edit runs/drive --keep-largest
+mavnav edit runs/drive --erase 1.2,0.5,2,1.5 --erase 4,-1,4.6,-0.2 --crop -3,-2,12,9 -o runs/clean
+mavnav edit toolbox/map.yaml --unknown 12,-4,20,3 -o clean.yaml
+"""
 
 from __future__ import annotations
 
@@ -10,13 +17,6 @@ import typer
 from mavnav.commands import shared
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.terminal import Rows, print_result
-
-EPILOG = """
-[bold]Examples[/bold]
-mavnav edit runs/drive --keep-largest
-mavnav edit runs/drive --erase 1.2,0.5,2,1.5 --erase 4,-1,4.6,-0.2 --crop -3,-2,12,9 -o runs/clean
-mavnav edit toolbox/map.yaml --unknown 12,-4,20,3 -o clean.yaml
-"""
 
 _CORNERS = "X0,Y0,X1,Y1"
 

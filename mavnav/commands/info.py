@@ -1,4 +1,12 @@
-"""``mavnav info LOG``: what a log holds, and everything odd about it."""
+"""``mavnav info LOG``: what a log holds, and everything odd about it.
+
+Examples
+--------
+mavnav info drive.mcap
+mavnav info rosbag2_folder --topic /front/scan
+mavnav info drive.bag --json | jq .scans
+ssh robot cat drive.mcap | mavnav info -
+"""
 
 from __future__ import annotations
 
@@ -18,14 +26,6 @@ from mavnav.units import DEG, NS, pluralize
 
 if TYPE_CHECKING:
     from mavnav.commands.sources import LocalLog
-
-EPILOG = """
-[bold]Examples[/bold]
-mavnav info drive.mcap
-mavnav info rosbag2_folder --topic /front/scan
-mavnav info drive.bag --json | jq .scans
-ssh robot cat drive.mcap | mavnav info -
-"""
 
 
 @shared.with_options("topic", "strict")

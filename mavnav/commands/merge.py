@@ -1,4 +1,10 @@
-"""``mavnav merge RUN|LOG ... -o DIR``: one map of many sessions."""
+"""``mavnav merge RUN|LOG ... -o DIR``: one map of many sessions.
+
+Examples
+--------
+mavnav merge monday.bag tuesday.bag runs/wednesday -o runs/building
+mavnav merge logs/*.mcap -o runs/building --json | jq '.sessions[] | select(.joined | not)'
+"""
 
 from __future__ import annotations
 
@@ -14,12 +20,6 @@ from mavnav.commands.quality_rows import spread_text
 from mavnav.commands.terminal import Rows, emit_json, note, print_verdict
 from mavnav.config.named_files import read_json
 from mavnav.units import pluralize
-
-EPILOG = """
-[bold]Examples[/bold]
-mavnav merge monday.bag tuesday.bag runs/wednesday -o runs/building
-mavnav merge logs/*.mcap -o runs/building --json | jq '.sessions[] | select(.joined | not)'
-"""
 
 
 def merge(

@@ -1,4 +1,12 @@
-"""``mavnav metrics RUN|MAP.yaml ...``: how good maps are."""
+"""``mavnav metrics RUN|MAP.yaml ...``: how good maps are.
+
+Examples
+--------
+mavnav metrics runs/drive-robust-20-10x10
+mavnav metrics other_tool/map.yaml --json | jq '.maps[0].map_quality.ghost_walls'
+mavnav metrics runs/* --truth groundtruth.tum
+mavnav metrics map.yaml --truth-map corridor.yaml
+"""
 
 from __future__ import annotations
 
@@ -13,14 +21,6 @@ from mavnav.commands.quality_rows import more_rows, quality_rows, reference_rows
 from mavnav.commands.terminal import Rows, emit, emit_json, note, print_table, verdict_rows
 from mavnav.config.options import REFERENCES, read_options, reference_files
 from mavnav.errors import UsageError
-
-EPILOG = """
-[bold]Examples[/bold]
-mavnav metrics runs/drive-robust-20-10x10
-mavnav metrics other_tool/map.yaml --json | jq '.maps[0].map_quality.ghost_walls'
-mavnav metrics runs/* --truth groundtruth.tum
-mavnav metrics map.yaml --truth-map corridor.yaml
-"""
 
 
 @shared.with_options(

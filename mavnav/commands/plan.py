@@ -1,4 +1,11 @@
-"""``mavnav plan RUN|MAP.yaml``: the floor plan of a map, as SVG or DXF."""
+"""``mavnav plan RUN|MAP.yaml``: the floor plan of a map, as SVG or DXF.
+
+Examples
+--------
+mavnav plan runs/drive
+mavnav plan runs/drive -o drive.dxf
+mavnav plan toolbox/map.yaml -o office.svg --scale 50
+"""
 
 from __future__ import annotations
 
@@ -10,13 +17,6 @@ import typer
 from mavnav.commands import shared
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.terminal import LISTED, Rows, print_result
-
-EPILOG = """
-[bold]Examples[/bold]
-mavnav plan runs/drive
-mavnav plan runs/drive -o drive.dxf
-mavnav plan toolbox/map.yaml -o office.svg --scale 50
-"""
 
 
 def plan(

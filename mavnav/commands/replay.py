@@ -1,4 +1,16 @@
-"""``mavnav replay LOG``: from a recorded log to a trajectory, a map and its quality."""
+"""``mavnav replay LOG``: from a recorded log to a trajectory, a map and its quality.
+
+Examples
+--------
+mavnav replay drive.mcap
+mavnav replay drive_0.mcap drive_1.mcap
+mavnav replay drive.bag -o runs/drive --odom off --start 5 --end 60
+mavnav replay rosbag2_folder --method paper --grid 20x20 --azimuth 40
+mavnav replay drive.mcap --map office.yaml --start-pose 2.1,0.4,1.57
+mavnav replay drive.mcap --set robust.cell_mm=25 --json | jq .wall_thickness
+mavnav replay --again runs/drive-robust-20-10x10 -o runs/repeated
+ssh robot cat drive.mcap | mavnav replay - -o runs/drive
+"""
 
 from __future__ import annotations
 
@@ -23,18 +35,6 @@ if TYPE_CHECKING:
     from mavnav.commands.sources import LocalLog
     from mavnav.config.models import Config
     from mavnav.config.options import ReplayOptions
-
-EPILOG = """
-[bold]Examples[/bold]
-mavnav replay drive.mcap
-mavnav replay drive_0.mcap drive_1.mcap
-mavnav replay drive.bag -o runs/drive --odom off --start 5 --end 60
-mavnav replay rosbag2_folder --method paper --grid 20x20 --azimuth 40
-mavnav replay drive.mcap --map office.yaml --start-pose 2.1,0.4,1.57
-mavnav replay drive.mcap --set robust.cell_mm=25 --json | jq .wall_thickness
-mavnav replay --again runs/drive-robust-20-10x10 -o runs/repeated
-ssh robot cat drive.mcap | mavnav replay - -o runs/drive
-"""
 
 
 @shared.with_options(*OPTIONS)

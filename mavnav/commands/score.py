@@ -1,4 +1,12 @@
-"""``mavnav score LOG --trajectory ...``: trajectories of other programs, judged by the scans of the log."""
+"""``mavnav score LOG --trajectory ...``: trajectories of other programs, judged by the scans of the log.
+
+Examples
+--------
+mavnav score drive.mcap --trajectory toolbox=toolbox.tum --trajectory hector=hector.csv
+mavnav score drive.mcap --trajectory slam=tf:map,base_link --trajectory ekf=topic:/odometry/filtered@first
+mavnav score drive.mcap --trajectory mavnav=runs/drive --trajectory other=base_poses.tum,base
+mavnav score drive.mcap --trajectory mavnav=runs/drive --external kiss='python kiss.py {log} {out}' --time-limit 600
+"""
 
 from __future__ import annotations
 
@@ -14,14 +22,6 @@ from mavnav.commands.sources import local_log
 from mavnav.commands.terminal import note, printable
 from mavnav.config.options import REFERENCES, read_options, settings_of
 from mavnav.errors import worst
-
-EPILOG = """
-[bold]Examples[/bold]
-mavnav score drive.mcap --trajectory toolbox=toolbox.tum --trajectory hector=hector.csv
-mavnav score drive.mcap --trajectory slam=tf:map,base_link --trajectory ekf=topic:/odometry/filtered@first
-mavnav score drive.mcap --trajectory mavnav=runs/drive --trajectory other=base_poses.tum,base
-mavnav score drive.mcap --trajectory mavnav=runs/drive --external kiss='python kiss.py {log} {out}' --time-limit 600
-"""
 
 
 @shared.with_options("topic", "start_s", "end_s", "attitude", "extrinsic", "strict", *REFERENCES)

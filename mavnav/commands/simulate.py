@@ -1,4 +1,16 @@
-"""``mavnav simulate SCENARIO``: fly a mission in closed loop."""
+"""``mavnav simulate SCENARIO``: fly a mission in closed loop.
+
+Examples
+--------
+mavnav simulate corner.yaml
+mavnav simulate complex --seed 7 --grid 20x20 --animate complex.gif
+mavnav simulate u_trap --planner field
+mavnav simulate corner --method paper
+mavnav simulate hover --attitude off
+mavnav simulate corridor --record flight.mcap && mavnav replay flight.mcap
+mavnav simulate --again runs/corner-robust-20-10x10 -o runs/repeated
+mavnav simulate --list
+"""
 
 from __future__ import annotations
 
@@ -20,18 +32,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mavnav.simulation.world import Scenario
-
-EPILOG = """
-[bold]Examples[/bold]
-mavnav simulate corner.yaml
-mavnav simulate complex --seed 7 --grid 20x20 --animate complex.gif
-mavnav simulate u_trap --planner field
-mavnav simulate corner --method paper
-mavnav simulate hover --attitude off
-mavnav simulate corridor --record flight.mcap && mavnav replay flight.mcap
-mavnav simulate --again runs/corner-robust-20-10x10 -o runs/repeated
-mavnav simulate --list
-"""
 
 
 @shared.with_options(

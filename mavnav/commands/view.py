@@ -1,4 +1,11 @@
-"""``mavnav view RUN``: look around in a result, in the browser."""
+"""``mavnav view RUN``: look around in a result, in the browser.
+
+Examples
+--------
+mavnav view runs/drive-robust-20-10x10
+mavnav view runs/batch --no-browser
+mavnav view runs/compare --serve
+"""
 
 from __future__ import annotations
 
@@ -10,13 +17,6 @@ import typer
 from mavnav.commands import shared, signals
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.terminal import emit, note
-
-EPILOG = """
-[bold]Examples[/bold]
-mavnav view runs/drive-robust-20-10x10
-mavnav view runs/batch --no-browser
-mavnav view runs/compare --serve
-"""
 
 
 def view(
