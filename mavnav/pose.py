@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from itertools import pairwise
 from math import atan2, cos, pi, sin
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+from numpy.typing import NDArray
 
 MAX_GAP_NS = 1_000_000_000
 """Longest gap in the poses of a truth, or of another program, over which they are interpolated."""

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 from base64 import b64encode
+from collections.abc import Mapping
 from html import escape
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mavnav.mapping.occupancy_grid import occupancy
+from mavnav.mapping.occupancy_grid import Grid, occupancy
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from numpy.typing import NDArray
-
-    from mavnav.mapping.occupancy_grid import Grid
-
-    Path = tuple[NDArray[np.float64], NDArray[np.bool_]]
+Path = tuple[NDArray[np.float64], NDArray[np.bool_]]
 
 
 UNKNOWN_SHADE: Final = 0.85

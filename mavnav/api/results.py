@@ -5,11 +5,12 @@ from __future__ import annotations
 import csv
 import shutil
 import weakref
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from tempfile import mkdtemp
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from PIL import Image
@@ -17,10 +18,13 @@ from PIL import Image
 from mavnav.api.arguments import path_of
 from mavnav.atomic_files import naming_full_disk
 from mavnav.config.named_files import read_json
+from mavnav.config.options import File
 from mavnav.errors import UsageError
 from mavnav.ground_truth.tables import read_tum
+from mavnav.mapping.occupancy_grid import Grid
 from mavnav.outputs.directory import RUN_FILE, atomic_directory, checked_file, digests_of
 from mavnav.outputs.files.gridmap import HITS_FILE, read_npz
+from mavnav.pose import Trajectory
 
 TEXTS: Final = ("refused_by",)
 """Columns of trajectory.csv that are no numbers."""
@@ -29,13 +33,6 @@ KINDS: Final = dict.fromkeys(("index", "beams_used", "evaluations", "iterations"
     ("converged", "tracked", "accepted", "doubtful"), bool
 )
 """Columns of trajectory.csv that are whole numbers, or true or false."""
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from mavnav.config.options import File
-    from mavnav.mapping.occupancy_grid import Grid
-    from mavnav.pose import Trajectory
 
 
 @dataclass(frozen=True)

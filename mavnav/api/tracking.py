@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import chain, islice
 from math import isfinite
 from typing import TYPE_CHECKING, Any, SupportsFloat, Unpack
 
 import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from mavnav.api.arguments import config_of, options_of, sets_of, with_options, with_python_names
 from mavnav.config.loading import load_config
-from mavnav.config.options import SEARCHING, settings_of
+from mavnav.config.options import SEARCHING, File, SearchOptions, settings_of
 from mavnav.errors import UsageError
 from mavnav.scan import LaserSpec, Scan
 from mavnav.units import NS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
-
-    from numpy.typing import NDArray
-
-    from mavnav.config.options import File, SearchOptions
     from mavnav.slam.matching.steps import Step
 
 

@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from os.path import relpath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
-from mavnav.batch.baseline import ChangeKind, changes, lacking, lacking_text
+from mavnav.batch.baseline import Baseline, ChangeKind, changes, lacking, lacking_text
+from mavnav.batch.cases import CaseResult
+from mavnav.batch.request import BatchRequest
 from mavnav.errors import SEVERITY, ExitCode, worst
 from mavnav.metrics.gates import VERDICTS, accepts_code, failure_text, judge_some, judge_verdict
 from mavnav.outputs.documents.quantities import verdict_texts
 from mavnav.outputs.documents.verdict import EXTERNAL
 from mavnav.version import __version__
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from mavnav.batch.baseline import Baseline
-    from mavnav.batch.cases import CaseResult
-    from mavnav.batch.request import BatchRequest
 
 BATCH_FILE: Final = "batch.json"
 

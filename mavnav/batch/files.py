@@ -10,8 +10,9 @@ import io
 import os
 from base64 import b64encode
 from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from PIL import Image
@@ -25,17 +26,11 @@ from mavnav.errors import ExitCode, UsageError
 from mavnav.jobs.run_cache import RUNS_FOLDER
 from mavnav.mapping.tiled_arrays import crop, max_pool
 from mavnav.outputs.directory import RUN_FILE, check_apart
-from mavnav.outputs.documents.quantities import NAMED, PATH, TIME, UNUSABLE, number, verdict_texts
+from mavnav.outputs.documents.quantities import NAMED, PATH, TIME, UNUSABLE, Quantity, number, verdict_texts
 from mavnav.outputs.files.document import to_json
 from mavnav.outputs.report.html import environment, facts, inline
 from mavnav.outputs.report.markdown import inert
 from mavnav.outputs.writers import REPORT_FILE
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
-
-    from mavnav.outputs.documents.quantities import Quantity
-
 
 PAGE_FILE: Final = "batch.html"
 

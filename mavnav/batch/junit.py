@@ -9,15 +9,13 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
 from xml.etree import ElementTree as XML  # noqa: N814  short, because many lines use it
 
 from mavnav.batch.document import why
 from mavnav.batch.files import FIGURES
 from mavnav.outputs.documents.quantities import number, verdict_texts
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
 
 _INVALID_XML: Final = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 """Characters that XML 1.0 does not allow (section 2.2)."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
@@ -13,11 +13,7 @@ from mavnav.errors import OutputError, UsageError
 from mavnav.kernels.machine.cache import user_directory
 from mavnav.outputs.directory import file_sha256
 from mavnav.outputs.documents.addresses import public_address
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from mavnav.profiling import Progress
+from mavnav.profiling import Progress
 
 
 class Pin(Struct, frozen=True):

@@ -6,10 +6,10 @@ repeat a run and the key of the run cache are all made from `OPTIONS`. No other 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Generic, TypedDict, TypeVar, cast, get_args, get_type_hints
+from typing import Annotated, Any, Final, Generic, TypedDict, TypeVar, cast, get_args, get_type_hints
 
 from mavnav.config.option_kinds import (
     COUNT,
@@ -28,9 +28,6 @@ from mavnav.config.option_kinds import (
     Search,
 )
 from mavnav.errors import UsageError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
 
 File = str | PathLike[str]
 """What names a file in Python."""

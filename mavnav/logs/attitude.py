@@ -3,35 +3,29 @@
 from __future__ import annotations
 
 from array import array
+from collections.abc import Callable, Iterable, Iterator
 from math import pi
-from typing import TYPE_CHECKING, Final, Literal, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from msgspec import Struct, field
+from numpy.typing import NDArray
 
 from mavnav.errors import TopicError
-from mavnav.logs.imu import single_precision, usual_topic
+from mavnav.logs.imu import ImuTrack, single_precision, usual_topic
 from mavnav.logs.levelling import MOST_RAD, RecordedAttitude
+from mavnav.logs.log import Log
 from mavnav.logs.messages.columns import merge
 from mavnav.logs.messages.definitions import IMU, ODOMETRY, POSE
+from mavnav.logs.messages.records import Poses
 from mavnav.logs.namespaces import laser_topics, of_same_robot
+from mavnav.logs.records import Channel, Topic
 from mavnav.logs.stamps import Stamps, in_order
-from mavnav.logs.transforms import frame_name
+from mavnav.logs.transforms import FrameTree, frame_name
 from mavnav.pose import ups_of_quaternions
 from mavnav.units import DEG, NS
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-
-    from numpy.typing import NDArray
-
-    from mavnav.logs.imu import ImuTrack
-    from mavnav.logs.log import Log
-    from mavnav.logs.messages.records import Poses
-    from mavnav.logs.records import Channel, Topic
-    from mavnav.logs.transforms import FrameTree
-
-    Floats = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 NAME: Final = "attitude"
 """The topic that ``auto`` uses however little the laser tilts."""

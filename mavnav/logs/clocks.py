@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavnav.units import NS, pluralize
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Stamps = NDArray[np.int64]
+Stamps = NDArray[np.int64]
 
 APART_S: Final = 1.0
 """Clocks that are closer, s, are compared by the motion that they date; recording may be late by as much."""

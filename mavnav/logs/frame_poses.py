@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING, Final, NamedTuple
+from collections.abc import Callable
+from typing import Final, NamedTuple
 
 import numpy as np
 from msgspec import Struct, field
+from numpy.typing import NDArray
 
 from mavnav.errors import TopicError
-from mavnav.logs.transforms import frame_name, planar
+from mavnav.logs.log import Log
+from mavnav.logs.pose_track import PoseTrack
+from mavnav.logs.transforms import FrameTree, frame_name, planar
 from mavnav.pose import Pose, Trajectory, between
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from mavnav.logs.log import Log
-    from mavnav.logs.pose_track import PoseTrack
-    from mavnav.logs.transforms import FrameTree
-
-    Edge = tuple[str, str]
+Edge = tuple[str, str]
 
 TF_PREFIX: Final = "tf:"
 """Begins the name of poses that are those of a frame: ``tf:MAP,FRAME``, or ``tf:MAP`` for the frame of the scans."""

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable, Iterator
 from itertools import islice
 from math import ceil, inf
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
+from mavnav.logs.log import Log
+from mavnav.scan import LaserSpec, Scan
 from mavnav.units import DEG, NS, pluralize
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    from numpy.typing import NDArray
-
-    from mavnav.logs.log import Log
-    from mavnav.scan import LaserSpec, Scan
 
 MOST_SCANS: Final = 5000
 """The ranges of the first so many scans are examined: 0.1 s for 700 beams."""

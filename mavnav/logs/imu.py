@@ -3,28 +3,23 @@
 from __future__ import annotations
 
 from array import array
-from typing import TYPE_CHECKING, Final
+from collections.abc import Callable, Iterable
+from typing import Final
 
 import numpy as np
 from msgspec import Struct, field
+from numpy.typing import NDArray
 
+from mavnav.logs.log import Log
 from mavnav.logs.messages.columns import merge
+from mavnav.logs.messages.records import Measurements
 from mavnav.logs.namespaces import laser_topics, of_same_robot
 from mavnav.logs.records import Imu
-from mavnav.logs.stamps import Stamps, in_order
+from mavnav.logs.stamps import Stamps, StampSource, in_order
 from mavnav.pose import Rotation, ups_of_quaternions
 from mavnav.units import NS
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
-    from numpy.typing import NDArray
-
-    from mavnav.logs.log import Log
-    from mavnav.logs.messages.records import Measurements
-    from mavnav.logs.stamps import StampSource
-
-    Floats = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 USUAL_NAMES: Final = ("/imu/data", "/imu", "/imu/data_raw")
 """Of several topics of a robot the first of these is used."""

@@ -6,21 +6,18 @@ can have reached, while the motion before and after them is right.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
 from mavnav.pose import Pose, Trajectory, motions
 from mavnav.units import NS, pluralize
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    Steps = NDArray[np.float64]
+Steps = NDArray[np.float64]
 
 SLACK: Final = np.array((0.1, 0.15))
 """Error of a step, m and rad, as quantized encoders and stamps that jitter have it."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import Final
 
 from msgspec.structs import replace
 
@@ -20,17 +22,11 @@ from mavnav.logs.periods import comes_in_bursts, period_and_gaps
 from mavnav.logs.preprocessing import KINDS
 from mavnav.logs.records import ScanCounts
 from mavnav.logs.survey import Survey, survey
-from mavnav.logs.topic_scans import REPEATED_SHARE
+from mavnav.logs.topic_scans import REPEATED_SHARE, Timeline, TopicScans
 from mavnav.logs.trajectories import laser_odometry, laser_truth
 from mavnav.logs.transforms import frame_name, mounting, transforms_for
 from mavnav.pose import Pose
 from mavnav.units import NS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-    from pathlib import Path
-
-    from mavnav.logs.topic_scans import Timeline, TopicScans
 
 LEAST_CONSTANT: Final = 10
 """Number of scans of one stamp, besides the first, that make no log."""

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavnav.logs.records import Gap
 from mavnav.units import NS
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 _GAP_PERIODS: Final = 3.0
 

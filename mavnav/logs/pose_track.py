@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 from array import array
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 from msgspec import Struct, field
 
 from mavnav.logs.clocks import clock_of, shift_s
+from mavnav.logs.log import Log
+from mavnav.logs.messages.records import Poses
 from mavnav.logs.stamps import Stamps, in_order
 from mavnav.logs.transforms import planar_poses
 from mavnav.pose import Trajectory
 from mavnav.units import NS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from mavnav.logs.log import Log
-    from mavnav.logs.messages.records import Poses
 
 
 class PoseTrack(Struct):

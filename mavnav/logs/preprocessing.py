@@ -7,20 +7,16 @@ not valid becomes NaN, and is counted by kind.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import isfinite, isnan, nextafter, tau
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mavnav.logs.messages.records import LaserMessage
 from mavnav.logs.range_units import FARTHEST_M, RangeUnits, decimeters
 from mavnav.scan import LaserSpec
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from mavnav.logs.messages.records import LaserMessage
 
 KINDS: Final = ("valid", "zero", "below_min", "above_max", "nan", "plus_inf", "minus_inf", "negative")
 

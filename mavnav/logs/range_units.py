@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from math import inf
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from mavnav.logs.messages.records import LaserMessage
+from mavnav.logs.messages.records import LaserMessage
 
 FARTHEST_M: Final = 250.0
 """No planar laser sees farther; a reading beyond is no return, whatever the limits say."""

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import chain, pairwise
 from math import pi, tau
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
+from mavnav.logs.messages.records import LaserMessage
 from mavnav.logs.preprocessing import LONGEST_SWEEP_S, MOST_BEAMS
 from mavnav.scan import PLAUSIBLE_SWEEP
 from mavnav.units import DEG, NS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from mavnav.logs.messages.records import LaserMessage
 
 LOOKED_AT: Final = 8
 """So many messages decide whether they are segments."""

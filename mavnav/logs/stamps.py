@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from array import array
 from bisect import bisect_left
-from typing import TYPE_CHECKING, Final, Literal
+from collections.abc import Callable
+from typing import Final, Literal
 
 import numpy as np
 from msgspec import Struct, field
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
+from numpy.typing import NDArray
 
 StampSource = Literal["header", "log"]
 

@@ -5,23 +5,19 @@ from __future__ import annotations
 from array import array
 from collections import Counter
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from mavnav.logs.clocks import Clock, clock_of, other_unit_text, set_back_text, set_forward_text
-from mavnav.logs.preprocessing import KINDS
+from mavnav.logs.messages.records import LaserMessage
+from mavnav.logs.preprocessing import KINDS, ScanFilter
 from mavnav.logs.stamps import Stamps, StampSource, ascending, better_order, impossible_stamps
+from mavnav.scan import LaserSpec
 from mavnav.units import NS
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mavnav.logs.messages.records import LaserMessage
-    from mavnav.logs.preprocessing import ScanFilter
-    from mavnav.scan import LaserSpec
 
 Window = tuple[float | None, float | None]
 

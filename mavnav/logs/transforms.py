@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from math import atan2, cos, isfinite, radians
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct, field
+from numpy.typing import NDArray
 
 from mavnav.logs.messages.columns import merge_by
+from mavnav.logs.messages.records import Poses, TransformMessage
 from mavnav.logs.namespaces import is_of_another_robot, namespace
 from mavnav.pose import Pose, yaw_of_quaternion
 from mavnav.units import LARGEST_COORDINATE_M
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-
-    from numpy.typing import NDArray
-
-    from mavnav.logs.messages.records import Poses, TransformMessage
 
 BASE_FRAMES = ("base_link", "base_footprint")
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import pickle
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from logging import CRITICAL, getLogger
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from tempfile import NamedTemporaryFile
 from time import monotonic
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 from uuid import uuid4
 
 from msgspec import Struct
@@ -20,9 +21,6 @@ from mavnav.errors import ExitCode, UsageError
 from mavnav.jobs import Ended, Event, Job, Outcome, Progressed, Started, Status, run_with_retries
 from mavnav.jobs.dask.worker import JobContext, our_version, run_on_worker, sees
 from mavnav.units import pluralize
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
 
 LOCAL: Final = "local"
 """Name of a scheduler that is started on this machine, with workers, and ends with the batch."""

@@ -8,19 +8,16 @@ from contextlib import chdir
 from pathlib import Path
 from threading import Lock
 from time import monotonic
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import urlsplit
 
 from msgspec import Struct
 from msgspec.structs import replace
 
 from mavnav.errors import UsageError
-from mavnav.jobs import Outcome, Status, attempt, failure
+from mavnav.jobs import Job, Outcome, Status, attempt, failure
 from mavnav.jobs.run_cache import source_sha256
 from mavnav.version import __version__
-
-if TYPE_CHECKING:
-    from mavnav.jobs import Job
 
 REPORT_PERIOD_S = 0.5
 """Minimum time between two progress reports of a worker, in s."""

@@ -7,18 +7,15 @@ from __future__ import annotations
 
 import struct
 import zlib
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from msgspec import field
 
 from mavnav.logs.formats.channels import ReaderState
 from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES
-from mavnav.logs.formats.mcap_records import MESSAGE_HEAD, Op, RecordFields
+from mavnav.logs.formats.mcap_records import MESSAGE_HEAD, McapRecord, Op, RecordFields
+from mavnav.logs.formats.source import Source
 from mavnav.logs.records import AttachedFile, Channel, MetadataRecord, RawMessage, Schema, ros_type
-
-if TYPE_CHECKING:
-    from mavnav.logs.formats.mcap_records import McapRecord
-    from mavnav.logs.formats.source import Source
 
 EXTRAS: Final = {Op.ATTACHMENT: "attachment", Op.METADATA: "metadata record"}
 """Opcodes of what an MCAP file holds besides messages, and what these records are called."""

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Iterator
 from io import BytesIO
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES, TOO_MANY, Allowance, DecompressError, decompress
 from mavnav.logs.formats.mcap_content import EXTRAS, McapState, apply_record, plain_message, read_extra
@@ -29,13 +30,8 @@ from mavnav.logs.formats.mcap_records import (
 )
 from mavnav.logs.formats.mcap_summary import check_data_section, read_summary
 from mavnav.logs.formats.source import MAGIC_WITHIN_BYTES, Source
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from mavnav.logs.read_report import ReadReport
-    from mavnav.logs.records import RawMessage
+from mavnav.logs.read_report import ReadReport
+from mavnav.logs.records import RawMessage
 
 _READ = frozenset({Op.HEADER, Op.FOOTER, Op.SCHEMA, Op.CHANNEL, Op.MESSAGE, Op.CHUNK, Op.STATISTICS, Op.DATA_END})
 _MESSAGE = int(Op.MESSAGE)

@@ -8,17 +8,14 @@ from __future__ import annotations
 
 import re
 import struct
+from collections.abc import Callable, Iterator
 from enum import IntEnum
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from mavnav.logs.formats.decompress import COMPRESSIONS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from mavnav.logs.formats.source import Source
+from mavnav.logs.formats.source import Source
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 HEAD: Final = struct.Struct("<BQ")

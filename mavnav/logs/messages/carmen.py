@@ -7,21 +7,17 @@ logger.h and readlog.c.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from math import cos, inf, isfinite, pi, sin
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavnav.logs.messages.records import DecodeError, LaserMessage, TransformMessage
+from mavnav.logs.records import Channel
 from mavnav.pose import Pose
 from mavnav.units import DEG
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from mavnav.logs.records import Channel
 
 ENCODING: Final = "carmen"
 _HALF_TURN_DEG: Final = 180.0

@@ -7,19 +7,15 @@ their own size, counted from the end of the 4-byte encapsulation header.
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable, Sequence
 from math import cos, sin
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavnav.pose import Pose
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from mavnav.scan import Scan
+from mavnav.scan import Scan
 
 _LITTLE_ENDIAN: Final = b"\0\1\0\0"
 """The encapsulation header of plain CDR."""

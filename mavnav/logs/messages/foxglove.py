@@ -6,18 +6,14 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavnav.logs.messages.records import DecodeError, LaserMessage
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from mavnav.logs.records import Channel
+from mavnav.logs.records import Channel
 
 _NAN = float("nan")
 _MAX_JSON_BYTES = 8 << 20

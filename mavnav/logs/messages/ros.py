@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cache
 from math import cos, sin
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mavnav.logs.messages.definitions import ODOMETRY, POSE, SCAN, TF
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from mavnav.pose import Pose
-    from mavnav.scan import Attitude, Scan
+from mavnav.pose import Pose
+from mavnav.scan import Attitude, Scan
 
 _OLDER = ("iron", "humble", "galactic", "foxy", "eloquent", "dashing")
 

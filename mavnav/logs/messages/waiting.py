@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from msgspec import Struct, field
 
 from mavnav.logs.messages.decode import decode_together
+from mavnav.logs.read_report import ReadReport
+from mavnav.logs.records import Channel
 from mavnav.logs.stamps import storable
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from mavnav.logs.read_report import ReadReport
-    from mavnav.logs.records import Channel
 
 
 class Waiting(Struct):

@@ -7,9 +7,11 @@ of recording is ``stamp_ns``, not the clock, so that equal messages give equal b
 from __future__ import annotations
 
 import sqlite3
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Any, Final
 
 from rosbags.rosbag1 import Writer as Bag1Writer
 from rosbags.rosbag2 import StoragePlugin
@@ -17,16 +19,9 @@ from rosbags.rosbag2 import Writer as Bag2Writer
 from rosbags.rosbag2.metadata import parse_qos
 
 from mavnav.logs.messages import ros
-from mavnav.logs.writing.mcap_writer import qos_text, write_serialized
+from mavnav.logs.writing.mcap_writer import OutputChannel, qos_text, write_serialized
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-    from contextlib import AbstractContextManager
-    from pathlib import Path
-
-    from mavnav.logs.writing.mcap_writer import OutputChannel
-
-    Put = Callable[[str, int, Any], None]
+Put = Callable[[str, int, Any], None]
 
 
 @contextmanager

@@ -5,17 +5,15 @@ The output does not depend on the clock: equal messages give equal bytes.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import Final
 
 from msgspec import Struct, field
 
 from mavnav.logs.messages.definitions import definition
 from mavnav.version import __version__
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-    from pathlib import Path
 
 CHUNK_BYTES: Final = 128 * 1024
 """Size of a chunk before compression, in bytes, about 4 s of scans; a cut file loses no chunk before the cut."""

@@ -16,9 +16,11 @@ The ground truth is no Odometry message and not in ``/tf``, so that no reader mi
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from heapq import merge
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Any, Final
 
 from msgspec import Struct, field
 
@@ -28,14 +30,8 @@ from mavnav.logs.formats.rosbag2 import METADATA
 from mavnav.logs.messages import definitions, ros
 from mavnav.logs.writing.containers import CONTAINERS
 from mavnav.logs.writing.mcap_writer import OutputChannel
-from mavnav.pose import Pose
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
-
-    from mavnav.pose import Trajectory
-    from mavnav.scan import Attitude, Scan
+from mavnav.pose import Pose, Trajectory
+from mavnav.scan import Attitude, Scan
 
 CHANNELS: Final = {
     "/tf_static": OutputChannel(definitions.TF, latched=True),

@@ -5,8 +5,9 @@ The definition of a type decides, not its first message, which may be cut, or em
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache, partial
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from msgspec import Struct, field
 
@@ -15,15 +16,11 @@ from mavnav.logs.messages.carmen import ENCODING, pose_decoder, scan_decoder
 from mavnav.logs.messages.decode import decoder
 from mavnav.logs.messages.definitions import ODOMETRY, SCAN, TF, TF_ROS1, TRANSFORM
 from mavnav.logs.messages.records import DecodeError, LaserMessage, TransformMessage
+from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel, Schema
 from mavnav.logs.transforms import planar_pose
 from mavnav.pose import Pose
 from mavnav.scan import LaserSpec, Scan
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-
-    from mavnav.logs.read_report import ReadReport
 
 _ROS1_ONLY: Final = {TF_ROS1: TF}
 _MAX_DEFINITION_BYTES: Final = 1 << 20
