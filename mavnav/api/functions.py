@@ -259,7 +259,7 @@ def compare(
     """
     from mavnav.batch.runner import load_kernels  # noqa: PLC0415  heavy
     from mavnav.comparison import pipeline  # noqa: PLC0415
-    from mavnav.jobs import usable_cores  # noqa: PLC0415
+    from mavnav.jobs.pool import usable_cores  # noqa: PLC0415
     from mavnav.outputs.writers import write_page  # noqa: PLC0415
 
     names = arguments.paths_of(log, "log")

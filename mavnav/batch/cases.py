@@ -22,8 +22,8 @@ from mavnav.config.options import OPTIONS, REFERENCES, reference_files, run_opti
 from mavnav.errors import ExitCode, MavnavError, NoScansError, UsageError
 from mavnav.ground_truth.map_file import map_files
 from mavnav.ground_truth.references import load_references
-from mavnav.jobs import Outcome
 from mavnav.jobs.run_cache import PlannedRun, make_run, references_sha256
+from mavnav.jobs.worker import Outcome
 from mavnav.logs import content_sha256
 from mavnav.logs.formats.detect import SUFFIXES, is_named_like_a_log
 from mavnav.metrics.gates import Gate, parse_gate, read_accept

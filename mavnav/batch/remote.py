@@ -26,7 +26,7 @@ from urllib.parse import urlsplit
 from msgspec import Struct, field
 
 from mavnav.errors import MavnavError, OutputError, UsageError
-from mavnav.jobs.dask.worker import in_cluster
+from mavnav.jobs.dask import in_cluster
 from mavnav.outputs.documents.addresses import public_address, public_text
 
 _TIMEOUT: Final = "MAVNAV_FETCH_TIMEOUT_S"

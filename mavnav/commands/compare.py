@@ -88,7 +88,7 @@ def compare(
             from mavnav.batch.runner import load_kernels
             from mavnav.comparison import pipeline
             from mavnav.comparison.beside import check_given
-            from mavnav.jobs import usable_cores
+            from mavnav.jobs.pool import usable_cores
             from mavnav.outputs.documents.provenance import Typed
         target = directory or pipeline.comparison_directory(logs or ())
         if not logs:

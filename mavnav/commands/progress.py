@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress as Bars
     from rich.progress import TaskID
 
-    from mavnav.jobs import Event, Outcome, Retried
+    from mavnav.jobs.worker import Event, Outcome, Retried
     from mavnav.profiling import Progress
 
     Listener = Callable[[Event], None]
@@ -214,7 +214,7 @@ def watching(names: Sequence[str], *, quiet: bool, lines: bool = True) -> Iterat
 
 
 def _line_listener(names: Sequence[str], *, ends: bool) -> Listener:
-    from mavnav.jobs import Ended, Retried
+    from mavnav.jobs.worker import Ended, Retried
 
     ended = 0
 
@@ -235,14 +235,14 @@ def _retry_text(name: str, event: Retried) -> str:
 
 def _ending(outcome: Outcome) -> str:
     """Return the text of how a job ended."""
-    from mavnav.jobs import Status
+    from mavnav.jobs.worker import Status
 
     return f"done in {outcome.seconds:.1f} s" if outcome.status is Status.DONE else f"failed: {outcome.error}"
 
 
 def _bar_listener(shown: Bars, names: Sequence[str]) -> Listener:
     """Show a bar for all runs and one for each current run; print a line for each failure."""
-    from mavnav.jobs import Ended, Progressed, Retried, Started, Status
+    from mavnav.jobs.worker import Ended, Progressed, Retried, Started, Status
 
     failed, whole = 0, shown.add_task(f"{len(names)} runs", total=len(names))
     tasks: dict[int, TaskID] = {}

@@ -18,11 +18,10 @@ from mavnav.logs.attitude import AttitudeTracks
 from mavnav.logs.content import check_file, check_files, check_window, size_and_sha256, unreadable
 from mavnav.logs.formats import detect
 from mavnav.logs.imu import ImuTrack
-from mavnav.logs.messages.decode import decoder, is_laser, scan_topic, scan_topics
+from mavnav.logs.messages.decode import Waiting, decoder, is_laser, scan_topic, scan_topics
 from mavnav.logs.messages.definitions import IMU, ODOMETRY, PATH, POSE
 from mavnav.logs.messages.other_scans import OTHER_TYPES
 from mavnav.logs.messages.records import DecodeError
-from mavnav.logs.messages.waiting import Waiting
 from mavnav.logs.namespaces import FRAME, laser_topics, namespace
 from mavnav.logs.preprocessing import ScanFilter
 from mavnav.logs.read_report import ReadReport

@@ -12,10 +12,20 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from mavnav.logs.clocks import Clock, clock_of, other_unit_text, set_back_text, set_forward_text
 from mavnav.logs.messages.records import LaserMessage
 from mavnav.logs.preprocessing import KINDS, ScanFilter
-from mavnav.logs.stamps import Stamps, StampSource, ascending, better_order, impossible_stamps
+from mavnav.logs.stamps import (
+    Clock,
+    Stamps,
+    StampSource,
+    ascending,
+    better_order,
+    clock_of,
+    impossible_stamps,
+    other_unit_text,
+    set_back_text,
+    set_forward_text,
+)
 from mavnav.scan import LaserSpec
 from mavnav.units import NS
 

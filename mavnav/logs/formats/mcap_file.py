@@ -12,8 +12,18 @@ from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 
+from mcap.opcode import Opcode as Op
+
 from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES, TOO_MANY, Allowance, DecompressError, decompress
-from mavnav.logs.formats.mcap_content import EXTRAS, McapState, apply_record, plain_message, read_extra
+from mavnav.logs.formats.mcap_content import (
+    EXTRAS,
+    McapState,
+    apply_record,
+    check_data_section,
+    plain_message,
+    read_extra,
+    read_summary,
+)
 from mavnav.logs.formats.mcap_records import (
     HEAD,
     IN_CHUNKS,
@@ -21,14 +31,12 @@ from mavnav.logs.formats.mcap_records import (
     PRIVATE,
     ChunkHead,
     McapRecord,
-    Op,
     chunk_head,
     find_record,
     is_boundary,
     plain_records,
     record_at,
 )
-from mavnav.logs.formats.mcap_summary import check_data_section, read_summary
 from mavnav.logs.formats.source import MAGIC_WITHIN_BYTES, Source
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import RawMessage

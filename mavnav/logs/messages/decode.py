@@ -1,6 +1,7 @@
 """Decoders of messages, selected by encoding and type.
 
 ROS messages are decoded by the standard definitions; the schema text in the log, ros2msg or ros2idl, is not used.
+Messages that are no scans wait here until they are decoded together, in columns.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from mavnav.logs.formats.decompress import DecompressError, unpack_message
@@ -18,7 +20,9 @@ from mavnav.logs.messages.columns import columns_of, read_blocks
 from mavnav.logs.messages.other_scans import other_scan, suffix_of
 from mavnav.logs.messages.records import DecodeError, LaserMessage
 from mavnav.logs.namespaces import topic_and_frame
+from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel
+from mavnav.logs.stamps import storable
 
 LASER_TYPES = frozenset({definitions.SCAN, definitions.FOXGLOVE_SCAN})
 ROS_ENCODINGS = ("cdr", "ros1")
@@ -164,3 +168,24 @@ DECODERS: dict[tuple[str, str], Callable[[Channel], Callable[[bytes], Any]]] = {
         for name in (definitions.ODOMETRY, definitions.TF, definitions.TRANSFORM)
     },
 }
+
+
+class Waiting(Struct):
+    """Messages of a topic that are no scans, until they are decoded together and go to the ``takers``."""
+
+    channel: Channel
+    decode: Callable[[bytes], Any]
+    takers: tuple[Callable[[list[Any]], None], ...]
+    messages: list[bytes] = field(default_factory=list)
+    log_ns: list[int] = field(default_factory=list)
+
+    def pass_on(self, report: ReadReport) -> None:
+        """Decode what waits; a message that does not decode is noted."""
+        log_ns = np.array([*map(storable, self.log_ns)], np.int64)
+        parts, errors = decode_together(self.channel, self.messages, log_ns, self.decode)
+        for row, error in errors.items():
+            where = f"{self.channel.topic}, {self.log_ns[row]} ns"
+            report.damage(f"a message does not decode ({error})", where)
+        for take in self.takers if parts else ():
+            take(parts)
+        self.messages, self.log_ns = [], []
