@@ -18,7 +18,7 @@ import typer
 from mavnav.commands import signals
 from mavnav.commands.hints import hint
 from mavnav.commands.terminal import emit, note, print_traceback
-from mavnav.commands.values import CommandGroup, PlainCommand
+from mavnav.commands.values import CommandGroup, PlainCommand, describe
 from mavnav.errors import ExitCode, MavnavError, lacks_memory
 
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ def app_for(args: Sequence[str]) -> typer.Typer:
         else:
             command = getattr(module, name)
             command.__annotations__ = get_type_hints(command, include_extras=True)  # typer would do so four times
-            app.command(cls=PlainCommand, epilog=epilog)(command)
+            app.command(cls=PlainCommand, epilog=epilog, help=describe(command))(command)
     return app
 
 

@@ -42,141 +42,102 @@ if TYPE_CHECKING:
 @shared.with_options(*READING, "strict", "resolution_m", "online")
 def batch(
     context: typer.Context,
-    sources: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="MANIFEST.yaml|LOG", help="A manifest, or logs, folders and patterns.", show_default=False
-        ),
-    ] = None,
+    sources: Annotated[list[str] | None, typer.Argument(metavar="MANIFEST.yaml|LOG", show_default=False)] = None,
     *,
-    schema: Annotated[bool, shared.schema_option(help="Print the JSON Schema of manifests.")] = False,
+    schema: Annotated[bool, shared.schema_option()] = False,
     methods: shared.Methods = None,
-    grids: Annotated[
-        list[str] | None, shared.replay_option("grid", help="Search grid; repeatable (default 10x10).")
-    ] = None,
+    grids: Annotated[list[str] | None, shared.replay_option("grid")] = None,
     azimuths: shared.Azimuths = None,
     config: shared.ConfigFile = None,
     sets: shared.Sets = None,
     programs: poses.Programs = None,
-    limit_s: poses.ProgramLimit = 3600.0,
-    directory: Annotated[
-        Path | None, shared.directory_option(help="Output directory (default runs/batch, or runs/batch-MANIFEST).")
-    ] = None,
+    program_s: poses.ProgramLimit = 3600.0,
+    directory: Annotated[Path | None, shared.directory_option()] = None,
     force: shared.RunAgain = False,
-    pages: Annotated[bool, shared.output_option("--report", help="Also write a page for every run.")] = False,
-    json: Annotated[
-        bool, shared.output_option("--json", help="Print one line of JSON for each run, then one for all.")
-    ] = False,
-    junit: Annotated[Path | None, shared.output_option(metavar="FILE", help="Write JUnit XML for CI.")] = None,
-    summary: Annotated[
-        Path | None,
-        shared.output_option(
-            metavar="FILE", help="Write a Markdown summary (default: GitHub's step summary, where there is one)."
-        ),
-    ] = None,
-    annotations: Annotated[
-        bool, shared.output_option("--annotations", help="Print GitHub annotations on stderr (default on GitHub).")
-    ] = False,
+    report: Annotated[bool, shared.output_option("--report")] = False,
+    json: Annotated[bool, shared.output_option("--json")] = False,
+    junit: Annotated[Path | None, shared.output_option(metavar="FILE")] = None,
+    summary: Annotated[Path | None, shared.output_option(metavar="FILE")] = None,
+    annotations: Annotated[bool, shared.output_option("--annotations")] = False,
     quiet: shared.Quiet = False,
     gates: shared.Gates = None,
     accept: shared.Accept = None,
-    baseline: Annotated[
-        Path | None, shared.check_option(metavar="DIR|FILE", help="Compare with an earlier batch.")
-    ] = None,
-    tolerances: Annotated[
-        list[str] | None,
-        shared.check_option(
-            "--tolerance", metavar="NAME=X[%]", help="Allowed change of a metric against the baseline; repeatable."
-        ),
-    ] = None,
-    copies: Annotated[
-        Path | None,
-        shared.input_option(metavar="DIR", help="Folder with copies of pinned logs, which are not fetched then."),
-    ] = None,
-    only: Annotated[
-        list[str] | None, shared.input_option(metavar="NAME", help="Only this log of the manifest; repeatable.")
-    ] = None,
-    repeat: Annotated[
-        int | None,
-        shared.check_option(
-            min=1, max=100, metavar="N", help="Make every run N times (default 1), for --gate identical."
-        ),
-    ] = None,
-    update_baseline: Annotated[
-        bool, shared.check_option("--update-baseline", help="Overwrite the baseline file with this batch.")
-    ] = False,
+    baseline: Annotated[Path | None, shared.check_option(metavar="DIR|FILE")] = None,
+    tolerances: Annotated[list[str] | None, shared.check_option("--tolerance", metavar="NAME=X[%]")] = None,
+    copies: Annotated[Path | None, shared.input_option(metavar="DIR")] = None,
+    only: Annotated[list[str] | None, shared.input_option(metavar="NAME")] = None,
+    repeat: Annotated[int | None, shared.check_option(min=1, max=100, metavar="N")] = None,
+    update_baseline: Annotated[bool, shared.check_option("--update-baseline")] = False,
     jobs: shared.Jobs = None,
-    timeout: Annotated[
-        float | None, shared.resource_option(min=0.1, metavar="SECONDS", help="Time limit of a run (default none).")
-    ] = None,
-    memory_mb: Annotated[
-        int | None,
-        shared.resource_option(
-            "--memory-mb", min=1, max=10**9, metavar="MB", help="Memory limit of a run (Linux; default none)."
-        ),
-    ] = None,
-    tries: Annotated[
-        int | None,
-        shared.resource_option(min=1, metavar="N", help="Attempts if the process of a run is killed (default 3)."),
-    ] = None,
-    scheduler: Annotated[
-        str | None,
-        shared.resource_option(
-            metavar="tcp://HOST:PORT|local",
-            help=r"Run on a Dask cluster (default this machine; needs mavnav\[cluster]).",
-        ),
-    ] = None,
-    part: Annotated[
-        str | None,
-        shared.resource_option(metavar="I/N", help="Run part I of N (default all); all parts share --output."),
-    ] = None,
+    timeout_s: Annotated[float | None, shared.resource_option("--timeout", min=0.1, metavar="SECONDS")] = None,
+    memory_mb: Annotated[int | None, shared.resource_option("--memory-mb", min=1, max=10**9, metavar="MB")] = None,
+    tries: Annotated[int | None, shared.resource_option(min=1, metavar="N")] = None,
+    scheduler: Annotated[str | None, shared.resource_option(metavar="tcp://HOST:PORT|local")] = None,
+    part: Annotated[str | None, shared.resource_option(metavar="I/N")] = None,
     **given: object,
 ) -> None:
-    """Replay many logs with many settings; a failed run does not stop the others, finished runs are reused."""
+    r"""Replay many logs with many settings; a failed run does not stop the others, finished runs are reused.
+
+    Parameters
+    ----------
+    sources
+        A manifest, or logs, folders and patterns.
+    schema
+        Print the JSON Schema of manifests.
+    grids
+        Search grid; repeatable (default 10x10).
+    directory
+        Output directory (default runs/batch, or runs/batch-MANIFEST).
+    report
+        Also write a page for every run.
+    json
+        Print one line of JSON for each run, then one for all.
+    junit
+        Write JUnit XML for CI.
+    summary
+        Write a Markdown summary (default: GitHub's step summary, where there is one).
+    annotations
+        Print GitHub annotations on stderr (default on GitHub).
+    baseline
+        Compare with an earlier batch.
+    tolerances
+        Allowed change of a metric against the baseline; repeatable.
+    copies
+        Folder with copies of pinned logs, which are not fetched then.
+    only
+        Only this log of the manifest; repeatable.
+    repeat
+        Make every run N times (default 1), for --gate identical.
+    update_baseline
+        Overwrite the baseline file with this batch.
+    timeout_s
+        Time limit of a run (default none).
+    memory_mb
+        Memory limit of a run (Linux; default none).
+    tries
+        Attempts if the process of a run is killed (default 3).
+    scheduler
+        Run on a Dask cluster (default this machine; needs mavnav\[cluster]).
+    part
+        Run part I of N (default all); all parts share --output.
+    """
+    typed = locals()
     if schema:
         from mavnav.batch.manifest import Manifest
         from mavnav.config.loading import schema_of
 
         emit_json(schema_of(Manifest))
         return
-    with reporting(quiet=quiet) as report:
+    with reporting(quiet=quiet) as progress:
         with loading_modules():
             from mavnav.batch.options import BatchOptions
             from mavnav.outputs.directory import check_target
         files = {name: file for name, file in (("--junit", junit), ("--summary", summary)) if file}
         for file in files.values():
             check_target(file)
-        options = BatchOptions(
-            words=context.obj,
-            sources=sources or (),
-            methods=methods or (),
-            grids=grids or (),
-            azimuths=azimuths or (),
-            config=config,
-            sets=sets or (),
-            options=read_options(given),
-            gates=gates or (),
-            accept=accept or (),
-            baseline=baseline,
-            tolerances=tolerances or (),
-            directory=directory,
-            jobs=jobs,
-            timeout_s=timeout,
-            memory_mb=memory_mb,
-            tries=tries,
-            scheduler=scheduler,
-            part=part,
-            force=force,
-            report=pages,
-            update_baseline=update_baseline,
-            files=files,
-            copies=copies,
-            only=only or (),
-            repeat=repeat,
-            programs=programs or (),
-            program_s=limit_s,
-        )
-        plan = _plan(options, report)
+        own = {name: typed[name] for name in BatchOptions.__struct_fields__ if typed.get(name) is not None}
+        options = BatchOptions(words=context.obj, options=read_options(given), files=files, **own)
+        plan = _plan(options, progress)
     document = _run(plan, json=json, quiet=quiet)
     if plan.request.new_baseline and not quiet:
         _print_baseline(document, plan.request.new_baseline)

@@ -23,38 +23,34 @@ MOUNTING: Final = ("x_m", "y_m", "yaw_deg")
 
 
 @shared.with_options(
-    "topic",
-    "start_s",
-    "end_s",
-    "odom",
-    "strict",
-    topic={"help": "Scan topic of the laser (default the only one)."},
-    odom={
-        "usage": "--odom auto|TOPIC",
-        "help": "Odometry to compare the laser with (default auto).",
-        "completer": "recorded_odometry",
-    },
+    "topic", "start_s", "end_s", "odom", "strict", odom={"usage": "--odom auto|TOPIC", "completer": "recorded_odometry"}
 )
 def calibrate(
     log: shared.LogFile,
     *,
     config: shared.ConfigFile = None,
     sets: shared.Sets = None,
-    output: Annotated[
-        Path | None,
-        shared.output_option("--output", "-o", metavar="FILE.json", help="Write the JSON document to a file."),
-    ] = None,
-    picture: Annotated[
-        Path | None,
-        shared.output_option("--picture", metavar="FILE.png", help="Draw turn rates and errors of the fit over time."),
-    ] = None,
+    output: Annotated[Path | None, shared.output_option("--output", "-o", metavar="FILE.json")] = None,
+    picture: Annotated[Path | None, shared.output_option("--picture", metavar="FILE.png")] = None,
     report_page: shared.ReportFile = None,
     force: shared.Force = False,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
     **given: object,
 ) -> None:
-    """Calibrate laser and odometry: mounting, time offset and wheel scales, each with a 95 % interval."""
+    """Calibrate laser and odometry: mounting, time offset and wheel scales, each with a 95 % interval.
+
+    Parameters
+    ----------
+    topic
+        Scan topic of the laser (default the only one).
+    odom
+        Odometry to compare the laser with (default auto).
+    output
+        Write the JSON document to a file.
+    picture
+        Draw turn rates and errors of the fit over time.
+    """
     options = read_options(given)
     with reporting(quiet=quiet, stages=REPLAY) as report:
         with loading_modules():

@@ -21,16 +21,19 @@ if TYPE_CHECKING:
 
 
 def check(
-    runs: Annotated[
-        list[Path],
-        typer.Argument(metavar="RUN", help="Directories of runs, comparisons or batches.", show_default=False),
-    ],
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN", show_default=False)],
     *,
     gates: shared.Gates = None,
     accept: shared.Accept = None,
     json: shared.Json = False,
 ) -> None:
-    """Check finished runs: their verdicts, and quality gates; exits with the worst code of the runs and their gates."""
+    """Check finished runs: their verdicts, and quality gates; exits with the worst code of the runs and their gates.
+
+    Parameters
+    ----------
+    runs
+        Directories of runs, comparisons or batches.
+    """
     from mavnav.batch.check import check_runs
     from mavnav.metrics.gates import read_accept
 

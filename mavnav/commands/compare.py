@@ -39,34 +39,20 @@ if TYPE_CHECKING:
 @shared.with_options(*READING, "resolution_m", "online", *REFERENCES)
 def compare(
     context: typer.Context,
-    logs: Annotated[
-        list[Path] | None,
-        typer.Argument(
-            metavar="LOG|RUN", help="Logs (default: the sample corridor), or finished runs.", show_default=False
-        ),
-    ] = None,
+    logs: Annotated[list[Path] | None, typer.Argument(metavar="LOG|RUN", show_default=False)] = None,
     *,
     trajectories: poses.Trajectories = None,
     programs: poses.Programs = None,
     limit_s: poses.ProgramLimit = 3600.0,
     methods: shared.Methods = None,
-    grids: Annotated[
-        list[str] | None,
-        shared.replay_option(
-            "grid", help="Search grid; repeatable (default 5x5, 10x10, 20x20). To a single one, 10x10 is added."
-        ),
-    ] = None,
+    grids: Annotated[list[str] | None, shared.replay_option("grid")] = None,
     azimuths: shared.Azimuths = None,
     config: shared.ConfigFile = None,
     sets: shared.Sets = None,
-    directory: Annotated[
-        Path | None, shared.directory_option(help="Output directory (default runs/compare-LOG).")
-    ] = None,
+    directory: Annotated[Path | None, shared.directory_option()] = None,
     force: shared.RunAgain = False,
     jobs: shared.Jobs = None,
-    preview: Annotated[
-        bool, shared.output_option("--preview", help="Print the maps as text (on stderr with --json).")
-    ] = False,
+    preview: Annotated[bool, shared.output_option("--preview")] = False,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
     gates: shared.Gates = None,
@@ -75,12 +61,24 @@ def compare(
     """Replay logs with several search grids, or methods, and compare maps, metrics and cost.
 
     Finished replays are reused; a replay that fails does not stop the others.
+
+    Parameters
+    ----------
+    logs
+        Logs (default: the sample corridor), or finished runs.
+    grids
+        Search grid; repeatable (default 5x5, 10x10, 20x20). To a single one, 10x10 is added.
+    directory
+        Output directory (default runs/compare-LOG).
+    preview
+        Print the maps as text (on stderr with --json).
     """
     options = read_options(given)
     shared.check_logs(logs or [])
     bounds = shared.gates_of(gates)
     if any((path / "run.json").is_file() for path in logs or []):
-        _check_alone(context)
+        for flag in shared.typed_flags(context, {"logs", "directory", "json", "quiet", "gates"}):
+            raise UsageError(f"{flag} is for logs; finished runs are compared as they are")
         document = _compare_finished(shared.without_latest(logs or []), directory, bounds, json=json, quiet=quiet)
         raise typer.Exit(document["exit_code"])
     with reporting(quiet=quiet) as report:
@@ -133,18 +131,6 @@ def _given_poses(trajectories: Sequence[str], programs: Sequence[str], limit_s: 
 
     given = tuple(map(read_source, trajectories)), tuple(map(read_program, programs))
     return (*given, limit_s) if any(given) else None
-
-
-def _check_alone(context: typer.Context) -> None:
-    """Raise UsageError for an option of a replay, which finished runs have had."""
-    for parameter in context.command.params:
-        source = context.get_parameter_source(parameter.name or "")
-        if (
-            parameter.name not in {"logs", "directory", "json", "quiet", "gates"}
-            and source
-            and source.name == "COMMANDLINE"
-        ):
-            raise UsageError(f"{max(parameter.opts, key=len)} is for logs; finished runs are compared as they are")
 
 
 def _compare_finished(

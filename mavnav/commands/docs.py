@@ -27,13 +27,19 @@ if TYPE_CHECKING:
 
 
 def docs(
-    page: Annotated[
-        str, typer.Argument(metavar="PAGE", help="Page, or PAGE#SECTION (default the first).", show_default=False)
-    ] = "index",
+    page: Annotated[str, typer.Argument(metavar="PAGE", show_default=False)] = "index",
     *,
-    in_browser: Annotated[bool, shared.output_option("--open", help="Show the page in the browser.")] = False,
+    in_browser: Annotated[bool, shared.output_option("--open")] = False,
 ) -> None:
-    """Show a page of the documentation."""
+    """Show a page of the documentation.
+
+    Parameters
+    ----------
+    page
+        Page, or PAGE#SECTION (default the first).
+    in_browser
+        Show the page in the browser.
+    """
     from mavnav.config.loading import package_folder
 
     name, _, anchor = page.partition("#")

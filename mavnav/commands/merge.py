@@ -23,15 +23,9 @@ from mavnav.units import pluralize
 
 
 def merge(
-    inputs: Annotated[
-        list[Path],
-        typer.Argument(metavar="RUN|LOG", help="Run directories and logs, in any order.", show_default=False),
-    ],
+    inputs: Annotated[list[Path], typer.Argument(metavar="RUN|LOG", show_default=False)],
     *,
-    directory: Annotated[
-        Path | None,
-        shared.directory_option(help="Directory of the result (default runs/merged, with a number where that exists)."),
-    ] = None,
+    directory: Annotated[Path | None, shared.directory_option()] = None,
     config: shared.ConfigFile = None,
     sets: shared.Sets = None,
     report_page: shared.WriteReport = False,
@@ -39,7 +33,15 @@ def merge(
     json: shared.Json = False,
     quiet: shared.Quiet = False,
 ) -> None:
-    """Join sessions of one building to one map: each is found in the map of the others."""
+    """Join sessions of one building to one map: each is found in the map of the others.
+
+    Parameters
+    ----------
+    inputs
+        Run directories and logs, in any order.
+    directory
+        Directory of the result (default runs/merged, with a number where that exists).
+    """
     with reporting(quiet=quiet) as report:
         with loading_modules():
             from mavnav.config.loading import load_config

@@ -23,21 +23,23 @@ from mavnav.config.options import REFERENCES, read_options, reference_files
 from mavnav.errors import UsageError
 
 
-@shared.with_options(
-    *REFERENCES,
-    truth={"usage": "--truth FILE.tum", "help": "Ground-truth trajectory of the laser, a TUM file: ATE and RPE."},
-)
+@shared.with_options(*REFERENCES, truth={"usage": "--truth FILE.tum"})
 def metrics(
-    paths: Annotated[
-        list[Path],
-        typer.Argument(metavar="RUN|MAP.yaml", help="Run directories, or map_server maps (YAML).", show_default=False),
-    ],
+    paths: Annotated[list[Path], typer.Argument(metavar="RUN|MAP.yaml", show_default=False)],
     *,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
     **given: object,
 ) -> None:
-    """Measure maps: wall thickness, ghost walls, crispness, support, errors against a reference."""
+    """Measure maps: wall thickness, ghost walls, crispness, support, errors against a reference.
+
+    Parameters
+    ----------
+    paths
+        Run directories, or map_server maps (YAML).
+    truth
+        Ground-truth trajectory of the laser, a TUM file: ATE and RPE.
+    """
     with reporting(quiet=quiet) as report:
         with loading_modules():
             from mavnav.ground_truth.references import load_references

@@ -20,25 +20,25 @@ from mavnav.commands.terminal import LISTED, Rows, print_result
 
 
 def plan(
-    source: Annotated[
-        Path,
-        typer.Argument(metavar="RUN|MAP.yaml", help="Run directory, or map_server map (YAML).", show_default=False),
-    ],
+    source: Annotated[Path, typer.Argument(metavar="RUN|MAP.yaml", show_default=False)],
     *,
-    output: Annotated[
-        Path | None,
-        shared.output_option(
-            "--output", "-o", metavar="FILE.svg|FILE.dxf", help="The drawing (default RUN/plan.svg, or MAP-plan.svg)."
-        ),
-    ] = None,
-    scale: Annotated[
-        float, shared.output_option("--scale", metavar="N", min=1.0, help="Scale of an SVG, 1:N (default 100).")
-    ] = 100.0,
+    output: Annotated[Path | None, shared.output_option("--output", "-o", metavar="FILE.svg|FILE.dxf")] = None,
+    scale: Annotated[float, shared.output_option("--scale", metavar="N", min=1.0)] = 100.0,
     force: shared.Force = False,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
 ) -> None:
-    """Draw the straight walls of a map along the axes, with openings such as doors as gaps."""
+    """Draw the straight walls of a map along the axes, with openings such as doors as gaps.
+
+    Parameters
+    ----------
+    source
+        Run directory, or map_server map (YAML).
+    output
+        The drawing (default RUN/plan.svg, or MAP-plan.svg).
+    scale
+        Scale of an SVG, 1:N (default 100).
+    """
     with reporting(quiet=quiet) as report:
         with loading_modules():
             from mavnav.pipelines.plan import draw_plan

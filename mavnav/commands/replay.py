@@ -45,24 +45,27 @@ def replay(
     again: shared.Again = None,
     config: shared.ConfigFile = None,
     sets: shared.Sets = None,
-    directory: Annotated[
-        Path | None,
-        shared.directory_option(
-            help="Run directory (default runs/LOG-METHOD-YAW-GRID, with a number where that exists)."
-        ),
-    ] = None,
+    directory: Annotated[Path | None, shared.directory_option()] = None,
     force: shared.Force = False,
     report: shared.WithPage = False,
     outputs: shared.Outputs = None,
     preview: shared.Preview = None,
     verbose: shared.Verbose = False,
-    profile: Annotated[bool, shared.output_option("--profile", help="Print the time of each stage.")] = False,
+    profile: Annotated[bool, shared.output_option("--profile")] = False,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
     gates: shared.Gates = None,
     **given: object,
 ) -> None:
-    """Map a recorded log: trajectory, map, pictures and wall thickness."""
+    """Map a recorded log: trajectory, map, pictures and wall thickness.
+
+    Parameters
+    ----------
+    directory
+        Run directory (default runs/LOG-METHOD-YAW-GRID, with a number where that exists).
+    profile
+        Print the time of each stage.
+    """
     with local_log(logs) if logs else nullcontext() as source:
         fields = {} if again is None else _earlier_fields(context, again, source, directory)
         path = fields.pop("log", source.path if source else None)

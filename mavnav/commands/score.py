@@ -34,16 +34,20 @@ def score(
     limit_s: poses.ProgramLimit = 3600.0,
     config: shared.ConfigFile = None,
     sets: shared.Sets = None,
-    directory: Annotated[
-        Path | None, shared.directory_option(help="Output directory, with a run for each (default runs/score-LOG).")
-    ] = None,
+    directory: Annotated[Path | None, shared.directory_option()] = None,
     force: shared.Force = False,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
     gates: shared.Gates = None,
     **given: object,
 ) -> None:
-    """Draw the map at given poses, and judge these by the scans: any program's trajectory, by the same measures."""
+    """Draw the map at given poses, and judge these by the scans: any program's trajectory, by the same measures.
+
+    Parameters
+    ----------
+    directory
+        Output directory, with a run for each (default runs/score-LOG).
+    """
     options = read_options(given)
     bounds = shared.gates_of(gates)
     shared.check_gates(bounds, *(["reference"] if {*REFERENCES} & options.keys() else []))

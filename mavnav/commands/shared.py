@@ -22,7 +22,7 @@ from mavnav.config.options import OPTIONS
 from mavnav.errors import ExitCode, UsageError, missing, worst
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 
     from mavnav.config.models import Config
     from mavnav.metrics.gates import Gate
@@ -40,6 +40,8 @@ LATEST = "latest"
 """The link to the last result that the user gave no name, beside that."""
 
 _LAST = ("config", "sets", "list_", "schema")
+_OF_A_RUN = ("again", "directory", "force", "report", "outputs", "preview", "verbose", "json", "quiet", "gates")
+"""Parameters of every run, also of one that repeats another."""
 
 directory_option = partial(output_option, "--output", "-o", metavar="DIR")
 schema_option = partial(input_option, "--schema")
@@ -264,23 +266,16 @@ def _check_again(context: typer.Context, target: Path, *free: str) -> None:
     if kept.is_relative_to(replaced):
         what = "is" if kept == replaced else "contains"
         raise UsageError(f"{target} {what} the run to repeat; choose another directory with -o")
-    allowed = {
-        "again",
-        "directory",
-        "force",
-        "report",
-        "outputs",
-        "preview",
-        "verbose",
-        "json",
-        "quiet",
-        "gates",
-        *free,
-    }
+    for flag in typed_flags(context, (*_OF_A_RUN, *free)):
+        raise UsageError(f"--again takes {flag} from the run; leave one of them out")
+
+
+def typed_flags(context: typer.Context, allowed: Container[str | None]) -> Iterator[str]:
+    """Yield the options on the command line, but for those of parameters that are ``allowed``."""
     for parameter in context.command.params:
         source = context.get_parameter_source(parameter.name or "")
         if parameter.name not in allowed and source is not None and source.name == "COMMANDLINE":
-            raise UsageError(f"--again takes {max(parameter.opts, key=len)} from the run; leave one of them out")
+            yield max(parameter.opts, key=len)
 
 
 def note_repetition(again: Path, document: dict[str, Any]) -> None:

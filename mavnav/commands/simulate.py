@@ -34,53 +34,28 @@ if TYPE_CHECKING:
     from mavnav.simulation.world import Scenario
 
 
-@shared.with_options(
-    "attitude",
-    *SEARCHING,
-    attitude={
-        "usage": "--attitude auto|off",
-        "help": "Level the scans of a vehicle that tilts by its measured attitude (default auto).",
-        "completer": "",
-    },
-)
+@shared.with_options("attitude", *SEARCHING, attitude={"usage": "--attitude auto|off", "completer": ""})
 def simulate(
     context: typer.Context,
     scenario: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="SCENARIO",
-            help="YAML file, or a shipped scenario.",
-            show_default=False,
-            autocompletion=completion.scenarios,
-        ),
+        str | None, typer.Argument(metavar="SCENARIO", show_default=False, autocompletion=completion.scenarios)
     ] = None,
     *,
     again: shared.Again = None,
-    seed: Annotated[
-        int | None, shared.input_option(metavar="N", help="Seed of all random numbers (default the scenario's).")
-    ] = None,
+    seed: Annotated[int | None, shared.input_option(metavar="N")] = None,
     planner: Annotated[
         str | None,
         shared.input_option(
-            metavar="NAME",
-            help="wavefront, field, wall_following or virtual_obstacles (default the scenario's).",
-            autocompletion=completion.words("wavefront", "field", "wall_following", "virtual_obstacles"),
+            metavar="NAME", autocompletion=completion.words("wavefront", "field", "wall_following", "virtual_obstacles")
         ),
     ] = None,
-    list_: Annotated[bool, shared.input_option("--list", help="List the shipped scenarios.")] = False,
-    schema: Annotated[bool, shared.schema_option(help="Print the JSON Schema of scenario files.")] = False,
+    list_: Annotated[bool, shared.input_option("--list")] = False,
+    schema: Annotated[bool, shared.schema_option()] = False,
     config: shared.ConfigFile = None,
     sets: shared.ScenarioSets = None,
-    directory: Annotated[
-        Path | None,
-        shared.directory_option(
-            help="Run directory (default runs/SCENARIO-METHOD-YAW-GRID, with a number where that exists)."
-        ),
-    ] = None,
-    record: Annotated[
-        Path | None, shared.output_option(metavar="FILE", help="Record the mission: .mcap, .bag, or a ROS 2 folder.")
-    ] = None,
-    animate: Annotated[Path | None, shared.output_option(metavar="FILE.gif", help="Also write an animation.")] = None,
+    directory: Annotated[Path | None, shared.directory_option()] = None,
+    record: Annotated[Path | None, shared.output_option(metavar="FILE")] = None,
+    animate: Annotated[Path | None, shared.output_option(metavar="FILE.gif")] = None,
     force: shared.Force = False,
     report: shared.WithPage = False,
     outputs: shared.Outputs = None,
@@ -91,7 +66,29 @@ def simulate(
     gates: shared.Gates = None,
     **given: object,
 ) -> None:
-    """Fly a mission in closed loop: laser, scan matching, map, planner, noisy vehicle."""
+    """Fly a mission in closed loop: laser, scan matching, map, planner, noisy vehicle.
+
+    Parameters
+    ----------
+    attitude
+        Level the scans of a vehicle that tilts by its measured attitude (default auto).
+    scenario
+        YAML file, or a shipped scenario.
+    seed
+        Seed of all random numbers (default the scenario's).
+    planner
+        wavefront, field, wall_following or virtual_obstacles (default the scenario's).
+    list_
+        List the shipped scenarios.
+    schema
+        Print the JSON Schema of scenario files.
+    directory
+        Run directory (default runs/SCENARIO-METHOD-YAW-GRID, with a number where that exists).
+    record
+        Record the mission: .mcap, .bag, or a ROS 2 folder.
+    animate
+        Also write an animation.
+    """
     if schema:
         from mavnav.simulation.world import scenario_schema
 

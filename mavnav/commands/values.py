@@ -7,11 +7,14 @@ rests on names inside of typer; where one is missing, typer reads the value.
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 from typer.core import TyperCommand, TyperGroup
+
+from mavnav.config.option_kinds import descriptions
 
 _PLAIN: Final[dict[Any, re.Pattern[str]]] = {
     int: re.compile("[0-9]{1,15}"),
@@ -76,3 +79,11 @@ class _Reader:
                 info = param.type_descriptor.parameter_info
                 return coerce_cli_path(Path(value), info, path_type=Path, param=param, ctx=ctx)
         return self._typers().coerce(value, param=param, ctx=ctx)
+
+
+def describe(command: Callable[..., None]) -> str:
+    """Give the parameters of a command the help that its docstring has for them; return the rest of the docstring."""
+    text, help_ = descriptions(command.__doc__)
+    for name, description in help_.items():
+        get_args(command.__annotations__[name])[1].help = description
+    return text

@@ -25,25 +25,26 @@ LOOPBACK = "127.0.0.1"
 
 
 def view(
-    directory: Annotated[
-        Path, typer.Argument(metavar="RUN", help="Directory of a run, comparison, merge or batch.", show_default=False)
-    ],
+    directory: Annotated[Path, typer.Argument(metavar="RUN", show_default=False)],
     *,
-    output: Annotated[
-        Path | None,
-        shared.output_option(
-            "--output", "-o", metavar="FILE.html", help="Where the page goes (default report.html or view.html in RUN)."
-        ),
-    ] = None,
-    no_browser: Annotated[
-        bool, shared.output_option("--no-browser", help="Write the page and print its path, without opening it.")
-    ] = False,
-    serve: Annotated[
-        bool, shared.output_option("--serve", help="Write nothing; serve the page to this machine alone, until Ctrl-C.")
-    ] = False,
+    output: Annotated[Path | None, shared.output_option("--output", "-o", metavar="FILE.html")] = None,
+    no_browser: Annotated[bool, shared.output_option("--no-browser")] = False,
+    serve: Annotated[bool, shared.output_option("--serve")] = False,
     quiet: shared.Quiet = False,
 ) -> None:
-    """Look around in a map: zoom, layers, every scan at its pose, reasons of doubt; runs side by side."""
+    """Look around in a map: zoom, layers, every scan at its pose, reasons of doubt; runs side by side.
+
+    Parameters
+    ----------
+    directory
+        Directory of a run, comparison, merge or batch.
+    output
+        Where the page goes (default report.html or view.html in RUN).
+    no_browser
+        Write the page and print its path, without opening it.
+    serve
+        Write nothing; serve the page to this machine alone, until Ctrl-C.
+    """
     with reporting(quiet=quiet) as report:
         with loading_modules():
             from mavnav.outputs.report.finished import finished_page

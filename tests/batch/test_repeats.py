@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from mavnav.batch.options import BatchOptions, request_of
 from mavnav.batch.document import file_differences
+from mavnav.batch.options import BatchOptions, request_of
 from mavnav.errors import ExitCode, UsageError
 from support.html_page import Page
 from support.small_batch import NAME, batch
