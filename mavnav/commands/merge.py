@@ -16,7 +16,7 @@ import typer
 
 from mavnav.commands import shared
 from mavnav.commands.progress import loading_modules, reporting
-from mavnav.commands.quality_rows import spread_text
+from mavnav.commands.run_screen import spread_text
 from mavnav.commands.terminal import Rows, emit_json, note, print_verdict
 from mavnav.config.named_files import read_json
 from mavnav.units import pluralize

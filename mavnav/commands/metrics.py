@@ -17,7 +17,7 @@ import typer
 
 from mavnav.commands import shared
 from mavnav.commands.progress import loading_modules, reporting
-from mavnav.commands.quality_rows import more_rows, quality_rows, reference_rows, wall_rows
+from mavnav.commands.run_screen import more_rows, quality_rows, reference_rows, wall_rows
 from mavnav.commands.terminal import Rows, emit, emit_json, note, print_table, verdict_rows
 from mavnav.config.options import REFERENCES, read_options, reference_files
 from mavnav.errors import UsageError

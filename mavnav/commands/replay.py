@@ -23,8 +23,7 @@ import typer
 
 from mavnav.commands import shared, signals
 from mavnav.commands.progress import REPLAY, loading_modules, reporting
-from mavnav.commands.quality_rows import reference_rows
-from mavnav.commands.run_screen import log_rows, map_rows, print_run, scan_time_text
+from mavnav.commands.run_screen import log_rows, map_rows, print_run, reference_rows, scan_time_text
 from mavnav.commands.sources import local_log
 from mavnav.commands.terminal import Rows, emit, note
 from mavnav.config.options import OPTIONS, REFERENCES, read_options, settings_of

@@ -110,11 +110,6 @@ def _step_rad(beams: int, step_deg: float) -> float:
     return _HALF_TURN_DEG * DEG / max(beams - beams % 2, 1)
 
 
-def pose_decoder(_channel: Channel) -> Callable[[bytes], list[TransformMessage]]:
-    """Return the decoder of odometry and of single poses; it raises DecodeError."""
-    return decode_pose
-
-
 def decode_pose(data: bytes) -> list[TransformMessage]:
     """Decode an ODOM line, or a line written by `pose_line`; raises DecodeError."""
     try:

@@ -164,7 +164,7 @@ DECODERS: dict[tuple[str, str], Callable[[Channel], Callable[[bytes], Any]]] = {
     **{(each, name): partial(_ros_decoder, read) for name, read in _ROS_READERS.items() for each in ROS_ENCODINGS},
     (carmen.ENCODING, definitions.SCAN): carmen.scan_decoder,
     **{
-        (carmen.ENCODING, name): carmen.pose_decoder
+        (carmen.ENCODING, name): (lambda _: carmen.decode_pose)
         for name in (definitions.ODOMETRY, definitions.TF, definitions.TRANSFORM)
     },
 }

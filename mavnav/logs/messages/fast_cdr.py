@@ -185,7 +185,3 @@ class CdrFields(Struct):
     def _align(self, size: int) -> None:
         if self.aligned:
             self.offset += -self.offset % size
-
-
-transforms_of, transform_of = exactly(read_transforms), exactly(read_transform)
-pose_of, odometry_of, imu_of = exactly(read_pose), exactly(read_odometry), exactly(read_imu)
