@@ -11,7 +11,7 @@ from importlib import import_module
 from io import TextIOWrapper
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Annotated, Final, NoReturn, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Final, NoReturn
 
 import typer
 
@@ -112,11 +112,10 @@ def app_for(args: Sequence[str]) -> typer.Typer:
         epilog = _epilog(_examples_of(module), COMMANDS[name])
         if name == "config":
             app.add_typer(module.app, name=name, epilog=epilog)
-            for command in module.app.registered_commands:
-                command.epilog = epilog
+            for info in module.app.registered_commands:
+                info.epilog, info.help = epilog, describe(info.callback)
         else:
             command = getattr(module, name)
-            command.__annotations__ = get_type_hints(command, include_extras=True)  # typer would do so four times
             app.command(cls=PlainCommand, epilog=epilog, help=describe(command))(command)
     return app
 

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mavnav.commands import poses, shared, signals
+from mavnav.commands import shared, signals
 from mavnav.commands.progress import loading_modules, reporting, watching
 from mavnav.commands.terminal import emit, emit_json, json_text, note, printable, table_console, verdict_mark
 from mavnav.config.options import READING, read_options
@@ -50,10 +50,10 @@ def batch(
     azimuths: shared.Azimuths = None,
     config: shared.ConfigFile = None,
     sets: shared.Sets = None,
-    programs: poses.Programs = None,
-    program_s: poses.ProgramLimit = 3600.0,
+    programs: shared.Programs = None,
+    program_s: shared.ProgramLimit = 3600.0,
     directory: Annotated[Path | None, shared.directory_option()] = None,
-    force: shared.RunAgain = False,
+    force: shared.Force = False,
     report: Annotated[bool, shared.output_option("--report")] = False,
     json: Annotated[bool, shared.output_option("--json")] = False,
     junit: Annotated[Path | None, shared.output_option(metavar="FILE")] = None,
@@ -88,6 +88,8 @@ def batch(
         Search grid; repeatable (default 10x10).
     directory
         Output directory (default runs/batch, or runs/batch-MANIFEST).
+    force
+        Ignore finished runs and repeat them.
     report
         Also write a page for every run.
     json

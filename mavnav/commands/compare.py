@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mavnav.commands import poses, shared
+from mavnav.commands import shared
 from mavnav.commands.comparison_table import print_result_of
 from mavnav.commands.progress import loading_modules, reporting, watching
 from mavnav.config.options import READING, REFERENCES, read_options, settings_of
@@ -41,16 +41,16 @@ def compare(
     context: typer.Context,
     logs: Annotated[list[Path] | None, typer.Argument(metavar="LOG|RUN", show_default=False)] = None,
     *,
-    trajectories: poses.Trajectories = None,
-    programs: poses.Programs = None,
-    limit_s: poses.ProgramLimit = 3600.0,
+    trajectories: shared.Trajectories = None,
+    programs: shared.Programs = None,
+    program_s: shared.ProgramLimit = 3600.0,
     methods: shared.Methods = None,
     grids: Annotated[list[str] | None, shared.replay_option("grid")] = None,
     azimuths: shared.Azimuths = None,
     config: shared.ConfigFile = None,
     sets: shared.Sets = None,
     directory: Annotated[Path | None, shared.directory_option()] = None,
-    force: shared.RunAgain = False,
+    force: shared.Force = False,
     jobs: shared.Jobs = None,
     preview: Annotated[bool, shared.output_option("--preview")] = False,
     json: shared.Json = False,
@@ -70,6 +70,8 @@ def compare(
         Search grid; repeatable (default 5x5, 10x10, 20x20). To a single one, 10x10 is added.
     directory
         Output directory (default runs/compare-LOG).
+    force
+        Ignore finished runs and repeat them.
     preview
         Print the maps as text (on stderr with --json).
     """
@@ -92,7 +94,7 @@ def compare(
         if not logs:
             logs, true_map = _sample(target, report)
             options.setdefault("truth_map", true_map)
-        given_poses = _given_poses(trajectories or (), programs or (), limit_s)
+        given_poses = _given_poses(trajectories or (), programs or (), program_s)
         settings = pipeline.comparison_settings(
             config,
             sets or (),

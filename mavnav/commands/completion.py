@@ -26,6 +26,10 @@ def words(*names: str) -> Completer:
 
 
 attitude_topics: Final = words("auto", "off", "/attitude")
+verdicts: Final = words("good", "suspect", "wrong", "lost")
+outputs: Final = words(
+    "trajectory", "map", "metrics", "slices", "pictures", "mcap", "report", "svg", "scale", "graph", "all"
+)
 
 
 def presets(incomplete: str) -> list[str]:

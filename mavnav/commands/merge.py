@@ -28,7 +28,7 @@ def merge(
     directory: Annotated[Path | None, shared.directory_option()] = None,
     config: shared.ConfigFile = None,
     sets: shared.Sets = None,
-    report_page: shared.WriteReport = False,
+    report_page: shared.Report = False,
     force: shared.Force = False,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
@@ -41,6 +41,8 @@ def merge(
         Run directories and logs, in any order.
     directory
         Directory of the result (default runs/merged, with a number where that exists).
+    report_page
+        Also write the result as one page, report.html.
     """
     with reporting(quiet=quiet) as report:
         with loading_modules():

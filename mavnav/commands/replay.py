@@ -46,7 +46,7 @@ def replay(
     sets: shared.Sets = None,
     directory: Annotated[Path | None, shared.directory_option()] = None,
     force: shared.Force = False,
-    report: shared.WithPage = False,
+    report: shared.Report = False,
     outputs: shared.Outputs = None,
     preview: shared.Preview = None,
     verbose: shared.Verbose = False,

@@ -15,7 +15,7 @@ from typing import Annotated
 
 import typer
 
-from mavnav.commands import poses, shared
+from mavnav.commands import shared
 from mavnav.commands.comparison_table import print_result_of
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.sources import local_log
@@ -29,9 +29,9 @@ def score(
     context: typer.Context,
     logs: shared.LogParts,
     *,
-    trajectories: poses.Trajectories = None,
-    programs: poses.Programs = None,
-    limit_s: poses.ProgramLimit = 3600.0,
+    trajectories: shared.Trajectories = None,
+    programs: shared.Programs = None,
+    program_s: shared.ProgramLimit = 3600.0,
     config: shared.ConfigFile = None,
     sets: shared.Sets = None,
     directory: Annotated[Path | None, shared.directory_option()] = None,
@@ -73,7 +73,7 @@ def score(
             Typed(context.obj, config, tuple(sets or ())),
             source.more,
             tuple(map(read_program, programs or ())),
-            limit_s,
+            program_s,
         )
         scored = score_log(request, report)
         document = write_scores(source.name, scored, target)

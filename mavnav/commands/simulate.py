@@ -52,12 +52,12 @@ def simulate(
     list_: Annotated[bool, shared.input_option("--list")] = False,
     schema: Annotated[bool, shared.schema_option()] = False,
     config: shared.ConfigFile = None,
-    sets: shared.ScenarioSets = None,
+    sets: shared.Sets = None,
     directory: Annotated[Path | None, shared.directory_option()] = None,
     record: Annotated[Path | None, shared.output_option(metavar="FILE")] = None,
     animate: Annotated[Path | None, shared.output_option(metavar="FILE.gif")] = None,
     force: shared.Force = False,
-    report: shared.WithPage = False,
+    report: shared.Report = False,
     outputs: shared.Outputs = None,
     preview: shared.Preview = None,
     verbose: shared.Verbose = False,
@@ -82,6 +82,8 @@ def simulate(
         List the shipped scenarios.
     schema
         Print the JSON Schema of scenario files.
+    sets
+        Override one key of the scenario file; those of a replay are below slam. Repeatable.
     directory
         Run directory (default runs/SCENARIO-METHOD-YAW-GRID, with a number where that exists).
     record

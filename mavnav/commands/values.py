@@ -6,14 +6,17 @@ rests on names inside of typer; where one is missing, typer reads the value.
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections.abc import Callable
 from contextlib import suppress
+from copy import copy
 from pathlib import Path
-from typing import Any, Final, get_args
+from typing import Annotated, Any, Final, get_type_hints
 
 from typer.core import TyperCommand, TyperGroup
 
+from mavnav.commands import shared
 from mavnav.config.option_kinds import descriptions
 
 _PLAIN: Final[dict[Any, re.Pattern[str]]] = {
@@ -82,8 +85,19 @@ class _Reader:
 
 
 def describe(command: Callable[..., None]) -> str:
-    """Give the parameters of a command the help that its docstring has for them; return the rest of the docstring."""
-    text, help_ = descriptions(command.__doc__)
-    for name, description in help_.items():
-        get_args(command.__annotations__[name])[1].help = description
+    """Give parameters the help of a command's docstring, or that of shared ones; return the rest of the docstring."""
+    text, own = descriptions(command.__doc__)
+    command.__annotations__ = get_type_hints(command, include_extras=True)  # typer would do so four times
+    help_, signature = descriptions(shared.__doc__)[1] | own, inspect.signature(command)
+    parameters = [_with_help(each, help_.get(each.name)) for each in signature.parameters.values()]
+    command.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    command.__annotations__ = {each.name: each.annotation for each in parameters}
     return text
+
+
+def _with_help(parameter: inspect.Parameter, text: str | None) -> inspect.Parameter:
+    if text is None or not (infos := getattr(parameter.annotation, "__metadata__", ())):
+        return parameter
+    info = copy(infos[0])  # shared by commands
+    info.help = text
+    return parameter.replace(annotation=Annotated[parameter.annotation.__origin__, info])
