@@ -58,16 +58,8 @@ def calibrate(
             from mavnav.pipelines.calibrate import CalibrationRequest
             from mavnav.pipelines.calibrate import calibrate as calibrated
         chosen = load_config(config, sets or [], settings_of(options))
-        request = CalibrationRequest(
-            log,
-            chosen,
-            options,
-            document=output,
-            picture=picture,
-            report=report_page,
-            force=force,
-            config_file=Path(config) if config else None,
-        )
+        files, config_file = (output, picture, report_page), Path(config) if config else None
+        request = CalibrationRequest(log, chosen, options, *files, force=force, config_file=config_file)
         document = calibrated(request, report)
     if json:
         emit_json(document)

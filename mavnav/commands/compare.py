@@ -95,24 +95,11 @@ def compare(
             logs, true_map = _sample(target, report)
             options.setdefault("truth_map", true_map)
         given_poses = _given_poses(trajectories or (), programs or (), program_s)
-        settings = pipeline.comparison_settings(
-            config,
-            sets or (),
-            methods or (),
-            grids or (),
-            azimuths or (),
-            settings_of(options),
-            usual=() if given_poses else pipeline.PAPER_GRIDS,
-        )
+        searches, usual = (methods or (), grids or (), azimuths or ()), () if given_poses else pipeline.PAPER_GRIDS
+        settings = pipeline.comparison_settings(config, sets or (), *searches, settings_of(options), usual=usual)
+        typed, workers = Typed(context.obj, config, tuple(sets or ())), jobs or usable_cores()
         request = pipeline.comparison_request(
-            logs,
-            settings,
-            target,
-            options,
-            workers=jobs or usable_cores(),
-            gates=bounds,
-            force=force,
-            typed=Typed(context.obj, config, tuple(sets or ())),
+            logs, settings, target, options, workers=workers, gates=bounds, force=force, typed=typed
         )
         plan = pipeline.plan_comparison(request, report)
         if given_poses:

@@ -63,18 +63,13 @@ def score(
             from mavnav.pipelines.trajectory_source import read_source
         usual = Path("runs") / f"score-{log_name(source.path)}"
         target = directory or shared.free_directory(usual, force=force)
-        request = ScoreRequest(
-            source.path,
-            target,
+        chosen, typed = (
             load_config(config, sets or [], settings_of(options)),
-            tuple(map(read_source, trajectories or ())),
-            options,
-            force,
             Typed(context.obj, config, tuple(sets or ())),
-            source.more,
-            tuple(map(read_program, programs or ())),
-            program_s,
         )
+        poses = tuple(map(read_source, trajectories or ()))
+        others = tuple(map(read_program, programs or ())), program_s
+        request = ScoreRequest(source.path, target, chosen, poses, options, force, typed, source.more, *others)
         scored = score_log(request, report)
         document = write_scores(source.name, scored, target)
         report("drawing the report", 0, None)

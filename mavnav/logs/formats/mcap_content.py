@@ -15,17 +15,9 @@ from typing import Final
 from mcap.opcode import Opcode as Op
 from msgspec import field
 
+from mavnav.logs.formats import mcap_records
 from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES
-from mavnav.logs.formats.mcap_records import (
-    HEAD,
-    MAGIC,
-    MESSAGE_HEAD,
-    McapRecord,
-    RecordFields,
-    find_record,
-    plain_records,
-    record_at,
-)
+from mavnav.logs.formats.mcap_records import HEAD, MAGIC, MESSAGE_HEAD, McapRecord, RecordFields
 from mavnav.logs.formats.source import ReaderState, Source
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import AttachedFile, Channel, MetadataRecord, RawMessage, Schema, ros_type
@@ -195,14 +187,14 @@ def read_summary(source: Source, state: McapState) -> None:
     lost or its offset is wrong, the summary is searched for after the end of the data.
     """
     footer_at = source.size - len(MAGIC) - HEAD.size - _FOOTER_BYTES
-    record = record_at(source, footer_at) if footer_at > 0 else None
+    record = mcap_records.record_at(source, footer_at) if footer_at > 0 else None
     if record is None or record.opcode != Op.FOOTER:
         _search_summary(source, state)
         return
     start, _, crc = struct.unpack("<QQI", source.read(record.start, _FOOTER_BYTES))
     if start == 0:
         return
-    first = record_at(source, start) if start < footer_at <= start + MAX_CHUNK_BYTES else None
+    first = mcap_records.record_at(source, start) if start < footer_at <= start + MAX_CHUNK_BYTES else None
     if first is None or first.opcode not in _KINDS:  # bytes were lost or gained before it
         _search_summary(source, state)
         return
@@ -235,12 +227,12 @@ def _records(summary: bytes) -> Iterator[tuple[int, bytes]]:
     source, offset = Source(BytesIO(summary), len(summary)), 0
     while offset < source.size:
         behind = offset
-        for opcode, content in plain_records(summary[offset:]):
-            if record_at(source, behind) is None:
+        for opcode, content in mcap_records.plain_records(summary[offset:]):
+            if mcap_records.record_at(source, behind) is None:
                 break
             yield opcode, content
             behind += HEAD.size + len(content)
-        offset = find_record(source, behind + 1)
+        offset = mcap_records.find_record(source, behind + 1)
 
 
 def check_data_section(source: Source, start: int, state: McapState) -> None:
