@@ -197,10 +197,8 @@ def simulate(
     overrides = {f"slam.{key}": value for key, value in settings_of(arguments.options_of(options)).items()}
     overrides |= {"seed": seed, "planner.technique": planner, "slam.attitude": attitude}
     name, log = arguments.name_or_path(scenario, "scenario"), arguments.optional_path(record, "record")
-    chosen, path = (
-        load_scenario(name, arguments.sets_of(settings), overrides, arguments.config_of(config)),
-        scenario_path(name),
-    )
+    chosen = load_scenario(name, arguments.sets_of(settings), overrides, arguments.config_of(config))
+    path = scenario_path(name)
 
     def work(target: Path) -> Run:
         request = SimulationRequest(chosen, path, target, log, force=force, report=report, typed=_typed_config(config))

@@ -73,14 +73,8 @@ def convert(
     """
     from mavnav.pipelines.convert import convert_to  # noqa: PLC0415  heavy
 
-    return convert_to(
-        arguments.path_of(log, "log"),
-        arguments.path_of(target, "target"),
-        arguments.optional_path(run, "run"),
-        strict=strict,
-        force=force,
-        progress=lambda _done, _total: None,
-    )
+    files = arguments.path_of(log, "log"), arguments.path_of(target, "target"), arguments.optional_path(run, "run")
+    return convert_to(*files, strict=strict, force=force, progress=lambda _done, _total: None)
 
 
 @arguments.with_options(*REFERENCES)

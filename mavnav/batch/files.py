@@ -102,13 +102,8 @@ def batch_csv(document: dict[str, Any]) -> str:
     table.writerow([*_HEAD, "verdict", "reason", "gates_failed", "baseline", "seconds", "directory", *FIGURES])
     for row in document["cells"]:
         failed = " ".join(gate["gate"] for gate in row["gates"] if not gate["passed"])
-        more = [
-            *verdict_texts(row["run"]),
-            failed,
-            (row["baseline"] or {}).get("change"),
-            row["seconds"],
-            row["directory"],
-        ]
+        change = (row["baseline"] or {}).get("change")
+        more = [*verdict_texts(row["run"]), failed, change, row["seconds"], row["directory"]]
         texts = [inert(value) for value in (*(row[key] for key in _HEAD), *more)]
         table.writerow([*texts, *(number(row["run"], name) for name in FIGURES)])
     return rows.getvalue()
@@ -203,10 +198,8 @@ def _field(column: Quantity, row: Mapping[str, Any]) -> dict[str, Any]:
     others = {"baseline": (row["baseline"] or {}).get("before", {}), **row["peers"]}
     beside = [f"{name} {column.write(each[column.name])}" for name, each in others.items() if column.name in each]
     value = column.of(row["run"])
-    known = (
-        {"text": column.text_of(row["run"]), "key": f"{value:.9g}"} if value is not None else {"text": "", "key": ""}
-    )
-    return known | {"beside": beside}
+    text, key = ("", "") if value is None else (column.text_of(row["run"]), f"{value:.9g}")
+    return {"text": text, "key": key, "beside": beside}
 
 
 MAX_PIXELS: Final = 160

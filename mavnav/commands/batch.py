@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -25,18 +26,16 @@ from mavnav.commands import shared, signals
 from mavnav.commands.progress import loading_modules, reporting, watching
 from mavnav.commands.terminal import emit, emit_json, json_text, note, printable, table_console, verdict_mark
 from mavnav.config.options import READING, read_options
+from mavnav.profiling import Progress
 from mavnav.units import pluralize
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
     from rich.table import Table
 
     from mavnav.batch.options import BatchOptions
     from mavnav.batch.request import BatchRequest
     from mavnav.batch.runner import BatchPlan
     from mavnav.jobs.dask import Cluster
-    from mavnav.profiling import Progress
 
 
 @shared.with_options(*READING, "strict", "resolution_m", "online")

@@ -9,15 +9,13 @@ mavnav check runs/* --gate 'map.accepted_share>=0.95' --gate 'tracking.lost==fal
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from mavnav.commands import shared
 from mavnav.commands.terminal import emit, emit_json, note, printable
-
-if TYPE_CHECKING:
-    from mavnav.errors import ExitCode
+from mavnav.errors import ExitCode
 
 
 def check(

@@ -13,6 +13,7 @@ mavnav compare drive.mcap --grid 40x40 --azimuth 40 --gate 'wall_thickness.p95_m
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -23,15 +24,13 @@ from mavnav.commands.comparison_table import print_result_of
 from mavnav.commands.progress import loading_modules, reporting, watching
 from mavnav.config.options import READING, REFERENCES, read_options, settings_of
 from mavnav.errors import UsageError
+from mavnav.profiling import Progress
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mavnav.batch.runner import BatchPlan
     from mavnav.metrics.gates import Gate
     from mavnav.pipelines.programs import Program
     from mavnav.pipelines.trajectory_source import TrajectorySource
-    from mavnav.profiling import Progress
 
     GivenPoses = tuple[Sequence[TrajectorySource], Sequence[Program], float]
 

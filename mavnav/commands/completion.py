@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import typer  # noqa: TC002  it reads annotations
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    Completer = Callable[[str], list[str]]
+Completer = Callable[[str], list[str]]
 
 MAX_READ_S: Final = 1.0
 """Maximum time to read a log for its topics, in s."""

@@ -12,20 +12,17 @@ from __future__ import annotations
 
 from functools import partial
 from itertools import zip_longest
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer
 
 from mavnav.commands import shared
 from mavnav.commands.progress import reporting
-from mavnav.commands.sources import local_log
+from mavnav.commands.sources import LocalLog, local_log
 from mavnav.commands.terminal import Rows, note_problems, print_result
 from mavnav.config.options import read_options
 from mavnav.errors import ExitCode
 from mavnav.units import DEG, NS, pluralize
-
-if TYPE_CHECKING:
-    from mavnav.commands.sources import LocalLog
 
 
 @shared.with_options("topic", "strict")

@@ -24,16 +24,14 @@ import typer
 from mavnav.commands import shared, signals
 from mavnav.commands.progress import REPLAY, loading_modules, reporting
 from mavnav.commands.run_screen import log_rows, map_rows, print_run, reference_rows, scan_time_text
-from mavnav.commands.sources import local_log
+from mavnav.commands.sources import LocalLog, local_log
 from mavnav.commands.terminal import Rows, emit, note
-from mavnav.config.options import OPTIONS, REFERENCES, read_options, settings_of
+from mavnav.config.options import OPTIONS, REFERENCES, ReplayOptions, read_options, settings_of
 from mavnav.errors import UsageError, missing
 from mavnav.units import pluralize
 
 if TYPE_CHECKING:
-    from mavnav.commands.sources import LocalLog
     from mavnav.config.models import Config
-    from mavnav.config.options import ReplayOptions
 
 
 @shared.with_options(*OPTIONS)
@@ -109,9 +107,8 @@ def _earlier_fields(
     from mavnav.pipelines.again import replay_again, typed_again
 
     run = shared.run_to_repeat(context, again, directory, "logs", "profile", simulated=False)
-    return replay_again(run, *((source.path, source.more) if source else (None,))) | {
-        "typed": typed_again(run, context.obj)
-    }
+    fields = replay_again(run, *((source.path, source.more) if source else (None,)))
+    return fields | {"typed": typed_again(run, context.obj)}
 
 
 def _config(file: str | None, sets: list[str], options: ReplayOptions[Path]) -> Config:

@@ -8,20 +8,16 @@ from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Iterable
 from itertools import chain
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.commands import shared
-from mavnav.commands.terminal import emit_json, note, print_table, verdict_mark, verdict_rows
+from mavnav.commands.terminal import Rows, emit_json, note, print_table, verdict_mark, verdict_rows
 from mavnav.errors import ExitCode
 from mavnav.units import MM, pluralize
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from mavnav.commands.terminal import Rows
 
 MAP_LINES: Final = 15
 """Maximum height of the map on a screen, in lines."""
@@ -130,10 +126,8 @@ def map_rows(document: dict[str, Any]) -> Rows:
     if "spread" in document["wall_thickness"]:
         yield "walls", spread_text(document["wall_thickness"]["spread"])
     if ghosts["count"]:
-        yield (
-            "ghost walls",
-            f"{ghosts['count']}, {ghosts['length_m']:.1f} m, up to {ghosts['worst_offset_mm']:.0f} mm apart",
-        )
+        length = f"{ghosts['length_m']:.1f} m, up to {ghosts['worst_offset_mm']:.0f} mm apart"
+        yield "ghost walls", f"{ghosts['count']}, {length}"
     yield "path", f"{document['tracking']['path_length_m']:.2f} m"
 
 
@@ -174,10 +168,8 @@ def note_run(document: dict[str, Any], *, verdict: bool, all_: bool = False) -> 
         note(f"mavnav: {kind}: {known['word']}: {known['reason']}{advice}")
     if document["damage"]:
         first, places = document["damage"][0], pluralize(len(document["damage"]), "place")
-        note(
-            f"mavnav: warning: the input is damaged in {places}, the first: {first['what']}, {first['where']}; "
-            "what is intact was used"
-        )
+        text = f"the input is damaged in {places}, the first: {first['what']}, {first['where']}"
+        note(f"mavnav: warning: {text}; what is intact was used")
     note_warnings(document["warnings"], all_=all_)
     if document["partial"]:
         done, usable = document["scans"]["processed"], document["scans"]["usable"]

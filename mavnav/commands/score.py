@@ -63,10 +63,8 @@ def score(
             from mavnav.pipelines.trajectory_source import read_source
         usual = Path("runs") / f"score-{log_name(source.path)}"
         target = directory or shared.free_directory(usual, force=force)
-        chosen, typed = (
-            load_config(config, sets or [], settings_of(options)),
-            Typed(context.obj, config, tuple(sets or ())),
-        )
+        chosen = load_config(config, sets or [], settings_of(options))
+        typed = Typed(context.obj, config, tuple(sets or ()))
         poses = tuple(map(read_source, trajectories or ()))
         others = tuple(map(read_program, programs or ())), program_s
         request = ScoreRequest(source.path, target, chosen, poses, options, force, typed, source.more, *others)

@@ -55,6 +55,7 @@ import inspect
 import json
 import os
 import sys
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
 from inspect import Parameter
@@ -71,8 +72,6 @@ from mavnav.config.options import OPTIONS
 from mavnav.errors import ExitCode, UsageError, missing, worst
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Container, Iterable, Iterator, Sequence
-
     from mavnav.config.models import Config
     from mavnav.metrics.gates import Gate
     from mavnav.pipelines.again import EarlierRun

@@ -14,6 +14,7 @@ mavnav simulate --list
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
@@ -29,8 +30,6 @@ from mavnav.errors import ExitCode, UsageError
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mavnav.simulation.world import Scenario
 
 

@@ -220,9 +220,8 @@ def _oddities(source: TopicAttitude, attitude: RecordedAttitude, stamps_ns: NDAr
         yield f"{text}; they are not used: record it for the whole log, or cut the log with --start and --end"
     tilts_rad = attitude.tilts_at(stamps_ns[known])
     if (steep := tilts_rad > MOST_RAD).any():
-        text = (
-            f"{int(steep.sum())} of {n} scans are tilted by more than 60 deg, by up to {tilts_rad.max() / DEG:.0f} deg"
-        )
+        most_deg = tilts_rad.max() / DEG
+        text = f"{int(steep.sum())} of {n} scans are tilted by more than 60 deg, by up to {most_deg:.0f} deg"
         yield f"{text}; they are not used, check its axes (x forward, z up) and the mounting"
     if source.kind != "imu" and not attitude.has_heights:
         yield "the heights (position.z) are not all above the floor; they are not used, and there are no slices"

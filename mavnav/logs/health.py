@@ -78,7 +78,7 @@ def sensor_health(log: Log, far_m: float = inf) -> SensorHealth:
     sectors = _sectors(seen.covered & ~seen.returned) if len(seen.valid) >= SECTOR_SCANS else []
     usual = float(np.median(seen.valid)) if len(seen.valid) else 0.0
     findings = [
-        *_missing_returns(share, usual, partial, sectors, seen.stamps_ns),
+        *_missing_returns(share, usual, partial, sectors, seen),
         *_odd_returns(seen, far_m),
         *_times(log, jitter),
     ]
@@ -165,21 +165,17 @@ def _sectors(dead: NDArray[np.bool_]) -> list[tuple[float, float]]:
 
 
 def _missing_returns(
-    share: float,
-    median: float,
-    partial: NDArray[np.intp],
-    sectors: list[tuple[float, float]],
-    stamps_ns: NDArray[np.int64],
+    share: float, median: float, partial: NDArray[np.intp], sectors: list[tuple[float, float]], seen: _Seen
 ) -> Iterator[Finding]:
     if share < LEAST_SHARE or median < LEAST_BEAMS:
         what = f"{100 * share:.0f} % of the beams are valid, {median:.0f} a scan in the median"
         advice = "clean the window, see that walls are in range, and check range_min and range_max; turn slowly"
         yield Finding("sparse", what, advice)
     early = partial[partial < FIRST_SCANS]
-    if len(early) or len(partial) > SOME_SHARE * len(stamps_ns):
+    if len(early) or len(partial) > SOME_SHARE * len(seen.stamps_ns):
         where = ", at the beginning" if len(early) == len(partial) else ""
         what = f"less than half of the valid beams of their neighbors in {pluralize(len(partial), 'scan')}{where}"
-        until_s = (stamps_ns[partial[-1]] - stamps_ns[0]) * NS
+        until_s = (seen.stamps_ns[partial[-1]] - seen.stamps_ns[0]) * NS
         advice = "keep the view of the laser free, and check its power and cable"
         if len(early):
             advice = (

@@ -107,12 +107,8 @@ def usual_topic(names: list[str], scan_topic: str, scan_topics: Iterable[str]) -
     Of those of its robot it is the first of the usual names, or the only one.
     """
     own = of_same_robot(names, scan_topic, scan_topics)
-    usual = (
-        name
-        for end in USUAL_NAMES
-        for name in own
-        if name.endswith(end) and scan_topic.startswith(f"{name.removesuffix(end)}/")
-    )
+    named = ((name, name.removesuffix(end)) for end in USUAL_NAMES for name in own if name.endswith(end))
+    usual = (name for name, space in named if scan_topic.startswith(f"{space}/"))
     return next(usual, own[0] if len(own) == 1 else None)
 
 

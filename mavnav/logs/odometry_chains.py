@@ -124,13 +124,10 @@ def _chains(odom_T_base: Trajectory, usual: Steps) -> Iterator[list[int]]:
     for k, pose in enumerate(poses):
         ends = [chain for chain in ends[-MOST_OPEN:] if stamps_s[k] - stamps_s[chain[-1]] <= CLOSED_S]
         steps = [(poses[chain[-1]].gap(pose), chain) for chain in ends]
-        fit = [
-            (away_m, chain)
-            for (away_m, turned_rad), chain in steps
-            if _is_reachable(
-                np.array((away_m, turned_rad)), stamps_s[k] - stamps_s[chain[-1]], _speed(poses, stamps_s, chain, usual)
-            )
-        ]
+        fit = []
+        for size, chain in steps:
+            speed, elapsed_s = _speed(poses, stamps_s, chain, usual), stamps_s[k] - stamps_s[chain[-1]]
+            fit += [(size[0], chain)] if _is_reachable(np.array(size), elapsed_s, speed) else []
         if fit:
             nearest = min(fit, key=lambda pair: pair[0])[1]
             nearest.append(k)

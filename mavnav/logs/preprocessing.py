@@ -109,12 +109,10 @@ class ScanFilter:
         self._units.look_at(message)
         message = self._with_step(message)
         if reason := _refusal(message):
-            turn = abs(message.angle_step_rad) * (len(message.ranges_m) - 1)
-            if reason == "impossible_geometry" and 20.0 < turn <= 400.0:
-                self._turns = (
-                    f"{len(message.ranges_m)} beams of angle_increment {message.angle_step_rad:g} are more than a turn:"
-                    " the angles look like degrees, and LaserScan is in radians"
-                )
+            beams, step_rad = len(message.ranges_m), message.angle_step_rad
+            if reason == "impossible_geometry" and 20.0 < abs(step_rad) * (beams - 1) <= 400.0:
+                what = f"{beams} beams of angle_increment {step_rad:g} are more than a turn"
+                self._turns = f"{what}: the angles look like degrees, and LaserScan is in radians"
             return reason
         message = self._thin(message)
         spec = self._spec_of(message)
@@ -282,11 +280,8 @@ class RangeUnits:
         if not (far or odd_limits):
             return ""
         units = self._units(reach)
-        what = (
-            "more than half of the ranges lie beyond 250 m"
-            if far
-            else f"range_min and range_max are {low:g} and {high:g}"
-        )
+        limits_text = f"range_min and range_max are {low:g} and {high:g}"
+        what = "more than half of the ranges lie beyond 250 m" if far else limits_text
         divisors = " or ".join(str(UNITS[unit]) for unit in units)
         limits = ", not the limits" if _is_a_laser(low, high) else ", range_min and range_max too"
         return f"{what}: they look like {' or '.join(units)}, not meters; divide them by {divisors}{limits}"

@@ -178,13 +178,8 @@ def own_edges(session: Session, first: int) -> Iterator[Edge]:
         a_T_b = a.between(b)
         share = max(a_T_b.distance_m / KEY_M, abs(a_T_b.yaw_rad) / KEY_RAD)
         yield Edge(first + k, first + k + 1, a_T_b, path / np.sqrt(min(max(share, SHORT), 1.0)))
-    for i, j in revisits(keys, 0):
-        yield Edge(
-            first + i,
-            first + j,
-            poses[i].between(poses[j]),
-            root_information(REVISIT_SIGMA_M, REVISIT_SIGMA_RAD) / times,
-        )
+    firm = root_information(REVISIT_SIGMA_M, REVISIT_SIGMA_RAD) / times
+    yield from (Edge(first + i, first + j, poses[i].between(poses[j]), firm) for i, j in revisits(keys, 0))
 
 
 def revisits(keys: Sequence[KeyFrame], begin: int) -> Iterator[tuple[int, int]]:
