@@ -264,11 +264,8 @@ def compare(
     if not names:
         raise UsageError("no log to compare; name one")
     shared = settings_of(arguments.options_of({"online": online}))
-    options = (
-        arguments.values_of(methods, "methods"),
-        [arguments.grid_of(grid, "grids") for grid in arguments.values_of(grids, "grids")],
-        arguments.values_of(azimuths, "azimuths"),
-    )
+    points = [arguments.grid_of(grid, "grids") for grid in arguments.values_of(grids, "grids")]
+    options = arguments.values_of(methods, "methods"), points, arguments.values_of(azimuths, "azimuths")
     chosen = pipeline.comparison_settings(arguments.config_of(config), arguments.sets_of(settings), *options, shared)
     cores = arguments.count_of(workers, "workers") or usable_cores()
 

@@ -125,9 +125,8 @@ def overlay(
     for one, other in combinations(given, 2):
         if one.values.keys() & other.values.keys():
             key = ".".join(*one.values)
-            raise ConfigError(
-                f"--set {key} is given twice; leave one out, or compare both: compare LOG --set {key}=A,B"
-            )
+            advice = f"leave one out, or compare both: compare LOG --set {key}=A,B"
+            raise ConfigError(f"--set {key} is given twice; {advice}")
     layers = [layer, *given, _option_layer(overrides)]
     if short:
         layers = [each.spelled_out(*short) for each in layers]

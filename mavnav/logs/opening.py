@@ -115,10 +115,9 @@ def choose(
     if timeline.first is None:
         raise NoScansError(_no_usable(survey, name, scans, timeline))
     if timeline.skipped["duplicate_stamp"] >= scans.total - 1 >= LEAST_CONSTANT:
-        raise NoScansError(
-            f"{survey.path}: all {scans.total} scans on {name} have one stamp and one time of recording; nothing "
-            "tells when they were taken: record the log again, and check the clock of the driver"
-        )
+        what = f"all {scans.total} scans on {name} have one stamp and one time of recording"
+        advice = "nothing tells when they were taken: record the log again, and check the clock of the driver"
+        raise NoScansError(f"{survey.path}: {what}; {advice}")
     sensor, frame_id = timeline.first
     period_s, gaps = period_and_gaps(timeline.stamps_ns)
     skipped = dict(sorted((scans.refused + timeline.skipped).items()))

@@ -166,9 +166,8 @@ class _Pass(Struct):
         if topic is None and is_laser(channel):
             return kind
         if topic is not None and topic not in self.scans and len(self.scans) >= MOST_SCAN_TOPICS:
-            self.report.warn(
-                f"more than {MOST_SCAN_TOPICS} topics have scans; others are left out, name one by --topic"
-            )
+            text = f"more than {MOST_SCAN_TOPICS} topics have scans"
+            self.report.warn(f"{text}; others are left out, name one by --topic")
             return kind
         try:
             kind.decode = decoder(channel, poses=self.motion.takes(channel), topic=topic)

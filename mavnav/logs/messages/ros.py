@@ -13,10 +13,9 @@ from mavnav.logs.messages.definitions import TF
 _OLDER = ("iron", "humble", "galactic", "foxy", "eloquent", "dashing")
 
 
-@cache
 def types_ros2() -> Any:  # noqa: ANN401  rosbags' types are made at run time
     """Return the type store of ROS 2."""
-    return get_typestore(Stores.ROS2_JAZZY)
+    return _types_of("jazzy")
 
 
 @cache
@@ -29,8 +28,7 @@ def types_ros1() -> Any:  # noqa: ANN401
 
 def all_types_ros2() -> Iterator[Any]:
     """Yield the type stores of ROS 2: that of ``types_ros2``, then those of older distributions, the newest first."""
-    yield types_ros2()
-    yield from map(_types_of, _OLDER)
+    return map(_types_of, ("jazzy", *_OLDER))
 
 
 @cache

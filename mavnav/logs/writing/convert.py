@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -211,16 +211,11 @@ def _compare(unfinished: Path, target: Path, topics: tuple[Topic, ...]) -> None:
     report, counts = ReadReport(), Counter[str]()
     for message in detect.read(unfinished, report):
         counts[message.channel.topic] += 1
-    expected = _by_name(topics)
+    expected = Counter[str]()
+    for topic in topics:
+        expected[topic.name] += topic.count
     with unfinished.open("rb") as file:
         summary = make_reader(file).get_summary()
     indexed = summary.statistics.message_count if summary and summary.statistics else -1
     if counts != expected or report.damages() or indexed != sum(expected.values()):
         raise OutputError(f"{target}: what was written reads back differently; is the disk sound? Try another place")
-
-
-def _by_name(topics: tuple[Topic, ...]) -> Mapping[str, int]:
-    counts = Counter[str]()
-    for topic in topics:
-        counts[topic.name] += topic.count
-    return counts

@@ -118,10 +118,8 @@ def _poses(trajectory: Trajectory) -> Iterator[tuple[int, Pose]]:
 def check_recording(path: Path, *, force: bool) -> None:
     """Raise the errors of ``record`` for this path before any work is done."""
     if path.suffix not in CONTAINERS:
-        raise UsageError(
-            f"{path}: no format of this name can be recorded; end it in .mcap or .bag (ROS 1), "
-            "or leave the ending out for the folder of a ROS 2 bag"
-        )
+        advice = "end it in .mcap or .bag (ROS 1), or leave the ending out for the folder of a ROS 2 bag"
+        raise UsageError(f"{path}: no format of this name can be recorded; {advice}")
     if path.suffix and is_stream(path):
         return
     if path.is_dir():
