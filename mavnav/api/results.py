@@ -126,8 +126,8 @@ class Run:
         """
         columns, verdict = self.columns(), self.verdict
         xy_m = np.array([columns["x_m"], columns["y_m"]], np.float64).T
-        path = xy_m, np.array(columns["doubtful"], np.float64) > 0
-        drawn = draw(self.map, path, f"{verdict['word']}: {verdict['reason']}", axes)
+        doubtful = np.array(columns["doubtful"], np.float64) > 0
+        drawn = draw(self.map, xy_m, doubtful, f"{verdict['word']}: {verdict['reason']}", axes)
         if drawn is not None:
             return drawn
         with Image.open(self.file("map.png"), formats=("PNG",)) as picture:
@@ -193,15 +193,10 @@ UNKNOWN_SHADE: Final = 0.85
 """Grey of unknown cells, between black 0 and white 1."""
 
 
-def draw(  # matplotlib is no dependency
-    grid: Grid,
-    path: tuple[NDArray[np.float64], NDArray[np.bool_]],
-    title: str,
-    axes: Any = None,  # noqa: ANN401
-) -> Any:  # noqa: ANN401
+def draw(grid: Grid, xy_m: NDArray[np.float64], doubtful: NDArray[np.bool_], title: str, axes: Any) -> Any:  # noqa: ANN401
     """Draw a map and a path into axes of matplotlib, new ones if none are given; None without matplotlib.
 
-    ``path`` has the positions (n, 2) in the map frame, m, NaN where not tracked, and (n,) whether they may be wrong.
+    ``xy_m`` (n, 2) are positions in the map frame, NaN where not tracked; ``doubtful`` (n,) which may be wrong.
     """
     try:
         from matplotlib import pyplot  # noqa: PLC0415  optional
@@ -212,7 +207,6 @@ def draw(  # matplotlib is no dependency
     extent = (x_m, x_m + cols * grid.cell_m, y_m, y_m + rows * grid.cell_m)
     shade = np.where(cells > 0, 0.0, np.where(cells == 0, 1.0, UNKNOWN_SHADE))
     axes.imshow(shade, origin="lower", extent=extent, cmap="gray", vmin=0.0, vmax=1.0, interpolation="nearest")
-    xy_m, doubtful = path
     axes.plot(*xy_m.T, color="tab:blue", linewidth=1)
     if doubtful.any():
         axes.plot(*np.where(doubtful[:, None], xy_m, np.nan).T, color="tab:red", linewidth=2, label="may be wrong")
