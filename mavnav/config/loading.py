@@ -125,8 +125,9 @@ def overlay(
     for one, other in combinations(given, 2):
         if one.values.keys() & other.values.keys():
             key = ".".join(*one.values)
-            advice = f"leave one out, or compare both: compare LOG --set {key}=A,B"
-            raise ConfigError(f"--set {key} is given twice; {advice}")
+            raise ConfigError(
+                f"--set {key} is given twice; leave one out, or compare both: compare LOG --set {key}=A,B"
+            )
     layers = [layer, *given, _option_layer(overrides)]
     if short:
         layers = [each.spelled_out(*short) for each in layers]

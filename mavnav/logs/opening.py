@@ -104,8 +104,9 @@ def choose(
     """
     if topic is not None and topic not in survey.scans and len(names := scan_topics(topic)) > 1:
         if upside_down:
-            text = "several --topic are merged by /tf_static, which turns them over"
-            raise TopicError(f"upside_down is of one laser; {text}")
+            raise TopicError(
+                "upside_down is of one laser; several --topic are merged by /tf_static, which turns them over"
+            )
         return _multi_laser_log(survey, names, odom, extrinsic)
     name = _chosen_topic(survey, topic)
     scans = survey.scans[name]
