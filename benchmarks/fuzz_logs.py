@@ -41,12 +41,13 @@ from msgspec import Struct, field
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
 import log_attacks
+from mcap.opcode import Opcode as Op
 
 from mavnav import cli
 from mavnav.errors import NoScansError, TopicError
 from mavnav.logs import Log, choose, survey
 from mavnav.logs.formats.decompress import decompress
-from mavnav.logs.formats.mcap_records import HEAD, MAGIC, Op, chunk_head, plain_records
+from mavnav.logs.formats.mcap_records import HEAD, MAGIC, chunk_head, plain_records
 from support.fuzz import CHECKED, is_guarded, mutated
 from support.log_files import WRITERS, foxglove_json, foxglove_protobuf, laser, write_mcap
 from support.sandbox import COUNTED as ATTACK_COUNTED

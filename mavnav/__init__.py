@@ -25,36 +25,10 @@ if TYPE_CHECKING:
     from mavnav.pose import Pose, Trajectory
     from mavnav.scan import LaserSpec, Scan
 
-__all__ = [
-    "Comparison",
-    "ConfigError",
-    "LaserSpec",
-    "Log",
-    "MavnavError",
-    "NoScansError",
-    "OutputError",
-    "Pose",
-    "Run",
-    "Scan",
-    "TopicError",
-    "Trajectory",
-    "UsageError",
-    "__version__",
-    "batch",
-    "calibrate",
-    "check",
-    "compare",
-    "convert",
-    "diff",
-    "info",
-    "load_run",
-    "merge",
-    "metrics",
-    "open_log",
-    "replay",
-    "simulate",
-    "track",
-]
+__all__ = ["Comparison", "LaserSpec", "Log", "Pose", "Run", "Scan", "Trajectory", "__version__"]
+__all__ += ["ConfigError", "MavnavError", "NoScansError", "OutputError", "TopicError", "UsageError"]
+__all__ += ["batch", "calibrate", "check", "compare", "convert", "diff", "info", "load_run", "merge", "metrics"]
+__all__ += ["open_log", "replay", "simulate", "track"]
 _MODULES = {
     **dict.fromkeys(("compare", "open_log", "replay", "simulate"), "mavnav.api.functions"),
     **dict.fromkeys(("batch", "check", "convert", "info", "metrics"), "mavnav.api.reports"),

@@ -15,18 +15,16 @@ import shutil
 import stat
 import sys
 import threading
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from errno import EDQUOT, EEXIST, ENOSPC, ENOTEMPTY
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from time import time
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from mavnav.errors import OutputError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 _AT_FDCWD = -100
 _RENAME_EXCHANGE = 2

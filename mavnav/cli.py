@@ -6,22 +6,20 @@ import errno
 import os
 import re
 import sys
+from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
 from io import TextIOWrapper
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, NoReturn, get_type_hints
+from types import ModuleType
+from typing import Annotated, Final, NoReturn
 
 import typer
 
 from mavnav.commands import signals
-from mavnav.commands.hints import hint
 from mavnav.commands.terminal import emit, note, print_traceback
-from mavnav.commands.values import CommandGroup, PlainCommand
+from mavnav.commands.values import CommandGroup, PlainCommand, describe
 from mavnav.errors import ExitCode, MavnavError, lacks_memory
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 LIBRARIES = ("numpy", "numba", "scipy", "mcap", "rosbags", "msgspec", "pillow", "typer")
 
@@ -108,16 +106,20 @@ def app_for(args: Sequence[str]) -> typer.Typer:
     wanted = next((arg for arg in args if not arg.startswith("-")), "")
     for name in (wanted,) if wanted in COMMANDS else COMMANDS:
         module = import_module(f"mavnav.commands.{name}")
-        epilog = _epilog(module.EPILOG, COMMANDS[name])
+        epilog = _epilog(_examples_of(module), COMMANDS[name])
         if name == "config":
             app.add_typer(module.app, name=name, epilog=epilog)
-            for command in module.app.registered_commands:
-                command.epilog = epilog
+            for info in module.app.registered_commands:
+                info.epilog, info.help = epilog, describe(info.callback)
         else:
             command = getattr(module, name)
-            command.__annotations__ = get_type_hints(command, include_extras=True)  # typer would do so four times
-            app.command(cls=PlainCommand, epilog=epilog)(command)
+            app.command(cls=PlainCommand, epilog=epilog, help=describe(command))(command)
     return app
+
+
+def _examples_of(module: ModuleType) -> str:
+    """Return what the docstring of a command's module says after its title."""
+    return re.sub(r"^(\w+)\n-+$", r"[bold]\1[/bold]", (module.__doc__ or "").partition("\n")[2], flags=re.MULTILINE)
 
 
 def _epilog(text: str, page: str) -> str:
@@ -147,7 +149,7 @@ def _explain(error: BaseException) -> int:
             context = getattr(error, "ctx", None)
             command = context.command_path if context else "mavnav"
             text = error.format_message().replace("Value error, ", "").rstrip(".")
-            advice = hint(error)
+            advice = _hint(error)
             text = f"{re.split(r' [(]|[.] Did', text)[0]}; {advice}" if advice else f"{text}; see '{command} --help'"
             note(f"mavnav: error: {text}")
             return ExitCode.USAGE
@@ -177,6 +179,35 @@ def _explain(error: BaseException) -> int:
             bug = f"a bug: {type(error).__name__}: {error}; run again with --debug and report what it shows"
             note(f"mavnav: error: {bug}")
             return ExitCode.BUG
+
+
+def _hint(error: typer.TyperException) -> str:
+    """Say what to write instead of an option or command that there is not; empty where that is not known.
+
+    An option is named only where the command has it.
+    """
+    from tomllib import loads
+
+    answers = loads((Path(__file__).parent / "commands" / "hints.toml").read_text("utf-8"))
+    context = getattr(error, "ctx", None)
+    if option := getattr(error, "option_name", None):
+        known = {name for each in context.command.params for name in each.opts} if context else set[str]()
+        usable = {answer: names for answer, names in answers["options"].items() if answer.split()[0] in known}
+        word = option.partition("=")[0].replace("_", "-")
+        return _answer(answers["always"], word) or _written(_answer(usable, word))
+    _, command, name = error.format_message().partition("No such command ")
+    word = name.split("'")[1] if name.count("'") > 1 else ""
+    if command and ("/" in word or "." in word):
+        return _written(f"'mavnav replay {word}'")
+    return _written(_answer(answers["commands"], word))
+
+
+def _written(answer: str) -> str:
+    return answer and f"write {answer}"
+
+
+def _answer(answers: dict[str, str], word: str) -> str:
+    return next((answer for answer, names in answers.items() if word in names.split()), "")
 
 
 def _is_stdout(error: OSError) -> bool:

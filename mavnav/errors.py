@@ -18,14 +18,11 @@ Each message is one line: what is wrong, where, and what to do next. Only ``cli.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from contextlib import suppress
 from enum import IntEnum
 from errno import ENOMEM
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
+from pathlib import Path
 
 
 class ExitCode(IntEnum):

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from itertools import pairwise
 from math import atan2, cos, pi, sin
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+from numpy.typing import NDArray
 
 MAX_GAP_NS = 1_000_000_000
 """Longest gap in the poses of a truth, or of another program, over which they are interpolated."""
@@ -177,18 +174,11 @@ class Trajectory(Struct, frozen=True):
 
     def compose(self, b_T_c: Pose) -> Trajectory:
         """Follow another point of the same rigid body: ``a_T_b`` over time gives ``a_T_c``."""
-        yaw = self.xyyaw[:, 2]
+        x, y, yaw = self.xyyaw.T
         c, s = np.cos(yaw), np.sin(yaw)
-        return Trajectory(
-            self.stamps_ns,
-            np.column_stack(
-                (
-                    self.xyyaw[:, 0] + c * b_T_c.x_m - s * b_T_c.y_m,
-                    self.xyyaw[:, 1] + s * b_T_c.x_m + c * b_T_c.y_m,
-                    (yaw + b_T_c.yaw_rad + pi) % (2.0 * pi) - pi,
-                )
-            ),
-        )
+        x, y = x + c * b_T_c.x_m - s * b_T_c.y_m, y + s * b_T_c.x_m + c * b_T_c.y_m
+        yaw = (yaw + b_T_c.yaw_rad + pi) % (2.0 * pi) - pi
+        return Trajectory(self.stamps_ns, np.column_stack((x, y, yaw)))
 
     def seen_from(self, c_T_a: Pose) -> Trajectory:
         """Express in another fixed frame: ``a_T_b`` over time gives ``c_T_b``."""

@@ -8,17 +8,12 @@ in the tracker.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
-from functools import wraps
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ContextDecorator
 from math import nan
 from time import perf_counter
-from typing import TYPE_CHECKING, ParamSpec, TypeVar
+from typing import Self, TypeVar
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-    from types import TracebackType
-
-P = ParamSpec("P")
 R = TypeVar("R")
 
 Progress = Callable[[str, int, int | None], None]
@@ -77,38 +72,27 @@ def _switch(name: str) -> str:
     return before
 
 
-class Stage:
-    """A named stage of the work: ``with Stage("search"):``."""
-
-    __slots__ = ("before", "name")
+class Stage(ContextDecorator):
+    """A named stage of the work: ``with Stage("search"):``; it also decorates functions, of which each call is one."""
 
     def __init__(self, name: str) -> None:
         """Name the stage; it begins with the block."""
         self.name, self.before = name, OTHER
 
+    def _recreate_cm(self) -> Self:
+        """Return another stage for each call of a function: calls may lie within each other."""
+        return type(self)(self.name)
+
     def __enter__(self) -> None:
         """Pause the enclosing stage and begin this one."""
         self.before = _switch(self.name)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """End this stage and continue the enclosing one."""
         _switch(self.before)
 
 
-def timed(name: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Return a decorator that makes every call of a function a stage."""
-
-    def decorate(function: Callable[P, R]) -> Callable[P, R]:
-        @wraps(function)
-        def within(*args: P.args, **kwargs: P.kwargs) -> R:
-            with Stage(name):
-                return function(*args, **kwargs)
-
-        return within
-
-    return decorate
+timed = Stage
 
 
 def each(name: str, items: Iterable[R]) -> Iterator[R]:

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from functools import cached_property, lru_cache
 from math import inf, tau
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 SAME_RAD: Final = 1e-5
 """Bearings no farther apart are one: angles are stored with 24 bits."""

@@ -15,15 +15,12 @@ from numbers import Integral
 from os import PathLike, fspath
 from pathlib import Path
 from textwrap import fill, indent
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 from mavnav.config.option_kinds import FILE, PLACE, POSE, SWITCH, TOPICS, TRUTH, ValueKind, pose_problem, recorded_topic
-from mavnav.config.options import OPTIONS, TYPES, File, given_options
+from mavnav.config.options import OPTIONS, TYPES, File, ReplayOptions, given_options
 from mavnav.errors import MavnavError, UsageError
 from mavnav.pose import Pose
-
-if TYPE_CHECKING:
-    from mavnav.config.options import ReplayOptions
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

@@ -7,44 +7,25 @@ what is wrong, where, and what to do next.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
 
 from msgspec.structs import replace as changed
 
 from mavnav import logs
-from mavnav.api.arguments import (
-    config_of,
-    count_of,
-    grid_of,
-    name_or_path,
-    optional_path,
-    options_of,
-    path_of,
-    paths_of,
-    pose_of,
-    sets_of,
-    topic_of,
-    topics_of,
-    values_of,
-    with_options,
-    with_python_names,
-)
+from mavnav.api import arguments
 from mavnav.api.results import Comparison, Run, in_directory
 from mavnav.config.loading import load_config
-from mavnav.config.options import OPTIONS, SEARCHING, settings_of
+from mavnav.config.options import OPTIONS, SEARCHING, File, ReplayOptions, SearchOptions, settings_of
 from mavnav.errors import UsageError
-from mavnav.profiling import silent
+from mavnav.profiling import Progress, silent
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from mavnav.config.options import File, ReplayOptions, SearchOptions
     from mavnav.outputs.documents.provenance import Typed
-    from mavnav.profiling import Progress
 
 
-@with_python_names
+@arguments.with_python_names
 def open_log(
     path: File,
     *,
@@ -86,20 +67,20 @@ def open_log(
         UsageError, TopicError or NoScansError.
     """
     return logs.open_log(
-        path_of(path, "path"),
-        topic=topics_of(topic, "topic"),
+        arguments.path_of(path, "path"),
+        topic=arguments.topics_of(topic, "topic"),
         odom=odom,
         start_s=start_s,
         end_s=end_s,
-        extrinsic=pose_of(extrinsic, "extrinsic"),
+        extrinsic=arguments.pose_of(extrinsic, "extrinsic"),
         strict=strict,
-        truth=topic_of(truth),
+        truth=arguments.topic_of(truth),
         attitude=attitude,
     )
 
 
-@with_options(*OPTIONS)
-@with_python_names
+@arguments.with_options(*OPTIONS)
+@arguments.with_python_names
 def replay(
     log: File,
     *,
@@ -141,13 +122,15 @@ def replay(
     from mavnav.pipelines.again import run_layer  # noqa: PLC0415  heavy
     from mavnav.pipelines.replay import ReplayRequest, replay_log  # noqa: PLC0415
 
-    given = options_of(options)
+    given = arguments.options_of(options)
     if "start_pose" in given and "map" not in given:
         raise UsageError("start_pose is a pose in a known map; give that with map, or leave it out")
     continued = given.get("continue_from")
     base = run_layer(continued) if continued and config is None else None
-    chosen = load_config(config_of(config), sets_of(settings), settings_of(given), base)
-    request = ReplayRequest(path_of(log, "log"), Path(), chosen, given, force, report, typed=_typed_config(config))
+    chosen = load_config(arguments.config_of(config), arguments.sets_of(settings), settings_of(given), base)
+    request = ReplayRequest(
+        arguments.path_of(log, "log"), Path(), chosen, given, force, report, typed=_typed_config(config)
+    )
 
     def work(target: Path) -> Run:
         replay_log(changed(request, directory=target), progress or silent, 0.0)
@@ -156,8 +139,8 @@ def replay(
     return in_directory(work, directory)
 
 
-@with_options(*SEARCHING)
-@with_python_names
+@arguments.with_options(*SEARCHING)
+@arguments.with_python_names
 def simulate(
     scenario: File,
     *,
@@ -211,10 +194,11 @@ def simulate(
     from mavnav.simulation.world import load_scenario  # noqa: PLC0415
     from mavnav.simulation.world.scenario_file import scenario_path  # noqa: PLC0415
 
-    overrides = {f"slam.{key}": value for key, value in settings_of(options_of(options)).items()}
+    overrides = {f"slam.{key}": value for key, value in settings_of(arguments.options_of(options)).items()}
     overrides |= {"seed": seed, "planner.technique": planner, "slam.attitude": attitude}
-    name, log = name_or_path(scenario, "scenario"), optional_path(record, "record")
-    chosen, path = load_scenario(name, sets_of(settings), overrides, config_of(config)), scenario_path(name)
+    name, log = arguments.name_or_path(scenario, "scenario"), arguments.optional_path(record, "record")
+    chosen = load_scenario(name, arguments.sets_of(settings), overrides, arguments.config_of(config))
+    path = scenario_path(name)
 
     def work(target: Path) -> Run:
         request = SimulationRequest(chosen, path, target, log, force=force, report=report, typed=_typed_config(config))
@@ -224,7 +208,7 @@ def simulate(
     return in_directory(work, directory)
 
 
-@with_python_names
+@arguments.with_python_names
 def compare(
     log: File | Sequence[File],
     *,
@@ -273,20 +257,17 @@ def compare(
     """
     from mavnav.batch.runner import load_kernels  # noqa: PLC0415  heavy
     from mavnav.comparison import pipeline  # noqa: PLC0415
-    from mavnav.jobs import usable_cores  # noqa: PLC0415
+    from mavnav.jobs.pool import usable_cores  # noqa: PLC0415
     from mavnav.outputs.writers import write_page  # noqa: PLC0415
 
-    names = paths_of(log, "log")
+    names = arguments.paths_of(log, "log")
     if not names:
         raise UsageError("no log to compare; name one")
-    shared = settings_of(options_of({"online": online}))
-    options = (
-        values_of(methods, "methods"),
-        [grid_of(grid, "grids") for grid in values_of(grids, "grids")],
-        values_of(azimuths, "azimuths"),
-    )
-    chosen = pipeline.comparison_settings(config_of(config), sets_of(settings), *options, shared)
-    cores = count_of(workers, "workers") or usable_cores()
+    shared = settings_of(arguments.options_of({"online": online}))
+    points = [arguments.grid_of(grid, "grids") for grid in arguments.values_of(grids, "grids")]
+    options = arguments.values_of(methods, "methods"), points, arguments.values_of(azimuths, "azimuths")
+    chosen = pipeline.comparison_settings(arguments.config_of(config), arguments.sets_of(settings), *options, shared)
+    cores = arguments.count_of(workers, "workers") or usable_cores()
 
     def work(target: Path) -> Comparison:
         request = pipeline.comparison_request(names, chosen, target, {}, workers=cores, force=force)
@@ -302,4 +283,4 @@ def compare(
 def _typed_config(config: File | None) -> Typed:
     from mavnav.outputs.documents.provenance import Typed  # noqa: PLC0415  heavy
 
-    return Typed(config=config_of(config))
+    return Typed(config=arguments.config_of(config))

@@ -2,37 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Unpack
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Unpack
 
 from msgspec.structs import replace
 
-from mavnav.api.arguments import (
-    config_of,
-    count_of,
-    grid_of,
-    optional_path,
-    options_of,
-    path_of,
-    paths_of,
-    sets_of,
-    topics_of,
-    values_of,
-    with_options,
-    with_python_names,
-)
+from mavnav.api import arguments
 from mavnav.api.results import Comparison, in_directory
-from mavnav.config.options import READING, REFERENCES, reference_files
-from mavnav.profiling import silent
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-
-    from mavnav.config.options import File, ReplayOptions
-    from mavnav.profiling import Progress
+from mavnav.config.options import READING, REFERENCES, File, ReplayOptions, reference_files
+from mavnav.profiling import Progress, silent
 
 
-@with_python_names
+@arguments.with_python_names
 def info(log: File, *, topic: str | Sequence[str] | None = None, strict: bool = False) -> dict[str, Any]:
     """Examine a log: topics, sensor, scans, rate, odometry, and everything that is damaged.
 
@@ -57,10 +39,10 @@ def info(log: File, *, topic: str | Sequence[str] | None = None, strict: bool = 
     """
     from mavnav.pipelines.info import info_document  # noqa: PLC0415  heavy
 
-    return info_document(path_of(log, "log"), topics_of(topic, "topic"), strict=strict)[0]
+    return info_document(arguments.path_of(log, "log"), arguments.topics_of(topic, "topic"), strict=strict)[0]
 
 
-@with_python_names
+@arguments.with_python_names
 def convert(
     log: File, target: File, *, run: File | None = None, strict: bool = False, force: bool = False
 ) -> dict[str, Any]:
@@ -91,18 +73,12 @@ def convert(
     """
     from mavnav.pipelines.convert import convert_to  # noqa: PLC0415  heavy
 
-    return convert_to(
-        path_of(log, "log"),
-        path_of(target, "target"),
-        optional_path(run, "run"),
-        strict=strict,
-        force=force,
-        progress=lambda _done, _total: None,
-    )
+    files = arguments.path_of(log, "log"), arguments.path_of(target, "target"), arguments.optional_path(run, "run")
+    return convert_to(*files, strict=strict, force=force, progress=lambda _done, _total: None)
 
 
-@with_options(*REFERENCES)
-@with_python_names
+@arguments.with_options(*REFERENCES)
+@arguments.with_python_names
 def metrics(
     maps: File | Sequence[File], *, progress: Progress | None = None, **options: Unpack[ReplayOptions[File]]
 ) -> list[dict[str, Any]]:
@@ -130,12 +106,12 @@ def metrics(
     from mavnav.ground_truth.references import load_references  # noqa: PLC0415  heavy
     from mavnav.pipelines.evaluate import evaluate  # noqa: PLC0415
 
-    references = load_references(**reference_files(options_of(options)))
-    measured: list[dict[str, Any]] = evaluate(paths_of(maps, "maps"), references, progress or silent)["maps"]
+    references = load_references(**reference_files(arguments.options_of(options)))
+    measured: list[dict[str, Any]] = evaluate(arguments.paths_of(maps, "maps"), references, progress or silent)["maps"]
     return measured
 
 
-@with_python_names
+@arguments.with_python_names
 def check(
     runs: File | Sequence[File], *, gates: str | Sequence[str] = (), accept: str | int | Sequence[str | int] = ()
 ) -> list[dict[str, Any]]:
@@ -163,12 +139,14 @@ def check(
     from mavnav.batch.check import check_runs  # noqa: PLC0415  heavy
     from mavnav.metrics.gates import parse_gate, read_accept  # noqa: PLC0415
 
-    bounds = [parse_gate(text) for text in values_of(gates, "gates")]
-    return check_runs(paths_of(runs, "runs"), bounds, frozenset(map(read_accept, values_of(accept, "accept"))))[0]
+    bounds = [parse_gate(text) for text in arguments.values_of(gates, "gates")]
+    return check_runs(
+        arguments.paths_of(runs, "runs"), bounds, frozenset(map(read_accept, arguments.values_of(accept, "accept")))
+    )[0]
 
 
-@with_options(*READING, "strict", "resolution_m", "online")
-@with_python_names
+@arguments.with_options(*READING, "strict", "resolution_m", "online")
+@arguments.with_python_names
 def batch(
     sources: File | Sequence[File],
     *,
@@ -233,16 +211,16 @@ def batch(
     from mavnav.batch.runner import load_kernels, plan_batch, run_batch  # noqa: PLC0415
 
     given = BatchOptions(
-        sources=[str(path) for path in paths_of(sources, "sources")],
-        methods=values_of(methods, "methods"),
-        grids=[grid_of(grid) for grid in values_of(grids, "grids")],
-        azimuths=values_of(azimuths, "azimuths"),
-        config=config_of(config),
-        sets=sets_of(settings),
-        options=options_of(options),
-        gates=values_of(gates, "gates"),
-        accept=values_of(accept, "accept"),
-        jobs=count_of(workers, "workers"),
+        sources=[str(path) for path in arguments.paths_of(sources, "sources")],
+        methods=arguments.values_of(methods, "methods"),
+        grids=[arguments.grid_of(grid) for grid in arguments.values_of(grids, "grids")],
+        azimuths=arguments.values_of(azimuths, "azimuths"),
+        config=arguments.config_of(config),
+        sets=arguments.sets_of(settings),
+        options=arguments.options_of(options),
+        gates=arguments.values_of(gates, "gates"),
+        accept=arguments.values_of(accept, "accept"),
+        jobs=arguments.count_of(workers, "workers"),
         force=force,
         report=report,
     )

@@ -5,22 +5,29 @@ from __future__ import annotations
 import csv
 import shutil
 import weakref
+from base64 import b64encode
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from html import escape
 from pathlib import Path
 from tempfile import mkdtemp
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from mavnav.api.arguments import path_of
 from mavnav.atomic_files import naming_full_disk
 from mavnav.config.named_files import read_json
+from mavnav.config.options import File
 from mavnav.errors import UsageError
 from mavnav.ground_truth.tables import read_tum
+from mavnav.mapping.occupancy_grid import Grid, occupancy
 from mavnav.outputs.directory import RUN_FILE, atomic_directory, checked_file, digests_of
 from mavnav.outputs.files.gridmap import HITS_FILE, read_npz
+from mavnav.pose import Trajectory
 
 TEXTS: Final = ("refused_by",)
 """Columns of trajectory.csv that are no numbers."""
@@ -29,13 +36,6 @@ KINDS: Final = dict.fromkeys(("index", "beams_used", "evaluations", "iterations"
     ("converged", "tracked", "accepted", "doubtful"), bool
 )
 """Columns of trajectory.csv that are whole numbers, or true or false."""
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from mavnav.config.options import File
-    from mavnav.mapping.occupancy_grid import Grid
-    from mavnav.pose import Trajectory
 
 
 @dataclass(frozen=True)
@@ -124,12 +124,10 @@ class Run:
 
         Without matplotlib (the extra ``plot``), map.png is returned as an image of Pillow.
         """
-        from mavnav.api.pictures import plot  # noqa: PLC0415  heavy
-
         columns, verdict = self.columns(), self.verdict
         xy_m = np.array([columns["x_m"], columns["y_m"]], np.float64).T
-        path = xy_m, np.array(columns["doubtful"], np.float64) > 0
-        drawn = plot(self.map, path, f"{verdict['word']}: {verdict['reason']}", axes)
+        doubtful = np.array(columns["doubtful"], np.float64) > 0
+        drawn = draw(self.map, xy_m, doubtful, f"{verdict['word']}: {verdict['reason']}", axes)
         if drawn is not None:
             return drawn
         with Image.open(self.file("map.png"), formats=("PNG",)) as picture:
@@ -137,8 +135,6 @@ class Run:
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows: the verdict and the map."""
-        from mavnav.api.pictures import html  # noqa: PLC0415  heavy
-
         drawn = "map.png" in self.metrics["outputs"]
         return html(self.verdict, self.file("map.png").read_bytes() if drawn else None)
 
@@ -191,3 +187,40 @@ def load_run(directory: File) -> Run:
     if not (run.directory / RUN_FILE).is_file():
         raise UsageError(f"{directory} holds no run (no {RUN_FILE}); name a run directory")
     return run
+
+
+UNKNOWN_SHADE: Final = 0.85
+"""Grey of unknown cells, between black 0 and white 1."""
+
+
+def draw(grid: Grid, xy_m: NDArray[np.float64], doubtful: NDArray[np.bool_], title: str, axes: Any) -> Any:  # noqa: ANN401
+    """Draw a map and a path into axes of matplotlib, new ones if none are given; None without matplotlib.
+
+    ``xy_m`` (n, 2) are positions in the map frame, NaN where not tracked; ``doubtful`` (n,) which may be wrong.
+    """
+    try:
+        from matplotlib import pyplot  # noqa: PLC0415  optional
+    except ImportError:
+        return None
+    axes = axes or pyplot.subplots()[1]
+    cells, (rows, cols), (x_m, y_m) = occupancy(grid), grid.hits.shape, grid.origin_xy_m
+    extent = (x_m, x_m + cols * grid.cell_m, y_m, y_m + rows * grid.cell_m)
+    shade = np.where(cells > 0, 0.0, np.where(cells == 0, 1.0, UNKNOWN_SHADE))
+    axes.imshow(shade, origin="lower", extent=extent, cmap="gray", vmin=0.0, vmax=1.0, interpolation="nearest")
+    axes.plot(*xy_m.T, color="tab:blue", linewidth=1)
+    if doubtful.any():
+        axes.plot(*np.where(doubtful[:, None], xy_m, np.nan).T, color="tab:red", linewidth=2, label="may be wrong")
+        axes.legend()
+    axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
+    axes.set_title(title, wrap=True)
+    return axes
+
+
+def html(verdict: Mapping[str, str], png: bytes | None) -> str:
+    """Return a verdict, and the picture of the map if there is one, for a notebook."""
+    advice = f"<br>{escape(verdict['advice'])}" if verdict.get("advice") else ""
+    text = f"<p><b>{escape(verdict['word'])}</b>: {escape(verdict['reason'])}{advice}</p>"
+    if png is None:
+        return text
+    data = b64encode(png).decode("ascii")
+    return f'{text}<img alt="map" style="max-width: 100%" src="data:image/png;base64,{data}">'

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from mavnav.api.arguments import config_of, optional_path, options_of, path_of, paths_of, sets_of, with_python_names
 from mavnav.config.loading import load_config
-from mavnav.config.options import settings_of
-from mavnav.profiling import silent
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from mavnav.config.options import File
-    from mavnav.profiling import Progress
+from mavnav.config.options import File, settings_of
+from mavnav.profiling import Progress, silent
 
 
 @with_python_names

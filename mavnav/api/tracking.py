@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import chain, islice
 from math import isfinite
 from typing import TYPE_CHECKING, Any, SupportsFloat, Unpack
 
 import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from mavnav.api.arguments import config_of, options_of, sets_of, with_options, with_python_names
 from mavnav.config.loading import load_config
-from mavnav.config.options import SEARCHING, settings_of
+from mavnav.config.options import SEARCHING, File, SearchOptions, settings_of
 from mavnav.errors import UsageError
 from mavnav.scan import LaserSpec, Scan
 from mavnav.units import NS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
-
-    from numpy.typing import NDArray
-
-    from mavnav.config.options import File, SearchOptions
     from mavnav.slam.matching.steps import Step
 
 
@@ -93,10 +90,8 @@ def valid_scans(scans: Iterable[Scan]) -> Iterator[Scan]:
         if before is None or scan.spec is not before.spec:
             _check_geometry(scan.spec, f"scan {number}")
         if before is not None and scan.stamp_ns <= before.stamp_ns:
-            raise UsageError(
-                f"scan {number} has stamp_ns {scan.stamp_ns}, no later than the scan before; give the scans in the "
-                "order of their stamps, each once"
-            )
+            what = f"scan {number} has stamp_ns {scan.stamp_ns}, no later than the scan before"
+            raise UsageError(f"{what}; give the scans in the order of their stamps, each once")
         before = scan
         yield _fitting(scan, number)
 
@@ -114,10 +109,8 @@ def _check_geometry(spec: LaserSpec, where: str) -> None:
     if not (isinstance(spec.beams, int | np.integer) and spec.beams > 0):
         raise UsageError(f"{where}: its spec has beams={spec.beams!r}; give the number of ranges of a scan")
     if not 0.0 <= spec.range_min_m < spec.range_max_m:
-        raise UsageError(
-            f"{where}: its spec has range_min_m={spec.range_min_m:g} and range_max_m={spec.range_max_m:g}; "
-            "the first must be 0 or more, the second larger"
-        )
+        limits = f"range_min_m={spec.range_min_m:g} and range_max_m={spec.range_max_m:g}"
+        raise UsageError(f"{where}: its spec has {limits}; the first must be 0 or more, the second larger")
 
 
 def _fitting(scan: Scan, number: int) -> Scan:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Mapping, Sequence
 from enum import StrEnum
 from math import isfinite
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Any, Final
 
 from msgspec import Struct
 
@@ -16,10 +18,6 @@ from mavnav.metrics.gates import full_name
 from mavnav.outputs.documents.quantities import number
 from mavnav.outputs.files.document import to_json
 from mavnav.version import __version__
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
 
 
 class Tolerance(Struct, frozen=True):

@@ -8,20 +8,22 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter, deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from msgspec import Struct, field
 from msgspec.structs import replace
 
 from mavnav.batch.pinned import pinned_file
 from mavnav.batch.remote import download
-from mavnav.batch.request import format_value
+from mavnav.batch.request import BatchLogs, BatchRequest, Setting, format_value
 from mavnav.config.options import OPTIONS, REFERENCES, reference_files, run_options
 from mavnav.errors import ExitCode, MavnavError, NoScansError, UsageError
 from mavnav.ground_truth.map_file import map_files
 from mavnav.ground_truth.references import load_references
 from mavnav.jobs.run_cache import PlannedRun, make_run, references_sha256
+from mavnav.jobs.worker import Outcome
 from mavnav.logs import content_sha256
 from mavnav.logs.formats.detect import SUFFIXES, is_named_like_a_log
 from mavnav.metrics.gates import Gate, parse_gate, read_accept
@@ -29,14 +31,7 @@ from mavnav.outputs.directory import document_of
 from mavnav.outputs.documents.addresses import is_address, public_address
 from mavnav.pipelines.replay import ReplayRequest
 from mavnav.pipelines.score import ProgramRequest
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
-    from mavnav.batch.request import BatchLogs, BatchRequest, Setting
-    from mavnav.jobs import Outcome
-    from mavnav.profiling import Progress
-
+from mavnav.profiling import Progress
 
 _PATTERN: Final = re.compile(r"[*?[]")
 

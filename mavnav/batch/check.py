@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from pathlib import Path
+from typing import Any, Final, NamedTuple
 
 from mavnav.config.named_files import read_json
 from mavnav.errors import ExitCode, UsageError, worst
-from mavnav.metrics.gates import accepts_code, check_known, judge_some, judge_verdict, stored_verdict
+from mavnav.metrics.gates import Gate, accepts_code, check_known, judge_some, judge_verdict, stored_verdict
 from mavnav.outputs.directory import RUN_FILE, check_files
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
-
-    from mavnav.metrics.gates import Gate
 
 WHOLE_FILES: Final = ("batch.json", "comparison.json")
 """The documents of all runs of a directory. Repeated: the modules that write them load longer than a check takes."""

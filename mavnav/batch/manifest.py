@@ -2,33 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from msgspec import Meta, Struct, defstruct, field
 from msgspec.structs import force_setattr
 
+from mavnav.config.layers import Layer
 from mavnav.config.loading import origin, read_model
 from mavnav.config.models import Strict, setting
-from mavnav.config.option_kinds import NUMBER, SWITCH, pose_problem
+from mavnav.config.option_kinds import NUMBER, SWITCH, Option, pose_problem
 from mavnav.config.options import OPTIONS
 from mavnav.config.yaml_layers import read_yaml
 from mavnav.errors import ConfigError, UsageError
 from mavnav.metrics.gates import full_name
 from mavnav.outputs.documents.addresses import is_address
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from pathlib import Path
-
-    from mavnav.config.layers import Layer
-    from mavnav.config.option_kinds import Option
-
-    Origins = Mapping[tuple[str, str | int], str]
-    """File and line of each gate, accepted code and tolerance of a manifest, by ``gates``, ``accept`` and
-    ``tolerances`` and its value (a tolerance: its full name).
-    """
-
+Origins = Mapping[tuple[str, str | int], str]
+"""File and line of each gate, accepted code and tolerance of a manifest, by ``gates``, ``accept`` and
+``tolerances`` and its value (a tolerance: its full name).
+"""
 GATE_EXAMPLE: Final = "write for example wall_thickness.p95_mm<=150, or baseline"
 
 

@@ -2,44 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from msgspec import Struct, field
 from msgspec.structs import replace
 
-from mavnav.batch.baseline import parse_tolerance, read_baseline, tolerances
+from mavnav.batch import request
+from mavnav.batch.baseline import Tolerance, parse_tolerance, read_baseline, tolerances
 from mavnav.batch.cases import BASELINE_GATE
-from mavnav.batch.document import BATCH_FILE
-from mavnav.batch.manifest import GATE_EXAMPLE, Manifest, errors_at, origins_of, read_manifest
+from mavnav.batch.document import BATCH_FILE, IDENTICAL_GATE
+from mavnav.batch.manifest import GATE_EXAMPLE, LogEntry, Manifest, Origins, errors_at, origins_of, read_manifest
 from mavnav.batch.pinned import Pin
-from mavnav.batch.repeats import IDENTICAL_GATE
-from mavnav.batch.request import (
-    BatchLogs,
-    BatchPart,
-    BatchRequest,
-    Rules,
-    RunLimits,
-    Setting,
-    crossed_settings,
-    listed_settings,
-    unique,
-)
 from mavnav.config.layers import Layer
 from mavnav.config.options import ReplayOptions, given_options, restore_options, settings_of
 from mavnav.errors import UsageError
-from mavnav.jobs import usable_cores
 from mavnav.jobs.dask import LOCAL
+from mavnav.jobs.pool import usable_cores
 from mavnav.metrics.gates import Gate, full_name, parse_gate, read_accept
 from mavnav.outputs.documents.addresses import is_address
 from mavnav.outputs.documents.provenance import Typed
 from mavnav.pipelines.programs import read_program
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from mavnav.batch.baseline import Tolerance
-    from mavnav.batch.manifest import LogEntry, Origins
 
 MANIFEST_SUFFIXES = (".yaml", ".yml")
 SETS = Path(__file__).parent / "sets"
@@ -83,7 +66,7 @@ class BatchOptions(Struct, frozen=True):
     program_s: float = 3600.0
 
 
-def request_of(options: BatchOptions) -> BatchRequest:
+def request_of(options: BatchOptions) -> request.BatchRequest:
     """Read the manifest, if one is given, and return the request.
 
     Raises ConfigError for an invalid manifest, and UsageError for other invalid input.
@@ -94,14 +77,14 @@ def request_of(options: BatchOptions) -> BatchRequest:
     baseline = options.baseline or (base / manifest.baseline if manifest.baseline else None)
     new_baseline = baseline if options.update_baseline else None
     origins, usual = origins_of(manifest, layer), Path("runs") / (f"batch-{path.stem}" if path else "batch")
-    return BatchRequest(
+    return request.BatchRequest(
         entries=_entries(options, manifest, base),
         settings=tuple(_settings(options, manifest, layer, base)),
         base=base,
         directory=options.directory or (base / manifest.output if manifest.output else usual),
         limits=_limits(options, manifest),
         rules=_rules(options, manifest, origins, baseline),
-        part=None if options.part is None else BatchPart.parse(options.part),
+        part=None if options.part is None else request.BatchPart.parse(options.part),
         force=options.force,
         report=options.report or manifest.report,
         new_baseline=new_baseline,
@@ -139,7 +122,7 @@ def _is_manifest(source: str) -> bool:
     return source.endswith(MANIFEST_SUFFIXES) or (own and not Path(source).exists())
 
 
-def _entries(options: BatchOptions, manifest: Manifest, base: Path) -> tuple[BatchLogs, ...]:
+def _entries(options: BatchOptions, manifest: Manifest, base: Path) -> tuple[request.BatchLogs, ...]:
     """Return the entries of the manifest and of the command line, whose paths start at the current folder."""
     names = [entry.name for entry in manifest.logs if entry.name]
     if unknown := [name for name in options.only if name not in names]:
@@ -147,34 +130,36 @@ def _entries(options: BatchOptions, manifest: Manifest, base: Path) -> tuple[Bat
     logs = [source for source in options.sources if not _is_manifest(source)]
     absolute = [log if is_address(log) or not base.parts else str(Path(log).absolute()) for log in logs]
     entries = [_entry(entry, base) for entry in manifest.logs if not options.only or entry.name in options.only]
-    entries += [BatchLogs(tuple(absolute))] if absolute else []
+    entries += [request.BatchLogs(tuple(absolute))] if absolute else []
     return tuple(replace(entry, options=given_options({**entry.options, **options.options})) for entry in entries)
 
 
-def _entry(entry: LogEntry, base: Path) -> BatchLogs:
+def _entry(entry: LogEntry, base: Path) -> request.BatchLogs:
     options = restore_options(entry.values, lambda text: base / text)
     pin = Pin(entry.sha256, entry.size_bytes) if entry.sha256 and entry.size_bytes else None
-    return BatchLogs(entry.log, options, entry.gates, entry.accept, entry.name, pin, entry.licence, entry.peers)
+    return request.BatchLogs(entry.log, options, entry.gates, entry.accept, entry.name, pin, entry.licence, entry.peers)
 
 
-def _settings(options: BatchOptions, manifest: Manifest, layer: Layer, base: Path) -> list[Setting]:
+def _settings(options: BatchOptions, manifest: Manifest, layer: Layer, base: Path) -> list[request.Setting]:
     """Return the settings of mavnav, then the programs; their maps are drawn with the first of its configurations."""
     own = _own_settings(options, manifest, layer, base)
     programs = [read_program(text).with_absolute_paths() for text in options.programs]
-    return unique([*own, *(Setting(each.name, own[0].config, program=each) for each in programs)])
+    return request.unique([*own, *(request.Setting(each.name, own[0].config, program=each) for each in programs)])
 
 
-def _own_settings(options: BatchOptions, manifest: Manifest, layer: Layer, base: Path) -> list[Setting]:
+def _own_settings(options: BatchOptions, manifest: Manifest, layer: Layer, base: Path) -> list[request.Setting]:
     overrides = settings_of(options.options)
     if manifest.runs and not (options.methods or options.grids or options.azimuths or options.config):
-        return listed_settings(manifest.runs, layer, base, options.sets, overrides)
-    return crossed_settings(options.config, options.sets, options.methods, options.grids, options.azimuths, overrides)
+        return request.listed_settings(manifest.runs, layer, base, options.sets, overrides)
+    return request.crossed_settings(
+        options.config, options.sets, options.methods, options.grids, options.azimuths, overrides
+    )
 
 
-def _limits(options: BatchOptions, manifest: Manifest) -> RunLimits:
+def _limits(options: BatchOptions, manifest: Manifest) -> request.RunLimits:
     if options.memory_mb and options.scheduler not in {None, LOCAL}:
         raise UsageError("--memory-mb is not for workers that run already; start them with dask worker --memory-limit")
-    return RunLimits(
+    return request.RunLimits(
         workers=options.jobs or manifest.jobs or usable_cores(),
         timeout_s=options.timeout_s or manifest.timeout_s,
         memory_mb=options.memory_mb or manifest.memory_mb,
@@ -184,7 +169,7 @@ def _limits(options: BatchOptions, manifest: Manifest) -> RunLimits:
     )
 
 
-def _rules(options: BatchOptions, manifest: Manifest, origins: Origins, path: Path | None) -> Rules:
+def _rules(options: BatchOptions, manifest: Manifest, origins: Origins, path: Path | None) -> request.Rules:
     texts = [*manifest.gates, *options.gates]
     gated = BASELINE_GATE in texts
     for entry in manifest.logs:  # before any log is read
@@ -202,7 +187,7 @@ def _rules(options: BatchOptions, manifest: Manifest, origins: Origins, path: Pa
     if options.update_baseline and options.part:
         raise UsageError("--update-baseline is for all runs of a batch, --part for some; give one of them")
     fresh = options.update_baseline and path is not None and not path.exists()
-    return Rules(
+    return request.Rules(
         gates=tuple(_gates([text for text in texts if text != IDENTICAL_GATE], origins)),
         accept=frozenset(_accept([*manifest.accept, *options.accept], origins)),
         baseline=None if path is None or fresh else read_baseline(path),

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
@@ -13,11 +13,7 @@ from mavnav.errors import OutputError, UsageError
 from mavnav.kernels.machine.cache import user_directory
 from mavnav.outputs.directory import file_sha256
 from mavnav.outputs.documents.addresses import public_address
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from mavnav.profiling import Progress
+from mavnav.profiling import Progress
 
 
 class Pin(Struct, frozen=True):
@@ -67,9 +63,8 @@ def _fetch_checked(address: str, pin: Pin, path: Path, progress: Progress) -> No
         progress(phase, 0, total_kb)
         fetch(address, part, pin.size_bytes, lambda there: progress(phase, there // 1000, total_kb))
         if (size := part.stat().st_size) < pin.size_bytes:
-            raise UsageError(
-                f"{shown}: it ended after {size} of {pin.size_bytes} bytes; the same call goes on from there"
-            )
+            what = f"it ended after {size} of {pin.size_bytes} bytes"
+            raise UsageError(f"{shown}: {what}; the same call goes on from there")
         if (sha256 := file_sha256(part)) != pin.sha256:
             part.unlink()
             advice = "the file there was changed, or damaged on the way: try again, or give a copy with --copies"

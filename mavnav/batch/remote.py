@@ -9,28 +9,25 @@ from __future__ import annotations
 
 import os
 import socket
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from fnmatch import fnmatchcase
 from http import HTTPStatus
+from io import FileIO
 from ipaddress import ip_address
 from math import isfinite
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Event, Thread
 from time import monotonic
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 from urllib.parse import urlsplit
 
 from msgspec import Struct, field
 
 from mavnav.errors import MavnavError, OutputError, UsageError
-from mavnav.jobs.dask.worker import in_cluster
+from mavnav.jobs.dask import in_cluster
 from mavnav.outputs.documents.addresses import public_address, public_text
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from io import FileIO
-
 
 _TIMEOUT: Final = "MAVNAV_FETCH_TIMEOUT_S"
 PIECE_BYTES: Final = 2**20

@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import combinations, product, zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from msgspec import Struct, field
 
-from mavnav.config.layers import Layer, leaves
+from mavnav.batch.baseline import Baseline, Tolerance
+from mavnav.batch.manifest import Origins
+from mavnav.batch.pinned import Pin
+from mavnav.config.layers import Key, Layer, leaves
 from mavnav.config.loading import load_config
+from mavnav.config.models import Config
 from mavnav.config.options import ReplayOptions
 from mavnav.errors import ConfigError, UsageError
+from mavnav.metrics.gates import Gate
 from mavnav.outputs.documents.provenance import Typed
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from mavnav.batch.baseline import Baseline, Tolerance
-    from mavnav.batch.manifest import Origins
-    from mavnav.batch.pinned import Pin
-    from mavnav.config.layers import Key
-    from mavnav.config.models import Config
-    from mavnav.metrics.gates import Gate
-    from mavnav.pipelines.programs import Program
-
+from mavnav.pipelines.programs import Program
 
 SEARCH: Final = {("grid",), ("azimuth",)}
 """Keys by which the runs of a comparison are named anyhow, besides the method."""

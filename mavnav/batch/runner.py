@@ -7,10 +7,11 @@ directory of a batch contains a run directory for every run in ``cells/``, so th
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from contextlib import chdir
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import Any, Final, TypeVar
 
 from msgspec import Struct
 from msgspec.structs import asdict, replace
@@ -18,34 +19,28 @@ from msgspec.structs import asdict, replace
 from mavnav.atomic_files import discard
 from mavnav.batch.baseline import EXAMPLE, missing, write_baseline
 from mavnav.batch.cases import Case, CaseResult, make_cases, read_paths
-from mavnav.batch.document import BATCH_FILE, batch_document, judged_row, of_program
+from mavnav.batch.document import BATCH_FILE, batch_document, compare_repeats, judged_row, of_program
 from mavnav.batch.files import check_files, write_batch
 from mavnav.batch.manifest import GATE_EXAMPLE, errors_at
 from mavnav.batch.remote import download
-from mavnav.batch.repeats import compare_repeats
+from mavnav.batch.request import BatchRequest, RunLimits
 from mavnav.config.options import absolute_options
 from mavnav.errors import ExitCode, MavnavError, UsageError
-from mavnav.jobs import Ended, Event, Job, Outcome, Status, run_jobs, run_with_retries
-from mavnav.jobs.run_cache import RUNS_FOLDER, check_cache_directory, finished_document, is_finished
+from mavnav.jobs.dask import Cluster
+from mavnav.jobs.pool import run_jobs, run_with_retries
+from mavnav.jobs.run_cache import RUNS_FOLDER, PlannedRun, check_cache_directory, finished_document, is_finished
+from mavnav.jobs.worker import Ended, Event, Job, Outcome, Status
 from mavnav.metrics.gates import check_names
 from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.documents.addresses import public_address
 from mavnav.outputs.documents.schema import number_names
-from mavnav.pipelines.replay import replay_log
+from mavnav.pipelines.replay import ReplayRequest, replay_log
 from mavnav.pipelines.score import ProgramRequest, score_program
+from mavnav.profiling import Progress
 from mavnav.slam.methods import registry
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from mavnav.batch.request import BatchRequest, RunLimits
-    from mavnav.jobs.dask import Cluster
-    from mavnav.jobs.run_cache import PlannedRun
-    from mavnav.pipelines.replay import ReplayRequest
-    from mavnav.profiling import Progress
-
-    OnEvent = Callable[[Event], None]
-    Row = dict[str, Any]
+OnEvent = Callable[[Event], None]
+Row = dict[str, Any]
 
 
 _OWN_FILES: Final = (RUNS_FOLDER, BATCH_FILE)

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Mapping
+from typing import Any, Final
 
 from mavnav.batch.baseline import ChangeKind, lacking_text
 from mavnav.batch.document import why, worst_first
 from mavnav.metrics.gates import VERDICTS
 from mavnav.outputs.documents.quantities import NAMED, TIME, verdict_texts
 from mavnav.outputs.report.markdown import escape, table_row
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 MAX_ROWS: Final = 100
 """Maximum number of runs in a summary, which GitHub limits to 1 MiB per step; the worst runs are shown."""

@@ -1,32 +1,7 @@
-"""``mavnav batch [MANIFEST.yaml | LOG ...]``: many logs with many settings, each run apart, one verdict."""
+"""``mavnav batch [MANIFEST.yaml | LOG ...]``: many logs with many settings, each run apart, one verdict.
 
-from __future__ import annotations
-
-import os
-from contextlib import contextmanager
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
-
-from mavnav.commands import poses, shared, signals
-from mavnav.commands.batch_rows import print_batch, row_printer
-from mavnav.commands.progress import loading_modules, reporting, watching
-from mavnav.commands.terminal import emit_json, note
-from mavnav.config.options import READING, read_options
-from mavnav.units import pluralize
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from mavnav.batch.options import BatchOptions
-    from mavnav.batch.request import BatchRequest
-    from mavnav.batch.runner import BatchPlan
-    from mavnav.jobs.dask import Cluster
-    from mavnav.profiling import Progress
-
-EPILOG = """
-[bold]Examples[/bold]
+Examples
+--------
 mavnav batch logs/ -j 4 --gate 'map.accepted_share>=0.95'
 mavnav batch 'drives/**/*.mcap' --method robust --method paper --grid 10x10 --grid 20x20
 mavnav batch nightly.yaml --baseline baseline.json --gate baseline --junit batch.xml --summary batch.md
@@ -36,145 +11,134 @@ mavnav batch logs/ --external kiss='python kiss.py {log} {out}' --time-limit 600
 mavnav batch benchmark --only ccny_demo --junit benchmark.xml
 """
 
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mavnav.commands import shared, signals
+from mavnav.commands.progress import loading_modules, reporting, watching
+from mavnav.commands.terminal import emit, emit_json, json_text, note, printable, table_console, verdict_mark
+from mavnav.config.options import READING, read_options
+from mavnav.profiling import Progress
+from mavnav.units import pluralize
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from mavnav.batch.options import BatchOptions
+    from mavnav.batch.request import BatchRequest
+    from mavnav.batch.runner import BatchPlan
+    from mavnav.jobs.dask import Cluster
+
 
 @shared.with_options(*READING, "strict", "resolution_m", "online")
 def batch(
     context: typer.Context,
-    sources: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="MANIFEST.yaml|LOG", help="A manifest, or logs, folders and patterns.", show_default=False
-        ),
-    ] = None,
+    sources: Annotated[list[str] | None, typer.Argument(metavar="MANIFEST.yaml|LOG", show_default=False)] = None,
     *,
-    schema: Annotated[bool, shared.schema_option(help="Print the JSON Schema of manifests.")] = False,
+    schema: Annotated[bool, shared.schema_option()] = False,
     methods: shared.Methods = None,
-    grids: Annotated[
-        list[str] | None, shared.replay_option("grid", help="Search grid; repeatable (default 10x10).")
-    ] = None,
+    grids: Annotated[list[str] | None, shared.replay_option("grid")] = None,
     azimuths: shared.Azimuths = None,
     config: shared.ConfigFile = None,
     sets: shared.Sets = None,
-    programs: poses.Programs = None,
-    limit_s: poses.ProgramLimit = 3600.0,
-    directory: Annotated[
-        Path | None, shared.directory_option(help="Output directory (default runs/batch, or runs/batch-MANIFEST).")
-    ] = None,
-    force: shared.RunAgain = False,
-    pages: Annotated[bool, shared.output_option("--report", help="Also write a page for every run.")] = False,
-    json: Annotated[
-        bool, shared.output_option("--json", help="Print one line of JSON for each run, then one for all.")
-    ] = False,
-    junit: Annotated[Path | None, shared.output_option(metavar="FILE", help="Write JUnit XML for CI.")] = None,
-    summary: Annotated[
-        Path | None,
-        shared.output_option(
-            metavar="FILE", help="Write a Markdown summary (default: GitHub's step summary, where there is one)."
-        ),
-    ] = None,
-    annotations: Annotated[
-        bool, shared.output_option("--annotations", help="Print GitHub annotations on stderr (default on GitHub).")
-    ] = False,
+    programs: shared.Programs = None,
+    program_s: shared.ProgramLimit = 3600.0,
+    directory: Annotated[Path | None, shared.directory_option()] = None,
+    force: shared.Force = False,
+    report: Annotated[bool, shared.output_option("--report")] = False,
+    json: Annotated[bool, shared.output_option("--json")] = False,
+    junit: Annotated[Path | None, shared.output_option(metavar="FILE")] = None,
+    summary: Annotated[Path | None, shared.output_option(metavar="FILE")] = None,
+    annotations: Annotated[bool, shared.output_option("--annotations")] = False,
     quiet: shared.Quiet = False,
     gates: shared.Gates = None,
     accept: shared.Accept = None,
-    baseline: Annotated[
-        Path | None, shared.check_option(metavar="DIR|FILE", help="Compare with an earlier batch.")
-    ] = None,
-    tolerances: Annotated[
-        list[str] | None,
-        shared.check_option(
-            "--tolerance", metavar="NAME=X[%]", help="Allowed change of a metric against the baseline; repeatable."
-        ),
-    ] = None,
-    copies: Annotated[
-        Path | None,
-        shared.input_option(metavar="DIR", help="Folder with copies of pinned logs, which are not fetched then."),
-    ] = None,
-    only: Annotated[
-        list[str] | None, shared.input_option(metavar="NAME", help="Only this log of the manifest; repeatable.")
-    ] = None,
-    repeat: Annotated[
-        int | None,
-        shared.check_option(
-            min=1, max=100, metavar="N", help="Make every run N times (default 1), for --gate identical."
-        ),
-    ] = None,
-    update_baseline: Annotated[
-        bool, shared.check_option("--update-baseline", help="Overwrite the baseline file with this batch.")
-    ] = False,
+    baseline: Annotated[Path | None, shared.check_option(metavar="DIR|FILE")] = None,
+    tolerances: Annotated[list[str] | None, shared.check_option("--tolerance", metavar="NAME=X[%]")] = None,
+    copies: Annotated[Path | None, shared.input_option(metavar="DIR")] = None,
+    only: Annotated[list[str] | None, shared.input_option(metavar="NAME")] = None,
+    repeat: Annotated[int | None, shared.check_option(min=1, max=100, metavar="N")] = None,
+    update_baseline: Annotated[bool, shared.check_option("--update-baseline")] = False,
     jobs: shared.Jobs = None,
-    timeout: Annotated[
-        float | None, shared.resource_option(min=0.1, metavar="SECONDS", help="Time limit of a run (default none).")
-    ] = None,
-    memory_mb: Annotated[
-        int | None,
-        shared.resource_option(
-            "--memory-mb", min=1, max=10**9, metavar="MB", help="Memory limit of a run (Linux; default none)."
-        ),
-    ] = None,
-    tries: Annotated[
-        int | None,
-        shared.resource_option(min=1, metavar="N", help="Attempts if the process of a run is killed (default 3)."),
-    ] = None,
-    scheduler: Annotated[
-        str | None,
-        shared.resource_option(
-            metavar="tcp://HOST:PORT|local",
-            help=r"Run on a Dask cluster (default this machine; needs mavnav\[cluster]).",
-        ),
-    ] = None,
-    part: Annotated[
-        str | None,
-        shared.resource_option(metavar="I/N", help="Run part I of N (default all); all parts share --output."),
-    ] = None,
+    timeout_s: Annotated[float | None, shared.resource_option("--timeout", min=0.1, metavar="SECONDS")] = None,
+    memory_mb: Annotated[int | None, shared.resource_option("--memory-mb", min=1, max=10**9, metavar="MB")] = None,
+    tries: Annotated[int | None, shared.resource_option(min=1, metavar="N")] = None,
+    scheduler: Annotated[str | None, shared.resource_option(metavar="tcp://HOST:PORT|local")] = None,
+    part: Annotated[str | None, shared.resource_option(metavar="I/N")] = None,
     **given: object,
 ) -> None:
-    """Replay many logs with many settings; a failed run does not stop the others, finished runs are reused."""
+    r"""Replay many logs with many settings; a failed run does not stop the others, finished runs are reused.
+
+    Parameters
+    ----------
+    sources
+        A manifest, or logs, folders and patterns.
+    schema
+        Print the JSON Schema of manifests.
+    grids
+        Search grid; repeatable (default 10x10).
+    directory
+        Output directory (default runs/batch, or runs/batch-MANIFEST).
+    force
+        Ignore finished runs and repeat them.
+    report
+        Also write a page for every run.
+    json
+        Print one line of JSON for each run, then one for all.
+    junit
+        Write JUnit XML for CI.
+    summary
+        Write a Markdown summary (default: GitHub's step summary, where there is one).
+    annotations
+        Print GitHub annotations on stderr (default on GitHub).
+    baseline
+        Compare with an earlier batch.
+    tolerances
+        Allowed change of a metric against the baseline; repeatable.
+    copies
+        Folder with copies of pinned logs, which are not fetched then.
+    only
+        Only this log of the manifest; repeatable.
+    repeat
+        Make every run N times (default 1), for --gate identical.
+    update_baseline
+        Overwrite the baseline file with this batch.
+    timeout_s
+        Time limit of a run (default none).
+    memory_mb
+        Memory limit of a run (Linux; default none).
+    tries
+        Attempts if the process of a run is killed (default 3).
+    scheduler
+        Run on a Dask cluster (default this machine; needs mavnav\[cluster]).
+    part
+        Run part I of N (default all); all parts share --output.
+    """
+    typed = locals()  # parameters have the names of the fields of BatchOptions
     if schema:
         from mavnav.batch.manifest import Manifest
         from mavnav.config.loading import schema_of
 
         emit_json(schema_of(Manifest))
         return
-    with reporting(quiet=quiet) as report:
+    with reporting(quiet=quiet) as progress:
         with loading_modules():
             from mavnav.batch.options import BatchOptions
             from mavnav.outputs.directory import check_target
         files = {name: file for name, file in (("--junit", junit), ("--summary", summary)) if file}
         for file in files.values():
             check_target(file)
-        options = BatchOptions(
-            words=context.obj,
-            sources=sources or (),
-            methods=methods or (),
-            grids=grids or (),
-            azimuths=azimuths or (),
-            config=config,
-            sets=sets or (),
-            options=read_options(given),
-            gates=gates or (),
-            accept=accept or (),
-            baseline=baseline,
-            tolerances=tolerances or (),
-            directory=directory,
-            jobs=jobs,
-            timeout_s=timeout,
-            memory_mb=memory_mb,
-            tries=tries,
-            scheduler=scheduler,
-            part=part,
-            force=force,
-            report=pages,
-            update_baseline=update_baseline,
-            files=files,
-            copies=copies,
-            only=only or (),
-            repeat=repeat,
-            programs=programs or (),
-            program_s=limit_s,
-        )
-        plan = _plan(options, report)
+        own = {name: typed[name] for name in BatchOptions.__struct_fields__ if typed.get(name) is not None}
+        options = BatchOptions(words=context.obj, options=read_options(given), files=files, **own)
+        plan = _plan(options, progress)
     document = _run(plan, json=json, quiet=quiet)
     if plan.request.new_baseline and not quiet:
         _print_baseline(document, plan.request.new_baseline)
@@ -244,8 +208,7 @@ def _cluster(request: BatchRequest, *, quiet: bool) -> Iterator[Cluster | None]:
 
 def _write_for_ci(document: dict[str, Any], junit: Path | None, summary: Path | None, *, annotations: bool) -> None:
     """Write what CI reads: files, and GitHub annotations."""
-    from mavnav.batch.files import append_text, write_text
-    from mavnav.batch.junit import to_junit
+    from mavnav.batch.files import append_text, to_junit, write_text
     from mavnav.batch.summary import github_commands, to_summary
 
     if junit:
@@ -257,3 +220,83 @@ def _write_for_ci(document: dict[str, Any], junit: Path | None, summary: Path | 
     if annotations or os.environ.get("GITHUB_ACTIONS") == "true":
         for line in github_commands(document):
             note(line)
+
+
+MAX_ROWS = 60
+"""Maximum number of runs in the table; the worst ones are shown."""
+
+
+def row_printer(total: int, *, json: bool, quiet: bool) -> Callable[[dict[str, Any]], None]:
+    """Return the function that prints the row of every run when it ends.
+
+    Reused runs are counted, but not printed on stderr. On a terminal the bars replace the lines.
+    """
+    from mavnav.batch.document import remark
+
+    silent = quiet or sys.stderr.isatty()
+    ended = 0
+
+    def print_row(row: dict[str, Any]) -> None:
+        nonlocal ended
+        ended += 1
+        if json:
+            emit(_line({"event": "run", **row}))
+        if row["status"] != "cached" and not silent:
+            end = ", ".join(filter(None, ("" if row["code"] else "passed", remark(row))))
+            took = f" in {row['seconds']:.1f} s" if row["seconds"] else ""
+            note(f"mavnav: {ended} of {total}: {row['name']}{took}: {end}")
+
+    return print_row
+
+
+def _line(document: dict[str, Any]) -> str:
+    from mavnav.outputs.files.document import plain
+
+    return json_text(plain(document))
+
+
+def print_batch(document: dict[str, Any], results: Path, *, json: bool) -> None:
+    """Print the result of a batch on stdout: a table, worst runs first, or with ``json`` one line without the rows.
+
+    Below the table is why runs did not pass or are suspect, and ``results``, the path with further results.
+    """
+    from mavnav.batch.document import remark, worst_first
+    from mavnav.batch.summary import batch_headline, missing_lines
+
+    if json:
+        emit(_line({"event": "batch", **{k: v for k, v in document.items() if k != "cells"}}))
+        return
+    table_console().print(_table(document))
+    emit("")
+    for row in worst_first(document["cells"])[:MAX_ROWS]:
+        if text := remark(row):
+            emit(printable(f"{row['name']}: {text}"))
+    emit(f"\n{printable(batch_headline(document))}; {printable(results)}")
+    for kind, text in missing_lines(document):
+        note(f"mavnav: {kind}: {text}")
+
+
+def _table(document: dict[str, Any]) -> Table:
+    from rich.table import Table
+    from rich.text import Text
+
+    from mavnav.batch.document import worst_first
+    from mavnav.batch.summary import FIGURES, change_text
+    from mavnav.outputs.documents.quantities import verdict_texts
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("run", overflow="fold")
+    table.add_column("verdict", no_wrap=True)
+    for figure in FIGURES:
+        table.add_column(figure.head, justify="right", no_wrap=True)
+    table.add_column("", overflow="fold")
+    for row in worst_first(document["cells"])[:MAX_ROWS]:
+        texts = [figure.text_of(row["run"]) for figure in FIGURES]
+        remarks = [change_text(row), "reused" if row["status"] == "cached" else ""]
+        text = printable("; ".join(filter(None, remarks))).replace("::", ":\\x3a")
+        name = Text(printable(row["name"]).replace("::", ":\\x3a"), style="red" if row["code"] else "")
+        word = Text(*verdict_mark(verdict_texts(row["run"])[0]))
+        table.add_row(name, word, *texts, Text(text))  # a name may be folded anywhere
+    if len(document["cells"]) > MAX_ROWS:
+        table.caption = f"{len(document['cells']) - MAX_ROWS} more in batch.csv"
+    return table

@@ -1,4 +1,11 @@
-"""``mavnav calibrate LOG``: the mounting of the laser, the time offset and the scales of the odometry, from one log."""
+"""``mavnav calibrate LOG``: the mounting of the laser, the time offset and the scales of the odometry, from one log.
+
+Examples
+--------
+mavnav calibrate drive.mcap
+mavnav calibrate drive.bag --odom /wheel_odom -o calibration.json --picture calibration.png
+mavnav calibrate drive.mcap --json | jq -r .lines.static_transform
+"""
 
 from __future__ import annotations
 
@@ -12,49 +19,38 @@ from mavnav.commands.progress import REPLAY, loading_modules, reporting
 from mavnav.commands.terminal import Rows, emit, emit_json, note, note_problems, print_verdict
 from mavnav.config.options import read_options, settings_of
 
-EPILOG = """
-[bold]Examples[/bold]
-mavnav calibrate drive.mcap
-mavnav calibrate drive.bag --odom /wheel_odom -o calibration.json --picture calibration.png
-mavnav calibrate drive.mcap --json | jq -r .lines.static_transform
-"""
-
 MOUNTING: Final = ("x_m", "y_m", "yaw_deg")
 
 
 @shared.with_options(
-    "topic",
-    "start_s",
-    "end_s",
-    "odom",
-    "strict",
-    topic={"help": "Scan topic of the laser (default the only one)."},
-    odom={
-        "usage": "--odom auto|TOPIC",
-        "help": "Odometry to compare the laser with (default auto).",
-        "completer": "recorded_odometry",
-    },
+    "topic", "start_s", "end_s", "odom", "strict", odom={"usage": "--odom auto|TOPIC", "completer": "recorded_odometry"}
 )
 def calibrate(
     log: shared.LogFile,
     *,
     config: shared.ConfigFile = None,
     sets: shared.Sets = None,
-    output: Annotated[
-        Path | None,
-        shared.output_option("--output", "-o", metavar="FILE.json", help="Write the JSON document to a file."),
-    ] = None,
-    picture: Annotated[
-        Path | None,
-        shared.output_option("--picture", metavar="FILE.png", help="Draw turn rates and errors of the fit over time."),
-    ] = None,
+    output: Annotated[Path | None, shared.output_option("--output", "-o", metavar="FILE.json")] = None,
+    picture: Annotated[Path | None, shared.output_option("--picture", metavar="FILE.png")] = None,
     report_page: shared.ReportFile = None,
     force: shared.Force = False,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
     **given: object,
 ) -> None:
-    """Calibrate laser and odometry: mounting, time offset and wheel scales, each with a 95 % interval."""
+    """Calibrate laser and odometry: mounting, time offset and wheel scales, each with a 95 % interval.
+
+    Parameters
+    ----------
+    topic
+        Scan topic of the laser (default the only one).
+    odom
+        Odometry to compare the laser with (default auto).
+    output
+        Write the JSON document to a file.
+    picture
+        Draw turn rates and errors of the fit over time.
+    """
     options = read_options(given)
     with reporting(quiet=quiet, stages=REPLAY) as report:
         with loading_modules():
@@ -62,16 +58,8 @@ def calibrate(
             from mavnav.pipelines.calibrate import CalibrationRequest
             from mavnav.pipelines.calibrate import calibrate as calibrated
         chosen = load_config(config, sets or [], settings_of(options))
-        request = CalibrationRequest(
-            log,
-            chosen,
-            options,
-            document=output,
-            picture=picture,
-            report=report_page,
-            force=force,
-            config_file=Path(config) if config else None,
-        )
+        files, config_file = (output, picture, report_page), Path(config) if config else None
+        request = CalibrationRequest(log, chosen, options, *files, force=force, config_file=config_file)
         document = calibrated(request, report)
     if json:
         emit_json(document)

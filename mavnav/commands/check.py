@@ -1,36 +1,37 @@
-"""``mavnav check RUN ... --gate ...``: gates on runs that are finished."""
+"""``mavnav check RUN ... --gate ...``: gates on runs that are finished.
+
+Examples
+--------
+mavnav check runs/drive-robust-20-10x10 --gate 'wall_thickness.p95_mm<=150'
+mavnav check runs/* --gate 'map.accepted_share>=0.95' --gate 'tracking.lost==false'
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from mavnav.commands import shared
 from mavnav.commands.terminal import emit, emit_json, note, printable
-
-if TYPE_CHECKING:
-    from mavnav.errors import ExitCode
-
-EPILOG = """
-[bold]Examples[/bold]
-mavnav check runs/drive-robust-20-10x10 --gate 'wall_thickness.p95_mm<=150'
-mavnav check runs/* --gate 'map.accepted_share>=0.95' --gate 'tracking.lost==false'
-"""
+from mavnav.errors import ExitCode
 
 
 def check(
-    runs: Annotated[
-        list[Path],
-        typer.Argument(metavar="RUN", help="Directories of runs, comparisons or batches.", show_default=False),
-    ],
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN", show_default=False)],
     *,
     gates: shared.Gates = None,
     accept: shared.Accept = None,
     json: shared.Json = False,
 ) -> None:
-    """Check finished runs: their verdicts, and quality gates; exits with the worst code of the runs and their gates."""
+    """Check finished runs: their verdicts, and quality gates; exits with the worst code of the runs and their gates.
+
+    Parameters
+    ----------
+    runs
+        Directories of runs, comparisons or batches.
+    """
     from mavnav.batch.check import check_runs
     from mavnav.metrics.gates import read_accept
 

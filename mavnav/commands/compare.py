@@ -1,31 +1,7 @@
-"""``mavnav compare [LOG ...]``: maps, metrics and relative cost of several search grids, side by side."""
+"""``mavnav compare [LOG ...]``: maps, metrics and relative cost of several search grids, side by side.
 
-from __future__ import annotations
-
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
-
-from mavnav.commands import poses, shared
-from mavnav.commands.comparison_table import print_result_of
-from mavnav.commands.progress import loading_modules, reporting, watching
-from mavnav.config.options import READING, REFERENCES, read_options, settings_of
-from mavnav.errors import UsageError
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mavnav.batch.runner import BatchPlan
-    from mavnav.metrics.gates import Gate
-    from mavnav.pipelines.programs import Program
-    from mavnav.pipelines.trajectory_source import TrajectorySource
-    from mavnav.profiling import Progress
-
-    GivenPoses = tuple[Sequence[TrajectorySource], Sequence[Program], float]
-
-EPILOG = """
-[bold]Examples[/bold]
+Examples
+--------
 mavnav compare drive.mcap --grid 5x5 --grid 10x10 --grid 20x20
 mavnav compare --grid 20x20
 mavnav compare drive.mcap --set robust.cell_mm=10,20,50
@@ -35,38 +11,47 @@ mavnav compare a.bag b.mcap --method robust --method paper -j 4 -o grids
 mavnav compare drive.mcap --grid 40x40 --azimuth 40 --gate 'wall_thickness.p95_mm<=150'
 """
 
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mavnav.commands import shared
+from mavnav.commands.comparison_table import print_result_of
+from mavnav.commands.progress import loading_modules, reporting, watching
+from mavnav.config.options import READING, REFERENCES, read_options, settings_of
+from mavnav.errors import UsageError
+from mavnav.profiling import Progress
+
+if TYPE_CHECKING:
+    from mavnav.batch.runner import BatchPlan
+    from mavnav.metrics.gates import Gate
+    from mavnav.pipelines.programs import Program
+    from mavnav.pipelines.trajectory_source import TrajectorySource
+
+    GivenPoses = tuple[Sequence[TrajectorySource], Sequence[Program], float]
+
 
 @shared.with_options(*READING, "resolution_m", "online", *REFERENCES)
 def compare(
     context: typer.Context,
-    logs: Annotated[
-        list[Path] | None,
-        typer.Argument(
-            metavar="LOG|RUN", help="Logs (default: the sample corridor), or finished runs.", show_default=False
-        ),
-    ] = None,
+    logs: Annotated[list[Path] | None, typer.Argument(metavar="LOG|RUN", show_default=False)] = None,
     *,
-    trajectories: poses.Trajectories = None,
-    programs: poses.Programs = None,
-    limit_s: poses.ProgramLimit = 3600.0,
+    trajectories: shared.Trajectories = None,
+    programs: shared.Programs = None,
+    program_s: shared.ProgramLimit = 3600.0,
     methods: shared.Methods = None,
-    grids: Annotated[
-        list[str] | None,
-        shared.replay_option(
-            "grid", help="Search grid; repeatable (default 5x5, 10x10, 20x20). To a single one, 10x10 is added."
-        ),
-    ] = None,
+    grids: Annotated[list[str] | None, shared.replay_option("grid")] = None,
     azimuths: shared.Azimuths = None,
     config: shared.ConfigFile = None,
     sets: shared.Sets = None,
-    directory: Annotated[
-        Path | None, shared.directory_option(help="Output directory (default runs/compare-LOG).")
-    ] = None,
-    force: shared.RunAgain = False,
+    directory: Annotated[Path | None, shared.directory_option()] = None,
+    force: shared.Force = False,
     jobs: shared.Jobs = None,
-    preview: Annotated[
-        bool, shared.output_option("--preview", help="Print the maps as text (on stderr with --json).")
-    ] = False,
+    preview: Annotated[bool, shared.output_option("--preview")] = False,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
     gates: shared.Gates = None,
@@ -75,12 +60,26 @@ def compare(
     """Replay logs with several search grids, or methods, and compare maps, metrics and cost.
 
     Finished replays are reused; a replay that fails does not stop the others.
+
+    Parameters
+    ----------
+    logs
+        Logs (default: the sample corridor), or finished runs.
+    grids
+        Search grid; repeatable (default 5x5, 10x10, 20x20). To a single one, 10x10 is added.
+    directory
+        Output directory (default runs/compare-LOG).
+    force
+        Ignore finished runs and repeat them.
+    preview
+        Print the maps as text (on stderr with --json).
     """
     options = read_options(given)
     shared.check_logs(logs or [])
     bounds = shared.gates_of(gates)
     if any((path / "run.json").is_file() for path in logs or []):
-        _check_alone(context)
+        for flag in shared.typed_flags(context, {"logs", "directory", "json", "quiet", "gates"}):
+            raise UsageError(f"{flag} is for logs; finished runs are compared as they are")
         document = _compare_finished(shared.without_latest(logs or []), directory, bounds, json=json, quiet=quiet)
         raise typer.Exit(document["exit_code"])
     with reporting(quiet=quiet) as report:
@@ -88,31 +87,18 @@ def compare(
             from mavnav.batch.runner import load_kernels
             from mavnav.comparison import pipeline
             from mavnav.comparison.beside import check_given
-            from mavnav.jobs import usable_cores
+            from mavnav.jobs.pool import usable_cores
             from mavnav.outputs.documents.provenance import Typed
         target = directory or pipeline.comparison_directory(logs or ())
         if not logs:
             logs, true_map = _sample(target, report)
             options.setdefault("truth_map", true_map)
-        given_poses = _given_poses(trajectories or (), programs or (), limit_s)
-        settings = pipeline.comparison_settings(
-            config,
-            sets or (),
-            methods or (),
-            grids or (),
-            azimuths or (),
-            settings_of(options),
-            usual=() if given_poses else pipeline.PAPER_GRIDS,
-        )
+        given_poses = _given_poses(trajectories or (), programs or (), program_s)
+        searches, usual = (methods or (), grids or (), azimuths or ()), () if given_poses else pipeline.PAPER_GRIDS
+        settings = pipeline.comparison_settings(config, sets or (), *searches, settings_of(options), usual=usual)
+        typed, workers = Typed(context.obj, config, tuple(sets or ())), jobs or usable_cores()
         request = pipeline.comparison_request(
-            logs,
-            settings,
-            target,
-            options,
-            workers=jobs or usable_cores(),
-            gates=bounds,
-            force=force,
-            typed=Typed(context.obj, config, tuple(sets or ())),
+            logs, settings, target, options, workers=workers, gates=bounds, force=force, typed=typed
         )
         plan = pipeline.plan_comparison(request, report)
         if given_poses:
@@ -133,18 +119,6 @@ def _given_poses(trajectories: Sequence[str], programs: Sequence[str], limit_s: 
 
     given = tuple(map(read_source, trajectories)), tuple(map(read_program, programs))
     return (*given, limit_s) if any(given) else None
-
-
-def _check_alone(context: typer.Context) -> None:
-    """Raise UsageError for an option of a replay, which finished runs have had."""
-    for parameter in context.command.params:
-        source = context.get_parameter_source(parameter.name or "")
-        if (
-            parameter.name not in {"logs", "directory", "json", "quiet", "gates"}
-            and source
-            and source.name == "COMMANDLINE"
-        ):
-            raise UsageError(f"{max(parameter.opts, key=len)} is for logs; finished runs are compared as they are")
 
 
 def _compare_finished(

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import typer  # noqa: TC002  it reads annotations
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    Completer = Callable[[str], list[str]]
+Completer = Callable[[str], list[str]]
 
 MAX_READ_S: Final = 1.0
 """Maximum time to read a log for its topics, in s."""
@@ -26,6 +24,10 @@ def words(*names: str) -> Completer:
 
 
 attitude_topics: Final = words("auto", "off", "/attitude")
+verdicts: Final = words("good", "suspect", "wrong", "lost")
+outputs: Final = words(
+    "trajectory", "map", "metrics", "slices", "pictures", "mcap", "report", "svg", "scale", "graph", "all"
+)
 
 
 def presets(incomplete: str) -> list[str]:

@@ -1,4 +1,11 @@
-"""``mavnav convert LOG OUT.mcap``: what can be read of a log, as a sound and indexed MCAP."""
+"""``mavnav convert LOG OUT.mcap``: what can be read of a log, as a sound and indexed MCAP.
+
+Examples
+--------
+mavnav convert crashed.bag.active drive.mcap
+mavnav convert rosbag2_folder drive.mcap --strict --json | jq .left_out
+mavnav convert drive.bag drive_with_map.mcap --run runs/drive
+"""
 
 from __future__ import annotations
 
@@ -12,31 +19,27 @@ from mavnav.commands import shared
 from mavnav.commands.progress import reporting
 from mavnav.commands.terminal import Rows, note_problems, print_result
 
-EPILOG = """
-[bold]Examples[/bold]
-mavnav convert crashed.bag.active drive.mcap
-mavnav convert rosbag2_folder drive.mcap --strict --json | jq .left_out
-mavnav convert drive.bag drive_with_map.mcap --run runs/drive
-"""
-
 
 @shared.with_options("strict")
 def convert(
     log: shared.LogFile,
-    target: Annotated[Path, typer.Argument(metavar="OUT.mcap", help="The file to write.", show_default=False)],
+    target: Annotated[Path, typer.Argument(metavar="OUT.mcap", show_default=False)],
     *,
-    run: Annotated[
-        Path | None,
-        shared.input_option(
-            "--run", metavar="RUN", help="Add the result of a run of this log: /tf from the map, /map, /pose, markers."
-        ),
-    ] = None,
+    run: Annotated[Path | None, shared.input_option("--run", metavar="RUN")] = None,
     force: shared.Force = False,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
     **given: object,
 ) -> None:
-    """Convert a log, as far as it can be read, to an indexed MCAP with ROS 2 messages."""
+    """Convert a log, as far as it can be read, to an indexed MCAP with ROS 2 messages.
+
+    Parameters
+    ----------
+    target
+        The file to write.
+    run
+        Add the result of a run of this log: /tf from the map, /map, /pose, markers.
+    """
     from mavnav.pipelines.convert import convert_to
 
     with reporting(quiet=quiet) as report:

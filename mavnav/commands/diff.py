@@ -1,4 +1,11 @@
-"""``mavnav diff A B``: what changed between two maps."""
+"""``mavnav diff A B``: what changed between two maps.
+
+Examples
+--------
+mavnav diff runs/monday runs/friday -o diff.png
+mavnav diff map.yaml runs/friday --gate 'changed_m2<=0.2'
+mavnav diff runs/monday runs/friday --json | jq '.changes[] | select(.kind == "new")'
+"""
 
 from __future__ import annotations
 
@@ -12,33 +19,31 @@ from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.terminal import LISTED, Rows, emit, emit_json, note, print_table
 from mavnav.errors import UsageError
 
-EPILOG = """
-[bold]Examples[/bold]
-mavnav diff runs/monday runs/friday -o diff.png
-mavnav diff map.yaml runs/friday --gate 'changed_m2<=0.2'
-mavnav diff runs/monday runs/friday --json | jq '.changes[] | select(.kind == "new")'
-"""
-
-_map_argument = "Run directory, or map_server map (YAML)."
-
 
 def diff(
-    a: Annotated[Path, typer.Argument(metavar="A", help=f"{_map_argument} Before.", show_default=False)],
-    b: Annotated[Path, typer.Argument(metavar="B", help=f"{_map_argument} After.", show_default=False)],
+    a: Annotated[Path, typer.Argument(metavar="A", show_default=False)],
+    b: Annotated[Path, typer.Argument(metavar="B", show_default=False)],
     *,
-    output: Annotated[
-        Path | None, shared.output_option("--output", "-o", metavar="FILE.png", help="Write a picture of the changes.")
-    ] = None,
+    output: Annotated[Path | None, shared.output_option("--output", "-o", metavar="FILE.png")] = None,
     report_page: shared.ReportFile = None,
-    gates: Annotated[
-        list[str] | None,
-        shared.check_option("--gate", metavar="'NAME<=X'", help="Exit with code 1 unless this holds; repeatable."),
-    ] = None,
+    gates: Annotated[list[str] | None, shared.check_option("--gate", metavar="'NAME<=X'")] = None,
     force: shared.Force = False,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
 ) -> None:
-    """Compare two maps of one place: walls that are gone, walls that are new, objects that moved."""
+    """Compare two maps of one place: walls that are gone, walls that are new, objects that moved.
+
+    Parameters
+    ----------
+    a
+        Run directory, or map_server map (YAML). Before.
+    b
+        Run directory, or map_server map (YAML). After.
+    output
+        Write a picture of the changes.
+    gates
+        Exit with code 1 unless this holds; repeatable.
+    """
     bounds = shared.gates_of(gates)
     with reporting(quiet=quiet) as report:
         with loading_modules():

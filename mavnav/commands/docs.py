@@ -1,4 +1,12 @@
-"""``mavnav docs [PAGE]``: the documentation that ships with the program, on the terminal or in the browser."""
+"""``mavnav docs [PAGE]``: the documentation that ships with the program, on the terminal or in the browser.
+
+Examples
+--------
+mavnav docs
+mavnav docs problems
+mavnav docs cli#exit-codes
+mavnav docs report --open
+"""
 
 from __future__ import annotations
 
@@ -17,23 +25,21 @@ from mavnav.errors import UsageError, missing
 if TYPE_CHECKING:
     from markdown_it.token import Token
 
-EPILOG = """
-[bold]Examples[/bold]
-mavnav docs
-mavnav docs problems
-mavnav docs cli#exit-codes
-mavnav docs report --open
-"""
-
 
 def docs(
-    page: Annotated[
-        str, typer.Argument(metavar="PAGE", help="Page, or PAGE#SECTION (default the first).", show_default=False)
-    ] = "index",
+    page: Annotated[str, typer.Argument(metavar="PAGE", show_default=False)] = "index",
     *,
-    in_browser: Annotated[bool, shared.output_option("--open", help="Show the page in the browser.")] = False,
+    in_browser: Annotated[bool, shared.output_option("--open")] = False,
 ) -> None:
-    """Show a page of the documentation."""
+    """Show a page of the documentation.
+
+    Parameters
+    ----------
+    page
+        Page, or PAGE#SECTION (default the first).
+    in_browser
+        Show the page in the browser.
+    """
     from mavnav.config.loading import package_folder
 
     name, _, anchor = page.partition("#")

@@ -1,4 +1,11 @@
-"""``mavnav edit RUN|MAP.yaml``: a map cropped and cleaned, as a new one."""
+"""``mavnav edit RUN|MAP.yaml``: a map cropped and cleaned, as a new one.
+
+Examples
+--------
+mavnav edit runs/drive --keep-largest
+mavnav edit runs/drive --erase 1.2,0.5,2,1.5 --erase 4,-1,4.6,-0.2 --crop -3,-2,12,9 -o runs/clean
+mavnav edit toolbox/map.yaml --unknown 12,-4,20,3 -o clean.yaml
+"""
 
 from __future__ import annotations
 
@@ -11,47 +18,38 @@ from mavnav.commands import shared
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.terminal import Rows, print_result
 
-EPILOG = """
-[bold]Examples[/bold]
-mavnav edit runs/drive --keep-largest
-mavnav edit runs/drive --erase 1.2,0.5,2,1.5 --erase 4,-1,4.6,-0.2 --crop -3,-2,12,9 -o runs/clean
-mavnav edit toolbox/map.yaml --unknown 12,-4,20,3 -o clean.yaml
-"""
-
 _CORNERS = "X0,Y0,X1,Y1"
 
 
 def edit(
-    path: Annotated[
-        Path,
-        typer.Argument(metavar="RUN|MAP.yaml", help="Run directory, or map_server map (YAML).", show_default=False),
-    ],
+    path: Annotated[Path, typer.Argument(metavar="RUN|MAP.yaml", show_default=False)],
     *,
-    erase: Annotated[
-        list[str] | None,
-        shared.search_option("--erase", metavar=_CORNERS, help="Make occupied cells of a rectangle free. Repeatable."),
-    ] = None,
-    unknown: Annotated[
-        list[str] | None,
-        shared.search_option("--unknown", metavar=_CORNERS, help="Make a rectangle unknown. Repeatable."),
-    ] = None,
-    crop: Annotated[
-        str | None, shared.search_option("--crop", metavar=_CORNERS, help="Keep this rectangle only.")
-    ] = None,
-    keep_largest: Annotated[
-        bool, shared.search_option("--keep-largest", help="Keep the largest free area and the walls that touch it.")
-    ] = False,
-    output: Annotated[
-        Path | None,
-        shared.output_option(
-            "--output", "-o", metavar="DIR|FILE.yaml", help="Where to write (default beside it, NAME-edited)."
-        ),
-    ] = None,
+    erase: Annotated[list[str] | None, shared.search_option("--erase", metavar=_CORNERS)] = None,
+    unknown: Annotated[list[str] | None, shared.search_option("--unknown", metavar=_CORNERS)] = None,
+    crop: Annotated[str | None, shared.search_option("--crop", metavar=_CORNERS)] = None,
+    keep_largest: Annotated[bool, shared.search_option("--keep-largest")] = False,
+    output: Annotated[Path | None, shared.output_option("--output", "-o", metavar="DIR|FILE.yaml")] = None,
     force: shared.Force = False,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
 ) -> None:
-    """Edit a map, rectangles in m of the map frame: erase, then unknown, crop, keep the largest area."""
+    """Edit a map, rectangles in m of the map frame: erase, then unknown, crop, keep the largest area.
+
+    Parameters
+    ----------
+    path
+        Run directory, or map_server map (YAML).
+    erase
+        Make occupied cells of a rectangle free. Repeatable.
+    unknown
+        Make a rectangle unknown. Repeatable.
+    crop
+        Keep this rectangle only.
+    keep_largest
+        Keep the largest free area and the walls that touch it.
+    output
+        Where to write (default beside it, NAME-edited).
+    """
     with reporting(quiet=quiet) as report:
         with loading_modules():
             from mavnav.pipelines.edit import EditRequest, edit_map, read_edits

@@ -1,31 +1,28 @@
-"""``mavnav info LOG``: what a log holds, and everything odd about it."""
+"""``mavnav info LOG``: what a log holds, and everything odd about it.
 
-from __future__ import annotations
-
-from functools import partial
-from itertools import zip_longest
-from typing import TYPE_CHECKING, Any
-
-import typer
-
-from mavnav.commands import shared
-from mavnav.commands.progress import reporting
-from mavnav.commands.sources import local_log
-from mavnav.commands.terminal import Rows, note_problems, print_result
-from mavnav.config.options import read_options
-from mavnav.errors import ExitCode
-from mavnav.units import DEG, NS, pluralize
-
-if TYPE_CHECKING:
-    from mavnav.commands.sources import LocalLog
-
-EPILOG = """
-[bold]Examples[/bold]
+Examples
+--------
 mavnav info drive.mcap
 mavnav info rosbag2_folder --topic /front/scan
 mavnav info drive.bag --json | jq .scans
 ssh robot cat drive.mcap | mavnav info -
 """
+
+from __future__ import annotations
+
+from functools import partial
+from itertools import zip_longest
+from typing import Any
+
+import typer
+
+from mavnav.commands import shared
+from mavnav.commands.progress import reporting
+from mavnav.commands.sources import LocalLog, local_log
+from mavnav.commands.terminal import Rows, note_problems, print_result
+from mavnav.config.options import read_options
+from mavnav.errors import ExitCode
+from mavnav.units import DEG, NS, pluralize
 
 
 @shared.with_options("topic", "strict")

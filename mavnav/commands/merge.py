@@ -1,4 +1,10 @@
-"""``mavnav merge RUN|LOG ... -o DIR``: one map of many sessions."""
+"""``mavnav merge RUN|LOG ... -o DIR``: one map of many sessions.
+
+Examples
+--------
+mavnav merge monday.bag tuesday.bag runs/wednesday -o runs/building
+mavnav merge logs/*.mcap -o runs/building --json | jq '.sessions[] | select(.joined | not)'
+"""
 
 from __future__ import annotations
 
@@ -10,36 +16,34 @@ import typer
 
 from mavnav.commands import shared
 from mavnav.commands.progress import loading_modules, reporting
-from mavnav.commands.quality_rows import spread_text
+from mavnav.commands.run_screen import spread_text
 from mavnav.commands.terminal import Rows, emit_json, note, print_verdict
 from mavnav.config.named_files import read_json
 from mavnav.units import pluralize
 
-EPILOG = """
-[bold]Examples[/bold]
-mavnav merge monday.bag tuesday.bag runs/wednesday -o runs/building
-mavnav merge logs/*.mcap -o runs/building --json | jq '.sessions[] | select(.joined | not)'
-"""
-
 
 def merge(
-    inputs: Annotated[
-        list[Path],
-        typer.Argument(metavar="RUN|LOG", help="Run directories and logs, in any order.", show_default=False),
-    ],
+    inputs: Annotated[list[Path], typer.Argument(metavar="RUN|LOG", show_default=False)],
     *,
-    directory: Annotated[
-        Path | None,
-        shared.directory_option(help="Directory of the result (default runs/merged, with a number where that exists)."),
-    ] = None,
+    directory: Annotated[Path | None, shared.directory_option()] = None,
     config: shared.ConfigFile = None,
     sets: shared.Sets = None,
-    report_page: shared.WriteReport = False,
+    report_page: shared.Report = False,
     force: shared.Force = False,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
 ) -> None:
-    """Join sessions of one building to one map: each is found in the map of the others."""
+    """Join sessions of one building to one map: each is found in the map of the others.
+
+    Parameters
+    ----------
+    inputs
+        Run directories and logs, in any order.
+    directory
+        Directory of the result (default runs/merged, with a number where that exists).
+    report_page
+        Also write the result as one page, report.html.
+    """
     with reporting(quiet=quiet) as report:
         with loading_modules():
             from mavnav.config.loading import load_config

@@ -1,4 +1,12 @@
-"""``mavnav metrics RUN|MAP.yaml ...``: how good maps are."""
+"""``mavnav metrics RUN|MAP.yaml ...``: how good maps are.
+
+Examples
+--------
+mavnav metrics runs/drive-robust-20-10x10
+mavnav metrics other_tool/map.yaml --json | jq '.maps[0].map_quality.ghost_walls'
+mavnav metrics runs/* --truth groundtruth.tum
+mavnav metrics map.yaml --truth-map corridor.yaml
+"""
 
 from __future__ import annotations
 
@@ -9,35 +17,29 @@ import typer
 
 from mavnav.commands import shared
 from mavnav.commands.progress import loading_modules, reporting
-from mavnav.commands.quality_rows import more_rows, quality_rows, reference_rows, wall_rows
+from mavnav.commands.run_screen import more_rows, quality_rows, reference_rows, wall_rows
 from mavnav.commands.terminal import Rows, emit, emit_json, note, print_table, verdict_rows
 from mavnav.config.options import REFERENCES, read_options, reference_files
 from mavnav.errors import UsageError
 
-EPILOG = """
-[bold]Examples[/bold]
-mavnav metrics runs/drive-robust-20-10x10
-mavnav metrics other_tool/map.yaml --json | jq '.maps[0].map_quality.ghost_walls'
-mavnav metrics runs/* --truth groundtruth.tum
-mavnav metrics map.yaml --truth-map corridor.yaml
-"""
 
-
-@shared.with_options(
-    *REFERENCES,
-    truth={"usage": "--truth FILE.tum", "help": "Ground-truth trajectory of the laser, a TUM file: ATE and RPE."},
-)
+@shared.with_options(*REFERENCES, truth={"usage": "--truth FILE.tum"})
 def metrics(
-    paths: Annotated[
-        list[Path],
-        typer.Argument(metavar="RUN|MAP.yaml", help="Run directories, or map_server maps (YAML).", show_default=False),
-    ],
+    paths: Annotated[list[Path], typer.Argument(metavar="RUN|MAP.yaml", show_default=False)],
     *,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
     **given: object,
 ) -> None:
-    """Measure maps: wall thickness, ghost walls, crispness, support, errors against a reference."""
+    """Measure maps: wall thickness, ghost walls, crispness, support, errors against a reference.
+
+    Parameters
+    ----------
+    paths
+        Run directories, or map_server maps (YAML).
+    truth
+        Ground-truth trajectory of the laser, a TUM file: ATE and RPE.
+    """
     with reporting(quiet=quiet) as report:
         with loading_modules():
             from mavnav.ground_truth.references import load_references

@@ -1,4 +1,11 @@
-"""``mavnav plan RUN|MAP.yaml``: the floor plan of a map, as SVG or DXF."""
+"""``mavnav plan RUN|MAP.yaml``: the floor plan of a map, as SVG or DXF.
+
+Examples
+--------
+mavnav plan runs/drive
+mavnav plan runs/drive -o drive.dxf
+mavnav plan toolbox/map.yaml -o office.svg --scale 50
+"""
 
 from __future__ import annotations
 
@@ -11,34 +18,27 @@ from mavnav.commands import shared
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.terminal import LISTED, Rows, print_result
 
-EPILOG = """
-[bold]Examples[/bold]
-mavnav plan runs/drive
-mavnav plan runs/drive -o drive.dxf
-mavnav plan toolbox/map.yaml -o office.svg --scale 50
-"""
-
 
 def plan(
-    source: Annotated[
-        Path,
-        typer.Argument(metavar="RUN|MAP.yaml", help="Run directory, or map_server map (YAML).", show_default=False),
-    ],
+    source: Annotated[Path, typer.Argument(metavar="RUN|MAP.yaml", show_default=False)],
     *,
-    output: Annotated[
-        Path | None,
-        shared.output_option(
-            "--output", "-o", metavar="FILE.svg|FILE.dxf", help="The drawing (default RUN/plan.svg, or MAP-plan.svg)."
-        ),
-    ] = None,
-    scale: Annotated[
-        float, shared.output_option("--scale", metavar="N", min=1.0, help="Scale of an SVG, 1:N (default 100).")
-    ] = 100.0,
+    output: Annotated[Path | None, shared.output_option("--output", "-o", metavar="FILE.svg|FILE.dxf")] = None,
+    scale: Annotated[float, shared.output_option("--scale", metavar="N", min=1.0)] = 100.0,
     force: shared.Force = False,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
 ) -> None:
-    """Draw the straight walls of a map along the axes, with openings such as doors as gaps."""
+    """Draw the straight walls of a map along the axes, with openings such as doors as gaps.
+
+    Parameters
+    ----------
+    source
+        Run directory, or map_server map (YAML).
+    output
+        The drawing (default RUN/plan.svg, or MAP-plan.svg).
+    scale
+        Scale of an SVG, 1:N (default 100).
+    """
     with reporting(quiet=quiet) as report:
         with loading_modules():
             from mavnav.pipelines.plan import draw_plan

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import sys
 import threading
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from math import inf
 from time import monotonic
@@ -12,16 +13,13 @@ from typing import TYPE_CHECKING, Final, ParamSpec
 
 from mavnav.commands import signals
 from mavnav.commands.terminal import console, note, printable
-from mavnav.profiling import silent
+from mavnav.profiling import Progress, silent
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
     from rich.progress import Progress as Bars
     from rich.progress import TaskID
 
-    from mavnav.jobs import Event, Outcome, Retried
-    from mavnav.profiling import Progress
+    from mavnav.jobs.worker import Event, Outcome, Retried
 
     Listener = Callable[[Event], None]
 
@@ -152,14 +150,9 @@ def _bars() -> Bars:
     """Return progress bars on stderr that vanish at the end: description, bar, share, remaining time."""
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-    return Progress(
-        TextColumn("{task.description:12}", markup=False),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeRemainingColumn(),
-        console=console(stderr=True),
-        transient=True,
-    )
+    times = TaskProgressColumn(), TimeRemainingColumn()
+    title = TextColumn("{task.description:12}", markup=False)
+    return Progress(title, BarColumn(), *times, console=console(stderr=True), transient=True)
 
 
 def _bar_report(shown: Bars, stages: dict[str, int]) -> Progress:
@@ -214,7 +207,7 @@ def watching(names: Sequence[str], *, quiet: bool, lines: bool = True) -> Iterat
 
 
 def _line_listener(names: Sequence[str], *, ends: bool) -> Listener:
-    from mavnav.jobs import Ended, Retried
+    from mavnav.jobs.worker import Ended, Retried
 
     ended = 0
 
@@ -235,14 +228,14 @@ def _retry_text(name: str, event: Retried) -> str:
 
 def _ending(outcome: Outcome) -> str:
     """Return the text of how a job ended."""
-    from mavnav.jobs import Status
+    from mavnav.jobs.worker import Status
 
     return f"done in {outcome.seconds:.1f} s" if outcome.status is Status.DONE else f"failed: {outcome.error}"
 
 
 def _bar_listener(shown: Bars, names: Sequence[str]) -> Listener:
     """Show a bar for all runs and one for each current run; print a line for each failure."""
-    from mavnav.jobs import Ended, Progressed, Retried, Started, Status
+    from mavnav.jobs.worker import Ended, Progressed, Retried, Started, Status
 
     failed, whole = 0, shown.add_task(f"{len(names)} runs", total=len(names))
     tasks: dict[int, TaskID] = {}

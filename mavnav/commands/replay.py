@@ -1,4 +1,16 @@
-"""``mavnav replay LOG``: from a recorded log to a trajectory, a map and its quality."""
+"""``mavnav replay LOG``: from a recorded log to a trajectory, a map and its quality.
+
+Examples
+--------
+mavnav replay drive.mcap
+mavnav replay drive_0.mcap drive_1.mcap
+mavnav replay drive.bag -o runs/drive --odom off --start 5 --end 60
+mavnav replay rosbag2_folder --method paper --grid 20x20 --azimuth 40
+mavnav replay drive.mcap --map office.yaml --start-pose 2.1,0.4,1.57
+mavnav replay drive.mcap --set robust.cell_mm=25 --json | jq .wall_thickness
+mavnav replay --again runs/drive-robust-20-10x10 -o runs/repeated
+ssh robot cat drive.mcap | mavnav replay - -o runs/drive
+"""
 
 from __future__ import annotations
 
@@ -11,30 +23,15 @@ import typer
 
 from mavnav.commands import shared, signals
 from mavnav.commands.progress import REPLAY, loading_modules, reporting
-from mavnav.commands.quality_rows import reference_rows
-from mavnav.commands.run_screen import log_rows, map_rows, print_run, scan_time_text
-from mavnav.commands.sources import local_log
+from mavnav.commands.run_screen import log_rows, map_rows, print_run, reference_rows, scan_time_text
+from mavnav.commands.sources import LocalLog, local_log
 from mavnav.commands.terminal import Rows, emit, note
-from mavnav.config.options import OPTIONS, REFERENCES, read_options, settings_of
+from mavnav.config.options import OPTIONS, REFERENCES, ReplayOptions, read_options, settings_of
 from mavnav.errors import UsageError, missing
 from mavnav.units import pluralize
 
 if TYPE_CHECKING:
-    from mavnav.commands.sources import LocalLog
     from mavnav.config.models import Config
-    from mavnav.config.options import ReplayOptions
-
-EPILOG = """
-[bold]Examples[/bold]
-mavnav replay drive.mcap
-mavnav replay drive_0.mcap drive_1.mcap
-mavnav replay drive.bag -o runs/drive --odom off --start 5 --end 60
-mavnav replay rosbag2_folder --method paper --grid 20x20 --azimuth 40
-mavnav replay drive.mcap --map office.yaml --start-pose 2.1,0.4,1.57
-mavnav replay drive.mcap --set robust.cell_mm=25 --json | jq .wall_thickness
-mavnav replay --again runs/drive-robust-20-10x10 -o runs/repeated
-ssh robot cat drive.mcap | mavnav replay - -o runs/drive
-"""
 
 
 @shared.with_options(*OPTIONS)
@@ -45,24 +42,27 @@ def replay(
     again: shared.Again = None,
     config: shared.ConfigFile = None,
     sets: shared.Sets = None,
-    directory: Annotated[
-        Path | None,
-        shared.directory_option(
-            help="Run directory (default runs/LOG-METHOD-YAW-GRID, with a number where that exists)."
-        ),
-    ] = None,
+    directory: Annotated[Path | None, shared.directory_option()] = None,
     force: shared.Force = False,
-    report: shared.WithPage = False,
+    report: shared.Report = False,
     outputs: shared.Outputs = None,
     preview: shared.Preview = None,
     verbose: shared.Verbose = False,
-    profile: Annotated[bool, shared.output_option("--profile", help="Print the time of each stage.")] = False,
+    profile: Annotated[bool, shared.output_option("--profile")] = False,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
     gates: shared.Gates = None,
     **given: object,
 ) -> None:
-    """Map a recorded log: trajectory, map, pictures and wall thickness."""
+    """Map a recorded log: trajectory, map, pictures and wall thickness.
+
+    Parameters
+    ----------
+    directory
+        Run directory (default runs/LOG-METHOD-YAW-GRID, with a number where that exists).
+    profile
+        Print the time of each stage.
+    """
     with local_log(logs) if logs else nullcontext() as source:
         fields = {} if again is None else _earlier_fields(context, again, source, directory)
         path = fields.pop("log", source.path if source else None)
@@ -107,9 +107,8 @@ def _earlier_fields(
     from mavnav.pipelines.again import replay_again, typed_again
 
     run = shared.run_to_repeat(context, again, directory, "logs", "profile", simulated=False)
-    return replay_again(run, *((source.path, source.more) if source else (None,))) | {
-        "typed": typed_again(run, context.obj)
-    }
+    fields = replay_again(run, *((source.path, source.more) if source else (None,)))
+    return fields | {"typed": typed_again(run, context.obj)}
 
 
 def _config(file: str | None, sets: list[str], options: ReplayOptions[Path]) -> Config:

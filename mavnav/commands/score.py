@@ -1,4 +1,12 @@
-"""``mavnav score LOG --trajectory ...``: trajectories of other programs, judged by the scans of the log."""
+"""``mavnav score LOG --trajectory ...``: trajectories of other programs, judged by the scans of the log.
+
+Examples
+--------
+mavnav score drive.mcap --trajectory toolbox=toolbox.tum --trajectory hector=hector.csv
+mavnav score drive.mcap --trajectory slam=tf:map,base_link --trajectory ekf=topic:/odometry/filtered@first
+mavnav score drive.mcap --trajectory mavnav=runs/drive --trajectory other=base_poses.tum,base
+mavnav score drive.mcap --trajectory mavnav=runs/drive --external kiss='python kiss.py {log} {out}' --time-limit 600
+"""
 
 from __future__ import annotations
 
@@ -7,7 +15,7 @@ from typing import Annotated
 
 import typer
 
-from mavnav.commands import poses, shared
+from mavnav.commands import shared
 from mavnav.commands.comparison_table import print_result_of
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.sources import local_log
@@ -15,35 +23,31 @@ from mavnav.commands.terminal import note, printable
 from mavnav.config.options import REFERENCES, read_options, settings_of
 from mavnav.errors import worst
 
-EPILOG = """
-[bold]Examples[/bold]
-mavnav score drive.mcap --trajectory toolbox=toolbox.tum --trajectory hector=hector.csv
-mavnav score drive.mcap --trajectory slam=tf:map,base_link --trajectory ekf=topic:/odometry/filtered@first
-mavnav score drive.mcap --trajectory mavnav=runs/drive --trajectory other=base_poses.tum,base
-mavnav score drive.mcap --trajectory mavnav=runs/drive --external kiss='python kiss.py {log} {out}' --time-limit 600
-"""
-
 
 @shared.with_options("topic", "start_s", "end_s", "attitude", "extrinsic", "strict", *REFERENCES)
 def score(
     context: typer.Context,
     logs: shared.LogParts,
     *,
-    trajectories: poses.Trajectories = None,
-    programs: poses.Programs = None,
-    limit_s: poses.ProgramLimit = 3600.0,
+    trajectories: shared.Trajectories = None,
+    programs: shared.Programs = None,
+    program_s: shared.ProgramLimit = 3600.0,
     config: shared.ConfigFile = None,
     sets: shared.Sets = None,
-    directory: Annotated[
-        Path | None, shared.directory_option(help="Output directory, with a run for each (default runs/score-LOG).")
-    ] = None,
+    directory: Annotated[Path | None, shared.directory_option()] = None,
     force: shared.Force = False,
     json: shared.Json = False,
     quiet: shared.Quiet = False,
     gates: shared.Gates = None,
     **given: object,
 ) -> None:
-    """Draw the map at given poses, and judge these by the scans: any program's trajectory, by the same measures."""
+    """Draw the map at given poses, and judge these by the scans: any program's trajectory, by the same measures.
+
+    Parameters
+    ----------
+    directory
+        Output directory, with a run for each (default runs/score-LOG).
+    """
     options = read_options(given)
     bounds = shared.gates_of(gates)
     shared.check_gates(bounds, *(["reference"] if {*REFERENCES} & options.keys() else []))
@@ -59,18 +63,11 @@ def score(
             from mavnav.pipelines.trajectory_source import read_source
         usual = Path("runs") / f"score-{log_name(source.path)}"
         target = directory or shared.free_directory(usual, force=force)
-        request = ScoreRequest(
-            source.path,
-            target,
-            load_config(config, sets or [], settings_of(options)),
-            tuple(map(read_source, trajectories or ())),
-            options,
-            force,
-            Typed(context.obj, config, tuple(sets or ())),
-            source.more,
-            tuple(map(read_program, programs or ())),
-            limit_s,
-        )
+        chosen = load_config(config, sets or [], settings_of(options))
+        typed = Typed(context.obj, config, tuple(sets or ()))
+        poses = tuple(map(read_source, trajectories or ()))
+        others = tuple(map(read_program, programs or ())), program_s
+        request = ScoreRequest(source.path, target, chosen, poses, options, force, typed, source.more, *others)
         scored = score_log(request, report)
         document = write_scores(source.name, scored, target)
         report("drawing the report", 0, None)

@@ -1,4 +1,53 @@
-"""Options that several commands share, with what they do; help shows each set in a panel of its own."""
+"""Options that several commands share, with what they do; help shows each set in a panel of its own.
+
+Parameters
+----------
+log
+    MCAP, ROS 1 bag, ROS 2 bag folder, .db3 or CARMEN log.
+logs
+    MCAP, ROS 1 bag, ROS 2 bag folder, .db3 or CARMEN log; the parts of one, or their folder; an address, or -.
+again
+    Repeat the run in this directory, with its options.
+methods
+    SLAM method (default robust); repeatable.
+azimuths
+    Yaw samples: one number for all grids, or one for each (default twice N, at most 40).
+config
+    Configuration: a YAML file, or the name of a preset (default that of the method).
+sets
+    Override one configuration value; repeatable.
+outputs
+    Write only these files: trajectory, map, metrics, slices, pictures, mcap, report (default: these); svg,
+    scale, graph; all.
+report
+    Write report.html also with --outputs.
+report_page
+    Also write the result as one page.
+force
+    Overwrite the output if it exists.
+json
+    Print one JSON document on stdout and nothing else.
+quiet
+    Show no progress.
+jobs
+    Parallel runs (default one a core).
+preview
+    Print the map as text, on stderr with --json (default on a terminal).
+verbose
+    Print every metric and warning.
+gates
+    Exit with code 1 unless this holds of run.json, e.g. 'tracking.lost==false'; repeatable.
+accept
+    Worst verdict that passes: good, suspect, wrong or lost (default suspect); or an exit code that counts as
+    done. Repeatable.
+trajectories
+    FILE[,FRAME] (TUM, CSV, EuRoC, or a run), topic:/T or tf:MAP,FRAME; @first, @middle or @last: beam at whose
+    time a pose holds (default: that of the scan as recorded). Repeatable.
+programs
+    Run a program that reads the log, {log}, and writes a trajectory, {out}. Repeatable.
+program_s
+    Longest time of a program.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +55,7 @@ import inspect
 import json
 import os
 import sys
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
 from inspect import Parameter
@@ -22,8 +72,6 @@ from mavnav.config.options import OPTIONS
 from mavnav.errors import ExitCode, UsageError, missing, worst
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
     from mavnav.config.models import Config
     from mavnav.metrics.gates import Gate
     from mavnav.pipelines.again import EarlierRun
@@ -40,6 +88,8 @@ LATEST = "latest"
 """The link to the last result that the user gave no name, beside that."""
 
 _LAST = ("config", "sets", "list_", "schema")
+_OF_A_RUN = ("again", "directory", "force", "report", "outputs", "preview", "verbose", "json", "quiet", "gates")
+"""Parameters of every run, also of one that repeats another."""
 
 directory_option = partial(output_option, "--output", "-o", metavar="DIR")
 schema_option = partial(input_option, "--schema")
@@ -101,96 +151,31 @@ def _panel(parameter: Parameter) -> str:
     return str(get_args(parameter.annotation)[1].rich_help_panel)
 
 
-_log_argument = partial(
-    typer.Argument, metavar="LOG", help="MCAP, ROS 1 bag, ROS 2 bag folder, .db3 or CARMEN log.", show_default=False
-)
-LogFile = Annotated[Path, _log_argument()]
-_source_argument = partial(
-    typer.Argument,
-    metavar="LOG",
-    help="MCAP, ROS 1 bag, ROS 2 bag folder, .db3 or CARMEN log; the parts of one, or their folder; an address, or -.",
-    show_default=False,
-)
-LogParts = Annotated[list[str], _source_argument()]
-MaybeLogParts = Annotated[list[str] | None, _source_argument()]
-Again = Annotated[
-    Path | None, input_option("--again", metavar="RUN", help="Repeat the run in this directory, with its options.")
-]
-Methods = Annotated[list[str] | None, replay_option("method", help="SLAM method (default robust); repeatable.")]
-Azimuths = Annotated[
-    list[int] | None,
-    replay_option(
-        "azimuth", help="Yaw samples: one number for all grids, or one for each (default twice N, at most 40)."
-    ),
-]
-ConfigFile = Annotated[
-    str | None,
-    search_option(
-        metavar="FILE",
-        help="Configuration: a YAML file, or the name of a preset (default that of the method).",
-        autocompletion=completion.presets,
-    ),
-]
-sets_option = partial(search_option, "--set", metavar="KEY=VALUE")
-Sets = Annotated[list[str] | None, sets_option(help="Override one configuration value; repeatable.")]
-ScenarioSets = Annotated[
-    list[str] | None,
-    sets_option(help="Override one key of the scenario file; those of a replay are below slam. Repeatable."),
-]
-
-Outputs = Annotated[
-    str | None,
-    output_option(
-        "--outputs",
-        metavar="GROUP,...",
-        help="Write only these files: trajectory, map, metrics, slices, pictures, mcap, report (default: these); "
-        "svg, scale, graph; all.",
-        autocompletion=completion.words(
-            "trajectory", "map", "metrics", "slices", "pictures", "mcap", "report", "svg", "scale", "graph", "all"
-        ),
-    ),
-]
-ReportFile = Annotated[
-    Path | None, output_option("--report", metavar="FILE.html", help="Also write the result as one page.")
-]
-WriteReport = Annotated[bool, output_option("--report", help="Also write the result as one page, report.html.")]
-WithPage = Annotated[bool, output_option("--report", help="Write report.html also with --outputs.")]
-Force = Annotated[bool, output_option("--force", help="Overwrite the output if it exists.")]
-RunAgain = Annotated[bool, output_option("--force", help="Ignore finished runs and repeat them.")]
-Json = Annotated[bool, output_option("--json", help="Print one JSON document on stdout and nothing else.")]
-Quiet = Annotated[bool, output_option("--quiet", "-q", help="Show no progress.")]
-Jobs = Annotated[
-    int | None, resource_option("--jobs", "-j", min=1, metavar="N", help="Parallel runs (default one a core).")
-]
-
-
-Preview = Annotated[
-    bool | None,
-    output_option(
-        "--preview/--no-preview", help="Print the map as text, on stderr with --json (default on a terminal)."
-    ),
-]
-Verbose = Annotated[bool, output_option("--verbose", "-v", help="Print every metric and warning.")]
-Gates = Annotated[
-    list[str] | None,
-    check_option(
-        "--gate",
-        metavar="'NAME<=X'",
-        help="Exit with code 1 unless this holds of run.json, e.g. 'tracking.lost==false'; repeatable.",
-    ),
-]
-
-
+log_argument = partial(typer.Argument, metavar="LOG", show_default=False)
+LogFile = Annotated[Path, log_argument()]
+LogParts = Annotated[list[str], log_argument()]
+MaybeLogParts = Annotated[list[str] | None, log_argument()]
+Again = Annotated[Path | None, input_option("--again", metavar="RUN")]
+Methods = Annotated[list[str] | None, replay_option("method")]
+Azimuths = Annotated[list[int] | None, replay_option("azimuth")]
+ConfigFile = Annotated[str | None, search_option(metavar="FILE", autocompletion=completion.presets)]
+Sets = Annotated[list[str] | None, search_option("--set", metavar="KEY=VALUE")]
+Outputs = Annotated[str | None, output_option("--outputs", metavar="GROUP,...", autocompletion=completion.outputs)]
+ReportFile = Annotated[Path | None, output_option("--report", metavar="FILE.html")]
+Report = Annotated[bool, output_option("--report")]
+Force = Annotated[bool, output_option("--force")]
+Json = Annotated[bool, output_option("--json")]
+Quiet = Annotated[bool, output_option("--quiet", "-q")]
+Jobs = Annotated[int | None, resource_option("--jobs", "-j", min=1, metavar="N")]
+Preview = Annotated[bool | None, output_option("--preview/--no-preview")]
+Verbose = Annotated[bool, output_option("--verbose", "-v")]
+Gates = Annotated[list[str] | None, check_option("--gate", metavar="'NAME<=X'")]
 Accept = Annotated[
-    list[str] | None,
-    check_option(
-        "--accept",
-        metavar="VERDICT|CODE",
-        help="Worst verdict that passes: good, suspect, wrong or lost (default suspect); or an exit code that counts "
-        "as done. Repeatable.",
-        autocompletion=completion.words("good", "suspect", "wrong", "lost"),
-    ),
+    list[str] | None, check_option("--accept", metavar="VERDICT|CODE", autocompletion=completion.verdicts)
 ]
+Trajectories = Annotated[list[str] | None, input_option("--trajectory", metavar="[NAME=]SOURCE")]
+Programs = Annotated[list[str] | None, input_option("--external", metavar="NAME=COMMAND")]
+ProgramLimit = Annotated[float, resource_option("--time-limit", min=0.0, metavar="SECONDS")]
 
 
 def output_values(outputs: str | None, *, report: bool, preview: bool | None) -> dict[str, Any]:
@@ -264,23 +249,16 @@ def _check_again(context: typer.Context, target: Path, *free: str) -> None:
     if kept.is_relative_to(replaced):
         what = "is" if kept == replaced else "contains"
         raise UsageError(f"{target} {what} the run to repeat; choose another directory with -o")
-    allowed = {
-        "again",
-        "directory",
-        "force",
-        "report",
-        "outputs",
-        "preview",
-        "verbose",
-        "json",
-        "quiet",
-        "gates",
-        *free,
-    }
+    for flag in typed_flags(context, (*_OF_A_RUN, *free)):
+        raise UsageError(f"--again takes {flag} from the run; leave one of them out")
+
+
+def typed_flags(context: typer.Context, allowed: Container[str | None]) -> Iterator[str]:
+    """Yield the options on the command line, but for those of parameters that are ``allowed``."""
     for parameter in context.command.params:
         source = context.get_parameter_source(parameter.name or "")
         if parameter.name not in allowed and source is not None and source.name == "COMMANDLINE":
-            raise UsageError(f"--again takes {max(parameter.opts, key=len)} from the run; leave one of them out")
+            yield max(parameter.opts, key=len)
 
 
 def note_repetition(again: Path, document: dict[str, Any]) -> None:

@@ -1,7 +1,20 @@
-"""``mavnav simulate SCENARIO``: fly a mission in closed loop."""
+"""``mavnav simulate SCENARIO``: fly a mission in closed loop.
+
+Examples
+--------
+mavnav simulate corner.yaml
+mavnav simulate complex --seed 7 --grid 20x20 --animate complex.gif
+mavnav simulate u_trap --planner field
+mavnav simulate corner --method paper
+mavnav simulate hover --attitude off
+mavnav simulate corridor --record flight.mcap && mavnav replay flight.mcap
+mavnav simulate --again runs/corner-robust-20-10x10 -o runs/repeated
+mavnav simulate --list
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,72 +30,33 @@ from mavnav.errors import ExitCode, UsageError
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mavnav.simulation.world import Scenario
 
-EPILOG = """
-[bold]Examples[/bold]
-mavnav simulate corner.yaml
-mavnav simulate complex --seed 7 --grid 20x20 --animate complex.gif
-mavnav simulate u_trap --planner field
-mavnav simulate corner --method paper
-mavnav simulate hover --attitude off
-mavnav simulate corridor --record flight.mcap && mavnav replay flight.mcap
-mavnav simulate --again runs/corner-robust-20-10x10 -o runs/repeated
-mavnav simulate --list
-"""
 
-
-@shared.with_options(
-    "attitude",
-    *SEARCHING,
-    attitude={
-        "usage": "--attitude auto|off",
-        "help": "Level the scans of a vehicle that tilts by its measured attitude (default auto).",
-        "completer": "",
-    },
-)
+@shared.with_options("attitude", *SEARCHING, attitude={"usage": "--attitude auto|off", "completer": ""})
 def simulate(
     context: typer.Context,
     scenario: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="SCENARIO",
-            help="YAML file, or a shipped scenario.",
-            show_default=False,
-            autocompletion=completion.scenarios,
-        ),
+        str | None, typer.Argument(metavar="SCENARIO", show_default=False, autocompletion=completion.scenarios)
     ] = None,
     *,
     again: shared.Again = None,
-    seed: Annotated[
-        int | None, shared.input_option(metavar="N", help="Seed of all random numbers (default the scenario's).")
-    ] = None,
+    seed: Annotated[int | None, shared.input_option(metavar="N")] = None,
     planner: Annotated[
         str | None,
         shared.input_option(
-            metavar="NAME",
-            help="wavefront, field, wall_following or virtual_obstacles (default the scenario's).",
-            autocompletion=completion.words("wavefront", "field", "wall_following", "virtual_obstacles"),
+            metavar="NAME", autocompletion=completion.words("wavefront", "field", "wall_following", "virtual_obstacles")
         ),
     ] = None,
-    list_: Annotated[bool, shared.input_option("--list", help="List the shipped scenarios.")] = False,
-    schema: Annotated[bool, shared.schema_option(help="Print the JSON Schema of scenario files.")] = False,
+    list_: Annotated[bool, shared.input_option("--list")] = False,
+    schema: Annotated[bool, shared.schema_option()] = False,
     config: shared.ConfigFile = None,
-    sets: shared.ScenarioSets = None,
-    directory: Annotated[
-        Path | None,
-        shared.directory_option(
-            help="Run directory (default runs/SCENARIO-METHOD-YAW-GRID, with a number where that exists)."
-        ),
-    ] = None,
-    record: Annotated[
-        Path | None, shared.output_option(metavar="FILE", help="Record the mission: .mcap, .bag, or a ROS 2 folder.")
-    ] = None,
-    animate: Annotated[Path | None, shared.output_option(metavar="FILE.gif", help="Also write an animation.")] = None,
+    sets: shared.Sets = None,
+    directory: Annotated[Path | None, shared.directory_option()] = None,
+    record: Annotated[Path | None, shared.output_option(metavar="FILE")] = None,
+    animate: Annotated[Path | None, shared.output_option(metavar="FILE.gif")] = None,
     force: shared.Force = False,
-    report: shared.WithPage = False,
+    report: shared.Report = False,
     outputs: shared.Outputs = None,
     preview: shared.Preview = None,
     verbose: shared.Verbose = False,
@@ -91,7 +65,31 @@ def simulate(
     gates: shared.Gates = None,
     **given: object,
 ) -> None:
-    """Fly a mission in closed loop: laser, scan matching, map, planner, noisy vehicle."""
+    """Fly a mission in closed loop: laser, scan matching, map, planner, noisy vehicle.
+
+    Parameters
+    ----------
+    attitude
+        Level the scans of a vehicle that tilts by its measured attitude (default auto).
+    scenario
+        YAML file, or a shipped scenario.
+    seed
+        Seed of all random numbers (default the scenario's).
+    planner
+        wavefront, field, wall_following or virtual_obstacles (default the scenario's).
+    list_
+        List the shipped scenarios.
+    schema
+        Print the JSON Schema of scenario files.
+    sets
+        Override one key of the scenario file; those of a replay are below slam. Repeatable.
+    directory
+        Run directory (default runs/SCENARIO-METHOD-YAW-GRID, with a number where that exists).
+    record
+        Record the mission: .mcap, .bag, or a ROS 2 folder.
+    animate
+        Also write an animation.
+    """
     if schema:
         from mavnav.simulation.world import scenario_schema
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from mavnav.errors import MavnavError, UsageError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 STDIN: Final = "-"
 

@@ -6,12 +6,18 @@ rests on names inside of typer; where one is missing, typer reads the value.
 
 from __future__ import annotations
 
+import inspect
 import re
+from collections.abc import Callable
 from contextlib import suppress
+from copy import copy
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final, get_type_hints
 
 from typer.core import TyperCommand, TyperGroup
+
+from mavnav.commands import shared
+from mavnav.config.option_kinds import descriptions
 
 _PLAIN: Final[dict[Any, re.Pattern[str]]] = {
     int: re.compile("[0-9]{1,15}"),
@@ -76,3 +82,22 @@ class _Reader:
                 info = param.type_descriptor.parameter_info
                 return coerce_cli_path(Path(value), info, path_type=Path, param=param, ctx=ctx)
         return self._typers().coerce(value, param=param, ctx=ctx)
+
+
+def describe(command: Callable[..., None]) -> str:
+    """Give parameters the help of a command's docstring, or that of shared ones; return the rest of the docstring."""
+    text, own = descriptions(command.__doc__)
+    command.__annotations__ = get_type_hints(command, include_extras=True)  # typer would do so four times
+    help_, signature = descriptions(shared.__doc__)[1] | own, inspect.signature(command)
+    parameters = [_with_help(each, help_.get(each.name)) for each in signature.parameters.values()]
+    command.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    command.__annotations__ = {each.name: each.annotation for each in parameters}
+    return text
+
+
+def _with_help(parameter: inspect.Parameter, text: str | None) -> inspect.Parameter:
+    if text is None or not (infos := getattr(parameter.annotation, "__metadata__", ())):
+        return parameter
+    info = copy(infos[0])  # shared by commands
+    info.help = text
+    return parameter.replace(annotation=Annotated[parameter.annotation.__origin__, info])

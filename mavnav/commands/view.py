@@ -1,9 +1,16 @@
-"""``mavnav view RUN``: look around in a result, in the browser."""
+"""``mavnav view RUN``: look around in a result, in the browser.
+
+Examples
+--------
+mavnav view runs/drive-robust-20-10x10
+mavnav view runs/batch --no-browser
+mavnav view runs/compare --serve
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,34 +18,33 @@ from mavnav.commands import shared, signals
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.terminal import emit, note
 
-EPILOG = """
-[bold]Examples[/bold]
-mavnav view runs/drive-robust-20-10x10
-mavnav view runs/batch --no-browser
-mavnav view runs/compare --serve
-"""
+if TYPE_CHECKING:
+    from http.server import ThreadingHTTPServer
+
+LOOPBACK = "127.0.0.1"
 
 
 def view(
-    directory: Annotated[
-        Path, typer.Argument(metavar="RUN", help="Directory of a run, comparison, merge or batch.", show_default=False)
-    ],
+    directory: Annotated[Path, typer.Argument(metavar="RUN", show_default=False)],
     *,
-    output: Annotated[
-        Path | None,
-        shared.output_option(
-            "--output", "-o", metavar="FILE.html", help="Where the page goes (default report.html or view.html in RUN)."
-        ),
-    ] = None,
-    no_browser: Annotated[
-        bool, shared.output_option("--no-browser", help="Write the page and print its path, without opening it.")
-    ] = False,
-    serve: Annotated[
-        bool, shared.output_option("--serve", help="Write nothing; serve the page to this machine alone, until Ctrl-C.")
-    ] = False,
+    output: Annotated[Path | None, shared.output_option("--output", "-o", metavar="FILE.html")] = None,
+    no_browser: Annotated[bool, shared.output_option("--no-browser")] = False,
+    serve: Annotated[bool, shared.output_option("--serve")] = False,
     quiet: shared.Quiet = False,
 ) -> None:
-    """Look around in a map: zoom, layers, every scan at its pose, reasons of doubt; runs side by side."""
+    """Look around in a map: zoom, layers, every scan at its pose, reasons of doubt; runs side by side.
+
+    Parameters
+    ----------
+    directory
+        Directory of a run, comparison, merge or batch.
+    output
+        Where the page goes (default report.html or view.html in RUN).
+    no_browser
+        Write the page and print its path, without opening it.
+    serve
+        Write nothing; serve the page to this machine alone, until Ctrl-C.
+    """
     with reporting(quiet=quiet) as report:
         with loading_modules():
             from mavnav.outputs.report.finished import finished_page
@@ -66,8 +72,6 @@ def _write(page: bytes, path: Path) -> Path:
 
 
 def _serve(page: bytes) -> None:
-    from mavnav.commands.page_server import page_server
-
     server, address = page_server(page)
     emit(address)
     note(f"from another machine: ssh -L {server.server_port}:127.0.0.1:{server.server_port} HOST; Ctrl-C ends it")
@@ -77,3 +81,38 @@ def _serve(page: bytes) -> None:
         note("mavnav: stopped")
     finally:
         server.server_close()
+
+
+def page_server(page: bytes) -> tuple[ThreadingHTTPServer, str]:
+    """Return a server of a page on a free port of the loopback interface, and the page's address.
+
+    The address has a random token: other users of the machine cannot guess it. Nothing but the page can be read, and
+    nothing be written.
+    """
+    from hmac import compare_digest
+    from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+    from secrets import token_urlsafe
+
+    path = f"/{token_urlsafe(16)}/"
+
+    class Handler(BaseHTTPRequestHandler):
+        server_version, sys_version = "mavnav", ""
+
+        def do_HEAD(self) -> None:
+            known = compare_digest(self.path.encode(), path.encode())
+            self.send_response(200 if known else 404)
+            self.send_header("Content-Type", "text/html; charset=utf-8")
+            self.send_header("Content-Length", str(len(page) if known else 0))
+            self.send_header("Cache-Control", "no-store")
+            self.end_headers()
+
+        def do_GET(self) -> None:
+            self.do_HEAD()
+            if compare_digest(self.path.encode(), path.encode()):
+                self.wfile.write(page)
+
+        def log_message(self, *_: object) -> None:
+            """Print nothing."""
+
+    server = ThreadingHTTPServer((LOOPBACK, 0), Handler)
+    return server, f"http://{LOOPBACK}:{server.server_port}{path}"

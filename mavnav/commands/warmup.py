@@ -1,12 +1,11 @@
-"""``mavnav warmup``: compile the kernels in advance instead of at the first run."""
+"""``mavnav warmup``: compile the kernels in advance instead of at the first run.
+
+The result is kept in MAVNAV_CACHE_DIR, by default in the user's cache directory; later runs load it from there.
+"""
 
 from __future__ import annotations
 
 from mavnav.commands.terminal import emit
-
-EPILOG = (
-    "The result is kept in MAVNAV_CACHE_DIR, by default in the user's cache directory; later runs load it from there."
-)
 
 
 def warmup() -> None:

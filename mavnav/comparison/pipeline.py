@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from mavnav.batch.request import Setting
     from mavnav.config.models import Config
     from mavnav.config.options import ReplayOptions
-    from mavnav.jobs import Event
     from mavnav.jobs.run_cache import PlannedRun
+    from mavnav.jobs.worker import Event
     from mavnav.metrics.gates import Gate
     from mavnav.profiling import Progress
 

@@ -11,8 +11,8 @@ from mavnav.batch.request import Setting
 from mavnav.comparison.document import comparison_document, write_comparison
 from mavnav.config.loading import load_config
 from mavnav.errors import ExitCode
-from mavnav.jobs import Outcome, Status
 from mavnav.jobs.run_cache import PlannedRun
+from mavnav.jobs.worker import Outcome, Status
 from mavnav.outputs.files.document import plain
 from mavnav.pipelines.replay import ReplayRequest
 

@@ -7,26 +7,22 @@ from __future__ import annotations
 
 import difflib
 import re
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache, reduce
 from inspect import cleandoc
 from itertools import combinations
 from json import dumps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, get_args
+from typing import Any, TypeVar, get_args
 
 from msgspec import Meta, Struct, ValidationError, convert
 from msgspec.json import schema
 from msgspec.structs import fields as fields_of
 
-from mavnav.config.layers import Layer
+from mavnav.config.layers import Key, Layer
 from mavnav.config.models import Config, MethodName, PaperExpert, RobustExpert
 from mavnav.errors import ConfigError, missing
 from mavnav.units import MM
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
-
-    from mavnav.config.layers import Key
 
 Model = TypeVar("Model", bound=Struct)
 Part = TypeVar("Part")

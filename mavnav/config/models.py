@@ -9,15 +9,13 @@ Lengths and angles are in the paper's units and say so in their names. The bound
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args
 
 from msgspec import Meta, Struct, field, to_builtins
 from msgspec.structs import force_setattr, replace
 
 from mavnav.units import DEG, MM, MM2
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
 
 
 class Strict(Struct, frozen=True, forbid_unknown_fields=True):

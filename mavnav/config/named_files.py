@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import errno
 import stat
-from typing import TYPE_CHECKING, Any, Final
-
-if TYPE_CHECKING:
-    from pathlib import Path
+from pathlib import Path
+from typing import Any, Final
 
 MAX_JSON_BYTES: Final = 1 << 28
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from inspect import cleandoc
 from math import isfinite, pi
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeVar
 
 from mavnav.errors import UsageError
 from mavnav.units import LARGEST_COORDINATE_M
@@ -113,6 +115,29 @@ TRUTH: Final = ValueKind(str | None, str, lambda text, _: _restore_truth(text, P
 """A trajectory: a path, or a text that names a topic of the log."""
 
 
+PathType = TypeVar("PathType")
+"""What names a file: any name of one in Python, a path where options are read already."""
+
+KINDS: Final[dict[Any, Any]] = {
+    str | None: TEXT,
+    float | None: NUMBER,
+    int | None: COUNT,
+    bool: SWITCH,
+    Sequence[float] | None: POSE,
+    str | Sequence[float] | None: PLACE,
+    PathType | None: FILE,
+    PathType | str | None: TRUTH,
+}
+"""Type of an option in Python -> its kind."""
+
+
+def descriptions(docstring: str | None) -> tuple[str, dict[str, str]]:
+    """Split a docstring into what is before its parameters or attributes, and the descriptions of these by name."""
+    text, _, section, *_ = [*re.split(r"\n\n(Parameters|Attributes)\n-+\n", cleandoc(docstring or "")), "", ""]
+    entries = re.findall(r"^(\w+)\n((?: {4}.*\n?)+)", section, re.MULTILINE)
+    return text, {name: " ".join(lines.split()) for name, lines in entries}
+
+
 class Option(NamedTuple):
     """One option of a replay.
 
@@ -125,7 +150,6 @@ class Option(NamedTuple):
 
     panel: str
     usage: str
-    help: str
     setting: str = ""
     completer: str = ""
     recorded: bool = False
@@ -133,6 +157,7 @@ class Option(NamedTuple):
     manifest: bool = False
     reference: bool = False
     kind: ValueKind = TEXT
+    help: str = ""
 
     @property
     def flag(self) -> str:

@@ -6,166 +6,103 @@ repeat a run and the key of the run cache are all made from `OPTIONS`. No other 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Generic, TypedDict, TypeVar, cast, get_args, get_type_hints
+from typing import Annotated, Any, Final, Generic, TypedDict, cast, get_args, get_type_hints
 
-from mavnav.config.option_kinds import (
-    COUNT,
-    FILE,
-    NUMBER,
-    OUTPUT,
-    PLACE,
-    POSE,
-    SWITCH,
-    TEXT,
-    TOPICS,
-    TRUTH,
-    Check,
-    Input,
-    Option,
-    Search,
-)
+from mavnav.config.option_kinds import KINDS, OUTPUT, TOPICS, Check, Input, Option, PathType, Search, descriptions
 from mavnav.errors import UsageError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
 
 File = str | PathLike[str]
 """What names a file in Python."""
 
-PathType = TypeVar("PathType")
-"""What names a file: `File` in Python, a path where options are read already."""
-
 
 class SearchOptions(TypedDict, total=False):
-    """The method of a track and its search grid."""
+    """The method of a track and its search grid.
 
-    method: Annotated[str | None, Search("--method robust|paper", "SLAM method (default robust).", "method")]
-    grid: Annotated[str | None, Search("--grid NxM", "Points of the search grid in x and y (default 10x10).", "grid")]
-    azimuth: Annotated[
-        int | None, Search("--azimuth N", "Yaw samples of the search (default 2N for NxN, at most 40).", "azimuth")
-    ]
-    resolution_m: Annotated[
-        float | None,
-        Search(
-            "--resolution METERS", "Edge of a map cell (default that of the method: 0.02 with robust).", "resolution_m"
-        ),
-    ]
+    Attributes
+    ----------
+    method
+        SLAM method (default robust).
+    grid
+        Points of the search grid in x and y (default 10x10).
+    azimuth
+        Yaw samples of the search (default 2N for NxN, at most 40).
+    resolution_m
+        Edge of a map cell (default that of the method: 0.02 with robust).
+    """
+
+    method: Annotated[str | None, Search("--method robust|paper", "method")]
+    grid: Annotated[str | None, Search("--grid NxM", "grid")]
+    azimuth: Annotated[int | None, Search("--azimuth N", "azimuth")]
+    resolution_m: Annotated[float | None, Search("--resolution METERS", "resolution_m")]
 
 
 class ReplayOptions(SearchOptions, Generic[PathType], total=False):
-    """Options of a replay, in the order of the help; those that are not given are absent."""
+    """Options of a replay, in the order of the help; those that are not given are absent.
 
-    continue_from: Annotated[
-        PathType | None,
-        Input("--continue RUN", "Add the log to the map of a finished run, merge or continued run.", absent=True),
-    ]
-    topic: Annotated[
-        str | None,
-        Input(
-            "--topic NAME",
-            "Scan topic (default the only one); repeatable, to merge lasers by /tf_static.",
-            completer="scan_topics",
-            manifest=True,
-        ),
-    ]
-    start_s: Annotated[
-        float | None,
-        Input("--start SECONDS", "Start this many seconds after the first scan (default 0).", manifest=True),
-    ]
-    end_s: Annotated[
-        float | None,
-        Input("--end SECONDS", "Stop this many seconds after the first scan (default at the end).", manifest=True),
-    ]
-    odom: Annotated[
-        str | None,
-        Input(
-            "--odom auto|TOPIC|off",
-            "Odometry used as motion prior (robust only; default auto).",
-            "odom",
-            completer="odometry_topics",
-            recorded=True,
-        ),
-    ]
-    attitude: Annotated[
-        str | None,
-        Input(
-            "--attitude auto|TOPIC|off",
-            "Tilt and height of the laser, to level the scans by (default auto).",
-            "attitude",
-            completer="attitude_topics",
-        ),
-    ]
-    extrinsic: Annotated[
-        Sequence[float] | None,
-        Input("--extrinsic X,Y,YAW", "Pose of the laser on its base, m, m, rad (default from tf).", manifest=True),
-    ]
-    strict: Annotated[bool, Input("--strict", "Drop scans whose checksum does not match.", manifest=True)]
-    search: Annotated[
-        str | None,
-        Search(
-            "--search pruned|exhaustive",
-            "Exhaustive evaluates every pose of the grid: slower, same result (default pruned).",
-            "search",
-        ),
-    ]
-    deskew: Annotated[
-        str | None,
-        Search(
-            "--deskew auto|on|off",
-            "Correct scans for motion during the sweep (robust only; default auto).",
-            "robust.deskew",
-        ),
-    ]
-    loop_closure: Annotated[
-        str | None,
-        Search(
-            "--loop-closure auto|off", "Detect and close loops (default auto; ignored with --online).", "loop_closure"
-        ),
-    ]
-    online: Annotated[bool, Search("--online", "Causal mode: no loop closure, no final pass.", "final_pass")]
-    map: Annotated[PathType | None, Search("--map MAP", "Localize in this map (YAML or run) instead of mapping.")]
-    start_pose: Annotated[
-        Sequence[float] | None,
-        Search("--start-pose X,Y,YAW", "Approximate first pose in the map, m, m, rad (default searched for)."),
-    ]
+    Attributes
+    ----------
+    continue_from
+        Add the log to the map of a finished run, merge or continued run.
+    topic
+        Scan topic (default the only one); repeatable, to merge lasers by /tf_static.
+    start_s
+        Start this many seconds after the first scan (default 0).
+    end_s
+        Stop this many seconds after the first scan (default at the end).
+    odom
+        Odometry used as motion prior (robust only; default auto).
+    attitude
+        Tilt and height of the laser, to level the scans by (default auto).
+    extrinsic
+        Pose of the laser on its base, m, m, rad (default from tf).
+    strict
+        Drop scans whose checksum does not match.
+    search
+        Exhaustive evaluates every pose of the grid: slower, same result (default pruned).
+    deskew
+        Correct scans for motion during the sweep (robust only; default auto).
+    loop_closure
+        Detect and close loops (default auto; ignored with --online).
+    online
+        Causal mode: no loop closure, no final pass.
+    map
+        Localize in this map (YAML or run) instead of mapping.
+    start_pose
+        Approximate first pose in the map, m, m, rad (default searched for).
+    align
+        Turn the walls along the axes, or put the first pose there, m, m, rad (default walls in pictures alone).
+    truth
+        Ground-truth trajectory: ATE and RPE. A TUM file of the laser, or poses on a topic of the log.
+    truth_map
+        Ground-truth map: a scenario, or a map_server map.
+    relations
+        Ground-truth relations, one 't1 t2 x y z roll pitch yaw' a line.
+    """
+
+    continue_from: Annotated[PathType | None, Input("--continue RUN", absent=True)]
+    topic: Annotated[str | None, Input("--topic NAME", completer="scan_topics", manifest=True)]
+    start_s: Annotated[float | None, Input("--start SECONDS", manifest=True)]
+    end_s: Annotated[float | None, Input("--end SECONDS", manifest=True)]
+    odom: Annotated[str | None, Input("--odom auto|TOPIC|off", "odom", completer="odometry_topics", recorded=True)]
+    attitude: Annotated[str | None, Input("--attitude auto|TOPIC|off", "attitude", completer="attitude_topics")]
+    extrinsic: Annotated[Sequence[float] | None, Input("--extrinsic X,Y,YAW", manifest=True)]
+    strict: Annotated[bool, Input("--strict", manifest=True)]
+    search: Annotated[str | None, Search("--search pruned|exhaustive", "search")]
+    deskew: Annotated[str | None, Search("--deskew auto|on|off", "robust.deskew")]
+    loop_closure: Annotated[str | None, Search("--loop-closure auto|off", "loop_closure")]
+    online: Annotated[bool, Search("--online", "final_pass")]
+    map: Annotated[PathType | None, Search("--map MAP")]
+    start_pose: Annotated[Sequence[float] | None, Search("--start-pose X,Y,YAW")]
     align: Annotated[
-        str | Sequence[float] | None,
-        Option(
-            OUTPUT,
-            "--align walls|none|X,Y,YAW",
-            "Turn the walls along the axes, or put the first pose there, m, m, rad (default walls in pictures alone).",
-            absent=True,
-            manifest=True,
-        ),
+        str | Sequence[float] | None, Option(OUTPUT, "--align walls|none|X,Y,YAW", absent=True, manifest=True)
     ]
-    truth: Annotated[
-        PathType | str | None,
-        Check(
-            "--truth FILE.tum|auto|topic:NAME",
-            "Ground-truth trajectory: ATE and RPE. A TUM file of the laser, or poses on a topic of the log.",
-        ),
-    ]
-    truth_map: Annotated[
-        PathType | None, Check("--truth-map FILE.yaml", "Ground-truth map: a scenario, or a map_server map.")
-    ]
-    relations: Annotated[
-        PathType | None, Check("--relations FILE", "Ground-truth relations, one 't1 t2 x y z roll pitch yaw' a line.")
-    ]
+    truth: Annotated[PathType | str | None, Check("--truth FILE.tum|auto|topic:NAME")]
+    truth_map: Annotated[PathType | None, Check("--truth-map FILE.yaml")]
+    relations: Annotated[PathType | None, Check("--relations FILE")]
 
-
-_KINDS: Final[dict[Any, Any]] = {
-    str | None: TEXT,
-    float | None: NUMBER,
-    int | None: COUNT,
-    bool: SWITCH,
-    Sequence[float] | None: POSE,
-    str | Sequence[float] | None: PLACE,
-    PathType | None: FILE,
-    PathType | str | None: TRUTH,
-}
 
 TYPES: Final[dict[str, Any]] = {}
 """Name of an option -> its type in Python."""
@@ -173,9 +110,11 @@ TYPES: Final[dict[str, Any]] = {}
 OPTIONS: Final[dict[str, Option]] = {}
 """Name of an option, in Python and in documents -> the option, in the order of the help."""
 
+_HELP: Final = {**descriptions(SearchOptions.__doc__)[1], **descriptions(ReplayOptions.__doc__)[1]}
 for _name, _hint in get_type_hints(ReplayOptions, include_extras=True).items():
     TYPES[_name], _option = get_args(_hint)
-    OPTIONS[_name] = _option._replace(kind=TOPICS if _name == "topic" else _KINDS[TYPES[_name]])
+    _kind = TOPICS if _name == "topic" else KINDS[TYPES[_name]]
+    OPTIONS[_name] = _option._replace(kind=_kind, help=_HELP.get(_name, ""))
 
 SEARCHING: Final = tuple(SearchOptions.__annotations__)
 """Options of every track, of a log or of a mission."""

@@ -7,15 +7,13 @@ keys are errors.
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import yaml
 
 from mavnav.config.layers import Key, Layer
 from mavnav.errors import ConfigError
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 MAX_BYTES = 1_000_000
 MAX_DEPTH = 20

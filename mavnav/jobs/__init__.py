@@ -4,22 +4,3 @@ A job is a module-level function with its arguments; a worker process runs one j
 during a job, only this job is lost, and a new worker replaces it. Workers are forked on Linux and spawned elsewhere,
 and end when their parent dies. Their output to stdout and stderr is discarded.
 """
-
-from mavnav.jobs.pool import run_jobs, run_with_retries, usable_cores
-from mavnav.jobs.worker import Ended, Event, Job, Outcome, Progressed, Retried, Started, Status, attempt, failure
-
-__all__ = [
-    "Ended",
-    "Event",
-    "Job",
-    "Outcome",
-    "Progressed",
-    "Retried",
-    "Started",
-    "Status",
-    "attempt",
-    "failure",
-    "run_jobs",
-    "run_with_retries",
-    "usable_cores",
-]

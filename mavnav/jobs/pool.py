@@ -7,22 +7,19 @@ import pickle
 import signal
 import sys
 from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from itertools import chain
 from multiprocessing import connection, get_context
 from time import monotonic
-from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
 from mavnav.errors import ExitCode
 from mavnav.jobs.worker import Ended, Event, Job, Outcome, Retried, Started, Status, serve
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    Listener = Callable[[Event], None]
-    Run = Callable[[Sequence[Job], Listener], Sequence[Outcome]]
+Listener = Callable[[Event], None]
+Run = Callable[[Sequence[Job], Listener], Sequence[Outcome]]
 
 
 CONTEXT = get_context("fork") if sys.platform == "linux" else get_context("spawn")

@@ -5,29 +5,26 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from msgspec import MsgspecError, Struct, convert
 from msgspec.structs import asdict, replace
 
+from mavnav.config.models import Config
 from mavnav.config.named_files import read_json
 from mavnav.config.options import reference_files, run_options
 from mavnav.errors import ExitCode, OutputError
+from mavnav.ground_truth.references import References
 from mavnav.outputs.directory import RUN_FILE, check_link, file_sha256
 from mavnav.outputs.documents.run_json import RunDocument
 from mavnav.outputs.writers import REPORT_FILE
+from mavnav.pipelines.replay import ReplayRequest
 from mavnav.pipelines.score import ProgramRequest
 from mavnav.version import __version__
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mavnav.config.models import Config
-    from mavnav.ground_truth.references import References
-    from mavnav.pipelines.replay import ReplayRequest
 
 RUNS_FOLDER: Final = "cells"
 """Where in the directory of a comparison or a batch the directories of its runs are."""

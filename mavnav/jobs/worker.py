@@ -6,21 +6,17 @@ import os
 import pickle
 import signal
 import sys
+from collections.abc import Callable
 from enum import StrEnum
-from multiprocessing import parent_process
+from multiprocessing import connection, parent_process
 from threading import Thread
 from time import monotonic
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 from msgspec import Struct
 
 from mavnav.errors import ExitCode, MavnavError, lacks_memory
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from multiprocessing import connection
-
-    from mavnav.profiling import Progress
+from mavnav.profiling import Progress
 
 
 class Job(Struct, frozen=True):

@@ -9,17 +9,5 @@ from mavnav.logs.opening import choose, open_log
 from mavnav.logs.records import Damage, Odometry, ScanCounts, Topic
 from mavnav.logs.survey import Survey, motion_and_scan_topics, survey
 
-__all__ = [
-    "Damage",
-    "Log",
-    "Odometry",
-    "ScanCounts",
-    "Survey",
-    "Topic",
-    "check_log",
-    "choose",
-    "content_sha256",
-    "motion_and_scan_topics",
-    "open_log",
-    "survey",
-]
+__all__ = ["Damage", "Log", "Odometry", "ScanCounts", "Survey", "Topic"]
+__all__ += ["check_log", "choose", "content_sha256", "motion_and_scan_topics", "open_log", "survey"]

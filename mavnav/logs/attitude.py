@@ -3,35 +3,29 @@
 from __future__ import annotations
 
 from array import array
+from collections.abc import Callable, Iterable, Iterator
 from math import pi
-from typing import TYPE_CHECKING, Final, Literal, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from msgspec import Struct, field
+from numpy.typing import NDArray
 
 from mavnav.errors import TopicError
-from mavnav.logs.imu import single_precision, usual_topic
+from mavnav.logs.imu import ImuTrack, single_precision, usual_topic
 from mavnav.logs.levelling import MOST_RAD, RecordedAttitude
+from mavnav.logs.log import Log
 from mavnav.logs.messages.columns import merge
 from mavnav.logs.messages.definitions import IMU, ODOMETRY, POSE
+from mavnav.logs.messages.records import Poses
 from mavnav.logs.namespaces import laser_topics, of_same_robot
+from mavnav.logs.records import Channel, Topic
 from mavnav.logs.stamps import Stamps, in_order
-from mavnav.logs.transforms import frame_name
+from mavnav.logs.transforms import FrameTree, frame_name
 from mavnav.pose import ups_of_quaternions
 from mavnav.units import DEG, NS
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-
-    from numpy.typing import NDArray
-
-    from mavnav.logs.imu import ImuTrack
-    from mavnav.logs.log import Log
-    from mavnav.logs.messages.records import Poses
-    from mavnav.logs.records import Channel, Topic
-    from mavnav.logs.transforms import FrameTree
-
-    Floats = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 NAME: Final = "attitude"
 """The topic that ``auto`` uses however little the laser tilts."""
@@ -226,9 +220,8 @@ def _oddities(source: TopicAttitude, attitude: RecordedAttitude, stamps_ns: NDAr
         yield f"{text}; they are not used: record it for the whole log, or cut the log with --start and --end"
     tilts_rad = attitude.tilts_at(stamps_ns[known])
     if (steep := tilts_rad > MOST_RAD).any():
-        text = (
-            f"{int(steep.sum())} of {n} scans are tilted by more than 60 deg, by up to {tilts_rad.max() / DEG:.0f} deg"
-        )
+        most_deg = tilts_rad.max() / DEG
+        text = f"{int(steep.sum())} of {n} scans are tilted by more than 60 deg, by up to {most_deg:.0f} deg"
         yield f"{text}; they are not used, check its axes (x forward, z up) and the mounting"
     if source.kind != "imu" and not attitude.has_heights:
         yield "the heights (position.z) are not all above the floor; they are not used, and there are no slices"

@@ -5,16 +5,14 @@ from __future__ import annotations
 import hashlib
 import os
 from math import isfinite
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import Final
 
 from mavnav.errors import NoScansError, UsageError, lacks_memory, missing
 from mavnav.logs.formats import detect
 from mavnav.logs.formats.rosbag2 import METADATA, name_stem, part_number
 from mavnav.logs.formats.source import Source
 from mavnav.logs.read_report import ReadReport
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 _MOST_HOLES_BYTES: Final = 4 << 30
 """Holes take no space on the disk, but must be hashed as zeros; no recorder leaves any."""

@@ -1,27 +1,25 @@
-"""Poses of a frame by the transforms of a log, as tf2 looks them up: static ones, and moving ones interpolated."""
+"""Poses in a log: of a body as they came, and of a frame by the transforms.
+
+The latter as tf2 looks them up: static ones, and moving ones interpolated.
+"""
 
 from __future__ import annotations
 
-from collections import deque
-from typing import TYPE_CHECKING, Final, NamedTuple
+from array import array
+from collections.abc import Callable
+from typing import Final, NamedTuple
 
 import numpy as np
 from msgspec import Struct, field
+from numpy.typing import NDArray
 
 from mavnav.errors import TopicError
-from mavnav.logs.transforms import frame_name, planar
+from mavnav.logs.log import Log
+from mavnav.logs.messages.records import Poses
+from mavnav.logs.stamps import Stamps, clock_of, in_order, shift_s
+from mavnav.logs.transforms import Edge, FrameTree, frame_name, planar, planar_poses, shortest_way
 from mavnav.pose import Pose, Trajectory, between
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from mavnav.logs.log import Log
-    from mavnav.logs.pose_track import PoseTrack
-    from mavnav.logs.transforms import FrameTree
-
-    Edge = tuple[str, str]
+from mavnav.units import NS
 
 TF_PREFIX: Final = "tf:"
 """Begins the name of poses that are those of a frame: ``tf:MAP,FRAME``, or ``tf:MAP`` for the frame of the scans."""
@@ -66,7 +64,7 @@ class FramePoses(Struct):
     def paths(self, log: Log, warn: Callable[[str], None]) -> list[Transfer]:
         """Return the transforms on the way from the fixed frame to the body; raises TopicError without one."""
         still, fixed = self._still, self.fixed_frame
-        steps = _steps([*self.moving, *still], fixed, self.base_frame)
+        steps = shortest_way([*self.moving, *still], fixed, self.base_frame)
         if steps is None:
             known = ", ".join(sorted(self.names)) or "none"
             raise TopicError(f"no transforms lead from {fixed!r} to {self.base_frame!r}; frames of the log: {known}")
@@ -108,18 +106,43 @@ def _inverse(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     return between(poses, np.zeros_like(poses))
 
 
-def _steps(edges: list[Edge], start: str, end: str) -> list[tuple[Edge, bool]] | None:
-    """Return the shortest way between two frames, each step with whether it leads to the parent; None without one."""
-    neighbours: dict[str, list[tuple[str, Edge, bool]]] = {}
-    for parent, child in edges:
-        neighbours.setdefault(parent, []).append((child, (parent, child), False))
-        neighbours.setdefault(child, []).append((parent, (parent, child), True))
-    way: dict[str, list[tuple[Edge, bool]]] = {start: []}
-    queue = deque([start])
-    while queue and end not in way:
-        frame = queue.popleft()
-        for other, edge, upwards in neighbours.get(frame, []):
-            if other not in way:
-                way[other] = [*way[frame], (edge, upwards)]
-                queue.append(other)
-    return way.get(end)
+class PoseTrack(Struct):
+    """Poses of a body, frame ``base_frame``, in a fixed frame, as they came: 40 bytes each, with both stamps.
+
+    Those of a path came in one message, so that the time of recording says nothing about their clock.
+    """
+
+    topic: str
+    base_frame: str
+    stamps: Stamps = field(default_factory=Stamps)
+    xyyaw: array[float] = field(default_factory=lambda: array("d"))
+    unusable: int = 0
+    is_path: bool = False
+
+    def add(self, poses: Poses) -> None:
+        """Take in poses; those that are not finite, or have no orientation, are only counted."""
+        xyyaw, usable = planar_poses(poses)
+        self.unusable += int((~usable).sum())
+        self.stamps.extend(poses.stamps_ns[usable], poses.log_ns[usable])
+        self.xyyaw.frombytes(xyyaw[usable].tobytes())
+
+    def trajectory(self, log: Log, warn: Callable[[str], None]) -> tuple[Trajectory, float]:
+        """Return ``fixed_T_base`` by the clock of the scans, and the time that was added to its stamps for it, s.
+
+        Poses whose stamps do not ascend are left out. Stamps that are no times give way to those of recording.
+        """
+        stamps, recorded = self.stamps.by(log.stamp_source)
+        poses = np.array(self.xyyaw, dtype=np.float64).reshape(-1, 3)
+        if self.unusable:
+            text = f"{self.unusable} of {self.unusable + len(stamps)} poses are left out"
+            warn(f"{self.topic}: {text}, not finite or with a quaternion of zeros; see what publishes them")
+        if log.clock and len(stamps) > 1 and not np.ptp(stamps):
+            warn(f"{self.topic}: its stamps never change; the times of recording are used: see what publishes it")
+            stamps = recorded + round(log.clock.ahead_s / NS)
+        keep = in_order(stamps, recorded, self.topic, warn)
+        added_s = 0.0 if self.is_path else shift_s(clock_of(stamps[keep], recorded[keep]), log.clock)
+        if added_s:
+            ahead = "ahead of" if added_s < 0.0 else "behind"
+            text = f"{abs(added_s):.2f} s {ahead} those of the scans, by the times of recording, and corrected by that"
+            warn(f"{self.topic}: its stamps are {text}: synchronize the clocks")
+        return Trajectory(stamps[keep] + round(added_s / NS), poses[keep]), added_s

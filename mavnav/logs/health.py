@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable, Iterator
 from itertools import islice
 from math import ceil, inf
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
+from mavnav.logs.log import Log
+from mavnav.scan import LaserSpec, Scan
 from mavnav.units import DEG, NS, pluralize
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    from numpy.typing import NDArray
-
-    from mavnav.logs.log import Log
-    from mavnav.scan import LaserSpec, Scan
 
 MOST_SCANS: Final = 5000
 """The ranges of the first so many scans are examined: 0.1 s for 700 beams."""
@@ -82,7 +78,7 @@ def sensor_health(log: Log, far_m: float = inf) -> SensorHealth:
     sectors = _sectors(seen.covered & ~seen.returned) if len(seen.valid) >= SECTOR_SCANS else []
     usual = float(np.median(seen.valid)) if len(seen.valid) else 0.0
     findings = [
-        *_missing_returns(share, usual, partial, sectors, seen.stamps_ns),
+        *_missing_returns(share, usual, partial, sectors, seen),
         *_odd_returns(seen, far_m),
         *_times(log, jitter),
     ]
@@ -169,92 +165,72 @@ def _sectors(dead: NDArray[np.bool_]) -> list[tuple[float, float]]:
 
 
 def _missing_returns(
-    share: float,
-    median: float,
-    partial: NDArray[np.intp],
-    sectors: list[tuple[float, float]],
-    stamps_ns: NDArray[np.int64],
+    share: float, median: float, partial: NDArray[np.intp], sectors: list[tuple[float, float]], seen: _Seen
 ) -> Iterator[Finding]:
     if share < LEAST_SHARE or median < LEAST_BEAMS:
-        yield Finding(
-            "sparse",
-            f"{100 * share:.0f} % of the beams are valid, {median:.0f} a scan in the median",
-            "clean the window, see that walls are in range, and check range_min and range_max; turn slowly",
-        )
+        what = f"{100 * share:.0f} % of the beams are valid, {median:.0f} a scan in the median"
+        advice = "clean the window, see that walls are in range, and check range_min and range_max; turn slowly"
+        yield Finding("sparse", what, advice)
     early = partial[partial < FIRST_SCANS]
-    if len(early) or len(partial) > SOME_SHARE * len(stamps_ns):
+    if len(early) or len(partial) > SOME_SHARE * len(seen.stamps_ns):
         where = ", at the beginning" if len(early) == len(partial) else ""
-        until_s = (stamps_ns[partial[-1]] - stamps_ns[0]) * NS
-        yield Finding(
-            "partial",
-            f"less than half of the valid beams of their neighbors in {pluralize(len(partial), 'scan')}{where}, "
-            f"the last after {until_s:.1f} s",
-            "record once the laser turns at full speed, and keep its view free; a replay begins its map after them"
-            if len(early)
-            else "keep the view of the laser free, and check its power and cable",
-        )
+        what = f"less than half of the valid beams of their neighbors in {pluralize(len(partial), 'scan')}{where}"
+        until_s = (seen.stamps_ns[partial[-1]] - seen.stamps_ns[0]) * NS
+        advice = "keep the view of the laser free, and check its power and cable"
+        if len(early):
+            advice = (
+                "record once the laser turns at full speed, and keep its view free; a replay begins its map after them"
+            )
+        yield Finding("partial", f"{what}, the last after {until_s:.1f} s", advice)
     if sectors:
         named = [f"{a:.0f} to {b if b <= 360.0 else b - 360.0:.0f} deg" for a, b in sectors[:4]]
-        where = ", ".join(named) + ", ..." * (len(sectors) > 4)
-        yield Finding(
-            "dead_sectors",
-            f"no valid return in any scan at {where}",
-            "see what hides them or whether nothing is in range there; if the robot hides them, nothing is to be done",
+        what = f"no valid return in any scan at {', '.join(named)}" + ", ..." * (len(sectors) > 4)
+        advice = (
+            "see what hides them or whether nothing is in range there; if the robot hides them, nothing is to be done"
         )
+        yield Finding("dead_sectors", what, advice)
 
 
 def _odd_returns(seen: _Seen, far_m: float) -> Iterator[Finding]:
     scans = len(seen.valid)
     range_m, count = next(iter(seen.largest_m.most_common(1)), (0.0, 0))
     if scans >= SECTOR_SCANS and count > SAME_SCANS * scans:
-        yield Finding(
-            "saturated",
-            f"in {count} of {scans} scans many beams have the same largest range, {range_m:g} m",
-            f"if that stands for no return, replay with --set robust.far_mm={1e3 * range_m - 1.0:g}",
-        )
+        what = f"in {count} of {scans} scans many beams have the same largest range, {range_m:g} m"
+        advice = f"if that stands for no return, replay with --set robust.far_mm={1e3 * range_m - 1.0:g}"
+        yield Finding("saturated", what, advice)
     share = seen.far / max(int(seen.valid.sum()), 1)
-    if share > FAR_SHARE:
-        beyond = f"farther than {far_m:g} m, up to {seen.farthest_m:.0f} m"
-        yield Finding(
-            "far",
-            f"{100 * share:.0f} % of the returns are {beyond}" + (", and not used" if share <= MOST_FAR else ""),
-            "if they are walls, replay with a larger robust.far_mm, in mm (--set)"
-            if share <= MOST_FAR
-            else "a replay uses them, too, up to range_max",
-        )
+    what = f"{100 * share:.0f} % of the returns are farther than {far_m:g} m, up to {seen.farthest_m:.0f} m"
+    if share > MOST_FAR:
+        yield Finding("far", what, "a replay uses them, too, up to range_max")
+    elif share > FAR_SHARE:
+        advice = "if they are walls, replay with a larger robust.far_mm, in mm (--set)"
+        yield Finding("far", f"{what}, and not used", advice)
 
 
 def _times(log: Log, jitter: float) -> Iterator[Finding]:
     if log.gaps:
         longest = max(gap.duration_s for gap in log.gaps)
-        yield Finding(
-            "gaps",
-            f"{pluralize(len(log.gaps), 'gap')} between scans, the longest {longest:.2f} s",
-            "see whether the recorder or the network drops scans: record on the robot, with a larger buffer",
-        )
+        what = f"{pluralize(len(log.gaps), 'gap')} between scans, the longest {longest:.2f} s"
+        advice = "see whether the recorder or the network drops scans: record on the robot, with a larger buffer"
+        yield Finding("gaps", what, advice)
     if log.period_s * SLOW_HZ > 1.0:
         yield Finding("slow", f"only {1.0 / log.period_s:.2f} scans a second", "record odometry, or move slowly")
     kinds = ("backward_stamp", "duplicate_stamp", "impossible_stamp")
     odd = {kind: log.counts.skipped[kind] for kind in kinds if log.counts.skipped.get(kind)}
     if odd or log.stamp_source == "log":
-        kinds_of_stamps = ", ".join(pluralize(count, kind.replace("_", " ")) for kind, count in odd.items())
-        yield Finding(
-            "stamps",
-            kinds_of_stamps or "the stamps of the scans are unusable, the times of recording are used",
-            "check the clock of the driver: it jumps, stands still, or two drivers publish on the topic",
-        )
+        what = ", ".join(pluralize(count, kind.replace("_", " ")) for kind, count in odd.items())
+        what = what or "the stamps of the scans are unusable, the times of recording are used"
+        advice = "check the clock of the driver: it jumps, stands still, or two drivers publish on the topic"
+        yield Finding("stamps", what, advice)
     sensor, turn_s = log.sensor, log.sensor.usual_turn_s(log.period_s)
     if sensor.time_increment_s and log.period_s and not sensor.has_plausible_sweep(log.period_s):
+        what = f"time_increment is {sensor.time_increment_s:.3g} s, a turn in {sensor.stated_turn_s:.3g} s"
+        advice = f"set time_increment to {sensor.turning_in(turn_s).time_increment_s:.3g} s in the driver"
         yield Finding(
             "sweep",
-            f"time_increment is {sensor.time_increment_s:.3g} s, a turn in {sensor.stated_turn_s:.3g} s, but the scans "
-            f"come every {log.period_s:.3g} s",
-            f"if the laser turns once a scan, set time_increment to {sensor.turning_in(turn_s).time_increment_s:.3g} s "
-            "in the driver; a replay tries that",
+            f"{what}, but the scans come every {log.period_s:.3g} s",
+            f"if the laser turns once a scan, {advice}; a replay tries that",
         )
     if jitter > JITTER:
-        yield Finding(
-            "jitter",
-            f"stamps jitter by {100 * jitter:.0f} % of the period (90th percentile)",
-            "stamp scans by the laser's clock instead of on arrival",
-        )
+        what = f"stamps jitter by {100 * jitter:.0f} % of the period (90th percentile)"
+        yield Finding("jitter", what, "stamp scans by the laser's clock instead of on arrival")

@@ -3,28 +3,23 @@
 from __future__ import annotations
 
 from array import array
-from typing import TYPE_CHECKING, Final
+from collections.abc import Callable, Iterable
+from typing import Final
 
 import numpy as np
 from msgspec import Struct, field
+from numpy.typing import NDArray
 
+from mavnav.logs.log import Log
 from mavnav.logs.messages.columns import merge
+from mavnav.logs.messages.records import Measurements
 from mavnav.logs.namespaces import laser_topics, of_same_robot
 from mavnav.logs.records import Imu
-from mavnav.logs.stamps import Stamps, in_order
+from mavnav.logs.stamps import Stamps, StampSource, in_order
 from mavnav.pose import Rotation, ups_of_quaternions
 from mavnav.units import NS
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
-    from numpy.typing import NDArray
-
-    from mavnav.logs.log import Log
-    from mavnav.logs.messages.records import Measurements
-    from mavnav.logs.stamps import StampSource
-
-    Floats = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 USUAL_NAMES: Final = ("/imu/data", "/imu", "/imu/data_raw")
 """Of several topics of a robot the first of these is used."""
@@ -112,12 +107,8 @@ def usual_topic(names: list[str], scan_topic: str, scan_topics: Iterable[str]) -
     Of those of its robot it is the first of the usual names, or the only one.
     """
     own = of_same_robot(names, scan_topic, scan_topics)
-    usual = (
-        name
-        for end in USUAL_NAMES
-        for name in own
-        if name.endswith(end) and scan_topic.startswith(f"{name.removesuffix(end)}/")
-    )
+    named = ((name, name.removesuffix(end)) for end in USUAL_NAMES for name in own if name.endswith(end))
+    usual = (name for name, space in named if scan_topic.startswith(f"{space}/"))
     return next(usual, own[0] if len(own) == 1 else None)
 
 

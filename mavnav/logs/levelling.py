@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from itertools import islice
 from math import inf
-from typing import TYPE_CHECKING, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
-from mavnav.scan import level_scan
+from mavnav.scan import Scan, level_scan
 from mavnav.units import DEG, NS
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from numpy.typing import NDArray
-
-    from mavnav.scan import Scan
-
-    Floats = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 GAP_NS: Final = 500_000_000
 """Scans farther in time from the nearest attitude have none; attitudes are interpolated over twice as much."""

@@ -2,37 +2,31 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, Literal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Final, Literal
 
 import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from mavnav.logs.formats import detect
+from mavnav.logs.levelling import RecordedAttitude
 from mavnav.logs.merging import Mounted, virtual_scans
 from mavnav.logs.messages.decode import decoder, scan_topic
-from mavnav.logs.messages.records import DecodeError
+from mavnav.logs.messages.records import DecodeError, LaserMessage
 from mavnav.logs.namespaces import topic_and_frame
 from mavnav.logs.preprocessing import ScanFilter
 from mavnav.logs.read_report import ReadReport
+from mavnav.logs.records import Channel, Damage, Gap, Imu, Odometry, RecordedTruth, ScanCounts, Topic
 from mavnav.logs.segments import Recorded, SweepJoiners
+from mavnav.logs.stamps import Clock, StampSource
 from mavnav.logs.topic_scans import KEPT_BYTES
 from mavnav.pose import Pose
 from mavnav.profiling import Stage, each
 from mavnav.scan import LONGEST_SWEEP, LaserSpec, Scan
 from mavnav.units import NS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from mavnav.logs.clocks import Clock
-    from mavnav.logs.levelling import RecordedAttitude
-    from mavnav.logs.messages.records import LaserMessage
-    from mavnav.logs.records import Channel, Damage, Gap, Imu, Odometry, RecordedTruth, ScanCounts, Topic
-    from mavnav.logs.stamps import StampSource
 
 _MOST_WAITING: Final = 64
 _WAITING_BYTES: Final = 64 << 20

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from math import copysign, hypot, inf, isfinite, tau
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
+from mavnav.pose import Pose
 from mavnav.scan import LaserSpec, Scan, nearest_returns, on_bearings
 from mavnav.units import NS
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from mavnav.pose import Pose
-
-    Floats = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 FRAME: Final = "merged_lasers"
 """The frame of virtual scans: that of the base."""

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from itertools import takewhile
 from string import digits
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from mavnav.logs.messages.definitions import FOXGLOVE_SCAN, MULTI_ECHO, SCAN
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from mavnav.logs.records import Topic
+from mavnav.logs.records import Topic
 
 FRAME: Final = "@"
 """Between a topic and a frame, where one topic has the scans of several lasers; no ROS name contains it."""

@@ -6,21 +6,18 @@ can have reached, while the motion before and after them is right.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
 from mavnav.pose import Pose, Trajectory, motions
 from mavnav.units import NS, pluralize
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    Steps = NDArray[np.float64]
+Steps = NDArray[np.float64]
 
 SLACK: Final = np.array((0.1, 0.15))
 """Error of a step, m and rad, as quantized encoders and stamps that jitter have it."""
@@ -127,13 +124,10 @@ def _chains(odom_T_base: Trajectory, usual: Steps) -> Iterator[list[int]]:
     for k, pose in enumerate(poses):
         ends = [chain for chain in ends[-MOST_OPEN:] if stamps_s[k] - stamps_s[chain[-1]] <= CLOSED_S]
         steps = [(poses[chain[-1]].gap(pose), chain) for chain in ends]
-        fit = [
-            (away_m, chain)
-            for (away_m, turned_rad), chain in steps
-            if _is_reachable(
-                np.array((away_m, turned_rad)), stamps_s[k] - stamps_s[chain[-1]], _speed(poses, stamps_s, chain, usual)
-            )
-        ]
+        fit = []
+        for size, chain in steps:
+            speed, elapsed_s = _speed(poses, stamps_s, chain, usual), stamps_s[k] - stamps_s[chain[-1]]
+            fit += [(size[0], chain)] if _is_reachable(np.array(size), elapsed_s, speed) else []
         if fit:
             nearest = min(fit, key=lambda pair: pair[0])[1]
             nearest.append(k)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import Final
 
 from msgspec.structs import replace
 
@@ -16,21 +18,15 @@ from mavnav.logs.merging import FRAME, partners, virtual_laser
 from mavnav.logs.messages.decode import LASER_TYPES, scan_topics
 from mavnav.logs.messages.other_scans import OTHER_TYPES
 from mavnav.logs.namespaces import topic_and_frame
-from mavnav.logs.periods import comes_in_bursts, period_and_gaps
 from mavnav.logs.preprocessing import KINDS
 from mavnav.logs.records import ScanCounts
+from mavnav.logs.stamps import comes_in_bursts, period_and_gaps
 from mavnav.logs.survey import Survey, survey
-from mavnav.logs.topic_scans import REPEATED_SHARE
+from mavnav.logs.topic_scans import REPEATED_SHARE, Timeline, TopicScans
 from mavnav.logs.trajectories import laser_odometry, laser_truth
 from mavnav.logs.transforms import frame_name, mounting, transforms_for
 from mavnav.pose import Pose
 from mavnav.units import NS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-    from pathlib import Path
-
-    from mavnav.logs.topic_scans import Timeline, TopicScans
 
 LEAST_CONSTANT: Final = 10
 """Number of scans of one stamp, besides the first, that make no log."""
@@ -120,10 +116,9 @@ def choose(
     if timeline.first is None:
         raise NoScansError(_no_usable(survey, name, scans, timeline))
     if timeline.skipped["duplicate_stamp"] >= scans.total - 1 >= LEAST_CONSTANT:
-        raise NoScansError(
-            f"{survey.path}: all {scans.total} scans on {name} have one stamp and one time of recording; nothing "
-            "tells when they were taken: record the log again, and check the clock of the driver"
-        )
+        what = f"all {scans.total} scans on {name} have one stamp and one time of recording"
+        advice = "nothing tells when they were taken: record the log again, and check the clock of the driver"
+        raise NoScansError(f"{survey.path}: {what}; {advice}")
     sensor, frame_id = timeline.first
     period_s, gaps = period_and_gaps(timeline.stamps_ns)
     skipped = dict(sorted((scans.refused + timeline.skipped).items()))
@@ -272,16 +267,13 @@ def _scan_warnings(log: Log) -> Iterator[str]:
         if reason != "outside_window":
             yield f"{log.topic}: {count} of {counts.total} scans skipped: {reason.replace('_', ' ')}"
     if counts.repeated > REPEATED_SHARE * counts.usable:
-        yield (
-            f"{log.topic}: {counts.repeated} of {counts.usable} scans repeat the one before: right at rest in a "
-            "simulation without noise; else the track is wrong there: check the driver, or cut the log with --start "
-            "and --end"
-        )
+        text = f"{log.topic}: {counts.repeated} of {counts.usable} scans repeat the one before"
+        meaning = "right at rest in a simulation without noise; else the track is wrong there"
+        yield f"{text}: {meaning}: check the driver, or cut the log with --start and --end"
     if comes_in_bursts(log.stamps_ns):
-        yield (
-            f"{log.topic}: the stamps come in bursts, less than 5 ms apart, of scans that were taken every "
-            f"{log.period_s * 1e3:.0f} ms: velocities are uncertain; stamp scans by the laser's clock"
-        )
+        text = f"less than 5 ms apart, of scans that were taken every {log.period_s * 1e3:.0f} ms"
+        advice = "velocities are uncertain; stamp scans by the laser's clock"
+        yield f"{log.topic}: the stamps come in bursts, {text}: {advice}"
 
 
 def _with_motion(log: Log, survey: Survey, odom: str, extrinsic: Pose | None, *, upside_down: bool = False) -> Log:
@@ -289,22 +281,18 @@ def _with_motion(log: Log, survey: Survey, odom: str, extrinsic: Pose | None, *,
     motion, warnings = survey.motion, [*log.warnings, *_scan_warnings(log)]
     laser = frame_name((log._merged or (log,))[0].frame_id)  # noqa: SLF001  the log is made here
     frames = transforms_for(motion.frames, log.topic, survey.lasers)
-    track = motion.odometry.choose(
-        odom,
-        warnings.append,
-        lambda base: bool(base) and frames.find(base, laser) is not None,
-        log.topic,
-        survey.lasers,
-    )
+
+    def leads_to_laser(base: str) -> bool:
+        return bool(base) and frames.find(base, laser) is not None
+
+    track = motion.odometry.choose(odom, warnings.append, leads_to_laser, log.topic, survey.lasers)
     bases = [track.base_frame] if track and track.base_frame else frames.bases(laser)
     place, of_mounting = len(warnings), list[str]()
     mounted = mounting(frames, log.frame_id, bases, of_mounting.append)
     base_frame, base_T_laser, overhead = mounted or (bases[0] if track else None, None, False)
     if mounted and not extrinsic and frames.contradicts(mounted.base_frame, laser):
-        warnings.append(
-            f"/tf_static gives several transforms from {base_frame!r} to {log.frame_id!r}; the last is used: see what "
-            "publishes them, or give the mounting with --extrinsic x,y,yaw"
-        )
+        text = f"/tf_static gives several transforms from {base_frame!r} to {log.frame_id!r}; the last is used"
+        warnings.append(f"{text}: see what publishes them, or give the mounting with --extrinsic x,y,yaw")
     if overhead and not upside_down:
         done = "turned over (not with --extrinsic x,y,yaw)"
         if extrinsic:
@@ -313,10 +301,8 @@ def _with_motion(log: Log, survey: Survey, odom: str, extrinsic: Pose | None, *,
         warnings.append(f"{text}; its scans are {done}")
     base_T_laser = extrinsic or base_T_laser
     if base_frame and base_T_laser is None and frames.moves(base_frame, laser):
-        warnings.append(
-            f"the transform from {base_frame!r} to {log.frame_id!r} moves; give where the laser mostly is with "
-            "--extrinsic x,y,yaw"
-        )
+        text = f"the transform from {base_frame!r} to {log.frame_id!r} moves"
+        warnings.append(f"{text}; give where the laser mostly is with --extrinsic x,y,yaw")
     odometry = laser_odometry(track, log, base_frame, base_T_laser, warnings.append) if track else None
     log = replace(log, upside_down=upside_down or (overhead and extrinsic is None))
     attitude = laser_attitude(motion.attitudes, motion.imus, frames, log, warnings.append)

@@ -2,25 +2,21 @@
 
 A range is classified in the order of REP-117: within the limits it is valid, else -inf is too close, +inf is nothing
 in range, NaN is erroneous. Drivers older than the REP put 0, negative values and values beyond the limits. Whatever is
-not valid becomes NaN, and is counted by kind.
+not valid becomes NaN, and is counted by kind. LaserScan is in meters, but some drivers write centimeters or
+millimeters.
 """
 
 from __future__ import annotations
 
-from math import isfinite, isnan, nextafter, tau
-from typing import TYPE_CHECKING, Final
+from collections.abc import Callable
+from math import inf, isfinite, isnan, nextafter, tau
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mavnav.logs.range_units import FARTHEST_M, RangeUnits, decimeters
+from mavnav.logs.messages.records import LaserMessage
 from mavnav.scan import LaserSpec
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from mavnav.logs.messages.records import LaserMessage
 
 KINDS: Final = ("valid", "zero", "below_min", "above_max", "nan", "plus_inf", "minus_inf", "negative")
 
@@ -113,12 +109,10 @@ class ScanFilter:
         self._units.look_at(message)
         message = self._with_step(message)
         if reason := _refusal(message):
-            turn = abs(message.angle_step_rad) * (len(message.ranges_m) - 1)
-            if reason == "impossible_geometry" and 20.0 < turn <= 400.0:
-                self._turns = (
-                    f"{len(message.ranges_m)} beams of angle_increment {message.angle_step_rad:g} are more than a turn:"
-                    " the angles look like degrees, and LaserScan is in radians"
-                )
+            beams, step_rad = len(message.ranges_m), message.angle_step_rad
+            if reason == "impossible_geometry" and 20.0 < abs(step_rad) * (beams - 1) <= 400.0:
+                what = f"{beams} beams of angle_increment {step_rad:g} are more than a turn"
+                self._turns = f"{what}: the angles look like degrees, and LaserScan is in radians"
             return reason
         message = self._thin(message)
         spec = self._spec_of(message)
@@ -229,3 +223,88 @@ def _geometry(spec: LaserSpec) -> tuple[float, float, int]:
 
 def _finite_or_zero(seconds: float) -> float:
     return seconds if isfinite(seconds) else 0.0
+
+
+FARTHEST_M: Final = 250.0
+"""No planar laser sees farther; a reading beyond is no return, whatever the limits say."""
+
+LOOKED_AT: Final = 20
+"""So many scans decide on the unit of the ranges."""
+
+UNITS: Final = {"centimeters": 100, "millimeters": 1000}
+"""Units that are not meters, and how many of each are a meter."""
+
+REACHES_M: Final = (2.5, 130.0)
+BLIND_M: Final = 0.6
+"""Maximum ranges that planar lasers have, and largest minimum range, m."""
+
+FARTHEST_BLIND_M: Final = 1.0
+"""Lasers with a minimum range of so much, m, are as good as unknown; those of 0.1 m in decimeters are not."""
+
+FAR_SHARE: Final = 0.5
+"""Share of the ranges beyond ``FARTHEST_M`` above which they are in no meters."""
+
+FARTHEST_QUANTILE: Final = 0.9
+"""Quantile of the ranges that the limits include if both are in one unit."""
+
+
+class RangeUnits:
+    """What the first scans of a topic show of the unit of their ranges and limits."""
+
+    def __init__(self) -> None:
+        self._scans, self._far, self._positive = 0, 0, 0
+        self._limits = (0.0, inf)
+        self._reaches: list[float] = []
+
+    def look_at(self, message: LaserMessage) -> None:
+        """Count what is too far; the farthest value of a scan may be a driver's word for no return."""
+        if self._scans == LOOKED_AT:
+            return
+        self._scans += 1
+        ranges = message.ranges_m
+        finite = ranges[np.isfinite(ranges) & (ranges > 0)]
+        far = finite[finite > FARTHEST_M]
+        self._positive += len(finite)
+        self._far += int(np.count_nonzero(far < far.max())) if len(far) else 0
+        self._limits = message.range_min_m, message.range_max_m
+        if len(finite):
+            self._reaches.append(float(np.quantile(finite, FARTHEST_QUANTILE)))
+
+    @property
+    def doubt(self) -> str:
+        """Why the ranges are in no meters, and what to do; empty where they may be."""
+        low, high = self._limits
+        far = self._far > FAR_SHARE * self._positive
+        reach = float(np.median(self._reaches)) if self._reaches else 0.0
+        odd_limits = BLIND_M < low < 0.5 * reach and 2 * FARTHEST_M < high < inf
+        if not (far or odd_limits):
+            return ""
+        units = self._units(reach)
+        limits_text = f"range_min and range_max are {low:g} and {high:g}"
+        what = "more than half of the ranges lie beyond 250 m" if far else limits_text
+        divisors = " or ".join(str(UNITS[unit]) for unit in units)
+        limits = ", not the limits" if _is_a_laser(low, high) else ", range_min and range_max too"
+        return f"{what}: they look like {' or '.join(units)}, not meters; divide them by {divisors}{limits}"
+
+    def _units(self, reach: float) -> list[str]:
+        """Return the units that limits and ranges may be in; all if they contradict each other."""
+        low, high = self._limits
+        fit = [unit for unit, count in UNITS.items() if _is_a_laser(low / count, high / count)]
+        if _is_a_laser(low, high):  # the limits are in meters: the ranges alone are not
+            fit = [unit for unit, count in UNITS.items() if reach / count <= high][:1]
+        return fit or [*UNITS]
+
+
+def decimeters(low: float, high: float) -> str:
+    """Return what limits say that may be in decimeters, where hardly a laser is blind so far; else empty."""
+    if not (low >= FARTHEST_BLIND_M and _is_a_laser(low / 10, high / 10)):
+        return ""
+    return (
+        f"range_min and range_max are {low:g} and {high:g}, and hardly a laser is blind so far: if the walls come out "
+        "ten times too far, these and the ranges are in decimeters; divide them by 10"
+    )
+
+
+def _is_a_laser(low_m: float, high_m: float) -> bool:
+    """Return whether a laser may have these limits."""
+    return REACHES_M[0] <= high_m <= REACHES_M[1] and low_m <= BLIND_M

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from operator import ne
-from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
 from mavnav.logs.messages.definitions import CLOUD, FOXGLOVE_SCAN, IMU, MULTI_ECHO, ODOMETRY, SCAN, TF, TF_ROS1
-from mavnav.logs.records import Damage
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from mavnav.logs.records import AttachedFile, Channel, MetadataRecord, Schema
+from mavnav.logs.records import AttachedFile, Channel, Damage, MetadataRecord, Schema
 
 MAX_DAMAGE = 100
 """Damage is listed singly up to here, so that a log of rubbish does not fill the memory; the rest is counted."""

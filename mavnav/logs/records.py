@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, Literal, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-if TYPE_CHECKING:
-    from mavnav.logs.odometry_chains import LeftOut
-    from mavnav.pose import Rotation, Trajectory
+from mavnav.logs.odometry_chains import LeftOut
+from mavnav.pose import Rotation, Trajectory
 
 
 class Schema(Struct, frozen=True):

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import chain, pairwise
 from math import pi, tau
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
+from mavnav.logs.messages.records import LaserMessage
 from mavnav.logs.preprocessing import LONGEST_SWEEP_S, MOST_BEAMS
 from mavnav.scan import PLAUSIBLE_SWEEP
 from mavnav.units import DEG, NS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from mavnav.logs.messages.records import LaserMessage
 
 LOOKED_AT: Final = 8
 """So many messages decide whether they are segments."""
@@ -96,10 +93,8 @@ class SweepJoiner:
         if self._joins and self._waiting:
             yield self._sweep()
         if self._incomplete:
-            text = (
-                f"segments are missing in {self._incomplete} of {self._sweeps} sweeps, whose beams there have no return"
-            )
-            self._warn(f"{self._topic}: {text}: see whether the recorder or the network drops messages")
+            text = f"segments are missing in {self._incomplete} of {self._sweeps} sweeps, whose beams there have no"
+            self._warn(f"{self._topic}: {text} return: see whether the recorder or the network drops messages")
         elif self._elsewhere > max(FEWEST_SHARE * self._scans, LOOKED_AT // 2):
             text = "the angles of the scans change from one to the next, as of segments that do not follow each other"
             self._warn(f"{self._topic}: {text}; they are used one by one: record the full frame of the laser")

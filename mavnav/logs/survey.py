@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from functools import partial
+from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from msgspec import Struct, field
 from msgspec.structs import replace
@@ -16,11 +18,10 @@ from mavnav.logs.attitude import AttitudeTracks
 from mavnav.logs.content import check_file, check_files, check_window, size_and_sha256, unreadable
 from mavnav.logs.formats import detect
 from mavnav.logs.imu import ImuTrack
-from mavnav.logs.messages.decode import decoder, is_laser, scan_topic, scan_topics
+from mavnav.logs.messages.decode import Waiting, decoder, is_laser, scan_topic, scan_topics
 from mavnav.logs.messages.definitions import IMU, ODOMETRY, PATH, POSE
 from mavnav.logs.messages.other_scans import OTHER_TYPES
 from mavnav.logs.messages.records import DecodeError
-from mavnav.logs.messages.waiting import Waiting
 from mavnav.logs.namespaces import FRAME, laser_topics, namespace
 from mavnav.logs.preprocessing import ScanFilter
 from mavnav.logs.read_report import ReadReport
@@ -30,10 +31,6 @@ from mavnav.logs.topic_scans import TopicScans
 from mavnav.logs.trajectories import OdometryTracks, TruthTracks
 from mavnav.logs.transforms import FrameTree
 from mavnav.profiling import timed
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-    from pathlib import Path
 
 _PROGRESS_STEPS = 200
 _MOST_WAITING_BYTES, _OVERHEAD_BYTES = 4 << 20, 100
@@ -169,9 +166,8 @@ class _Pass(Struct):
         if topic is None and is_laser(channel):
             return kind
         if topic is not None and topic not in self.scans and len(self.scans) >= MOST_SCAN_TOPICS:
-            self.report.warn(
-                f"more than {MOST_SCAN_TOPICS} topics have scans; others are left out, name one by --topic"
-            )
+            text = f"more than {MOST_SCAN_TOPICS} topics have scans"
+            self.report.warn(f"{text}; others are left out, name one by --topic")
             return kind
         try:
             kind.decode = decoder(channel, poses=self.motion.takes(channel), topic=topic)

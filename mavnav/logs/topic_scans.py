@@ -5,23 +5,19 @@ from __future__ import annotations
 from array import array
 from collections import Counter
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
-from mavnav.logs.clocks import Clock, clock_of, other_unit_text, set_back_text, set_forward_text
-from mavnav.logs.preprocessing import KINDS
-from mavnav.logs.stamps import Stamps, StampSource, ascending, better_order, impossible_stamps
+from mavnav.logs import stamps
+from mavnav.logs.messages.records import LaserMessage
+from mavnav.logs.preprocessing import KINDS, ScanFilter
+from mavnav.logs.stamps import Clock, Stamps, StampSource, clock_of
+from mavnav.scan import LaserSpec
 from mavnav.units import NS
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mavnav.logs.messages.records import LaserMessage
-    from mavnav.logs.preprocessing import ScanFilter
-    from mavnav.scan import LaserSpec
 
 Window = tuple[float | None, float | None]
 
@@ -122,14 +118,14 @@ class TopicScans(Struct):
     def of_frame(self, frame: str) -> TopicScans:
         """Return the scans of one laser; those that are not usable are of no frame."""
         numbers = [k for k, kind in enumerate(self._kind) if self._kinds[kind][1] == frame]
-        stamps, beams = Stamps(), np.array(self._cleaning, np.int64).reshape(-1, len(KINDS))
+        own, beams = Stamps(), np.array(self._cleaning, np.int64).reshape(-1, len(KINDS))
         for k in numbers:
-            stamps.add(self._stamps.header_ns[k], self._stamps.log_ns[k])
+            own.add(self._stamps.header_ns[k], self._stamps.log_ns[k])
         return TopicScans(
             self.scan_filter,
             len(numbers),
             ranges=None if self.ranges is None else [self.ranges[k] for k in numbers],
-            _stamps=stamps,
+            _stamps=own,
             _kind=array("I", [self._kind[k] for k in numbers]),
             _suspect=bytearray(self._suspect[k] for k in numbers),
             _content=array("q", [self._content[k] for k in numbers]),
@@ -165,30 +161,30 @@ class TopicScans(Struct):
         backward = self._count_skipped("header", header)["backward_stamp"] if len(header) < len(log) else 0
         set_back = min(backward, len(log) - len(header)) > max(_MOST_BACKWARD * len(log), _FEW_BACKWARD)
         if set_back or 2 * len(header) < len(log):
-            return set_back_text(stamps_ns[log], log_ns[log])
+            return stamps.set_back_text(stamps_ns[log], log_ns[log])
         chosen = stamps_ns[header], log_ns[header]
-        return set_forward_text(*chosen) or other_unit_text(*chosen)
+        return stamps.set_forward_text(*chosen) or stamps.other_unit_text(*chosen)
 
     def _choose(self, source: StampSource) -> NDArray[np.int64]:
         """Return the numbers of the scans to use, in the order of the file, or of recording where that keeps more."""
         stamps_ns, log_ns = self._stamps.by(source)
-        possible = np.flatnonzero(~impossible_stamps(stamps_ns) & self._plausible())
-        return better_order(possible, log_ns, lambda numbers: self._ascending(stamps_ns, numbers))
+        possible = np.flatnonzero(~stamps.impossible_stamps(stamps_ns) & self._plausible())
+        return stamps.better_order(possible, log_ns, lambda numbers: self._ascending(stamps_ns, numbers))
 
     def _ascending(self, stamps_ns: NDArray[np.int64], numbers: NDArray[np.int64]) -> NDArray[np.int64]:
         """Choose the most scans of ascending stamps; no sound one is left out for a suspect one."""
         suspect = np.frombuffer(self._suspect, np.bool_)[numbers]
         if not suspect.any() or suspect.all():
-            return numbers[ascending(stamps_ns[numbers])]
+            return numbers[stamps.ascending(stamps_ns[numbers])]
         (places,) = (~suspect).nonzero()
-        places = places[ascending(stamps_ns[numbers[places]])]
+        places = places[stamps.ascending(stamps_ns[numbers[places]])]
         sound_ns = np.concatenate(([-1], stamps_ns[numbers[places]], [np.iinfo(np.int64).max]))
         behind = np.searchsorted(places, np.arange(len(numbers)))
         here_ns = stamps_ns[numbers]
         fits = suspect & (sound_ns[behind] < here_ns) & (here_ns < sound_ns[behind + 1])
         fits[places] = True
         kept = numbers[fits]
-        return kept[ascending(stamps_ns[kept])]
+        return kept[stamps.ascending(stamps_ns[kept])]
 
     def _plausible(self) -> NDArray[np.bool_]:
         """Return which scans are sound, or suspect but like the sound ones in geometry and time."""
@@ -235,7 +231,7 @@ class TopicScans(Struct):
         stamps_ns, _ = self._stamps.by(source)
         left = np.ones(len(stamps_ns), np.bool_)
         left[chosen] = False
-        impossible = left & impossible_stamps(stamps_ns)
+        impossible = left & stamps.impossible_stamps(stamps_ns)
         implausible = left & ~impossible & ~self._plausible()
         rest = np.flatnonzero(left & ~impossible & ~implausible)
         twice = self._recorded_twice(source, rest, chosen)

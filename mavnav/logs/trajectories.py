@@ -3,28 +3,22 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Final, Literal
+from collections.abc import Callable, Iterable
+from typing import Final, Literal
 
 from msgspec import Struct, field
 
 from mavnav.errors import TopicError
-from mavnav.logs.frame_poses import TF_PREFIX, FramePoses
+from mavnav.logs.frame_poses import TF_PREFIX, FramePoses, PoseTrack
+from mavnav.logs.log import Log
 from mavnav.logs.messages.columns import merge, merge_by
 from mavnav.logs.messages.definitions import ODOMETRY, PATH, POSE, POSE_COVARIANCE, TRANSFORM
+from mavnav.logs.messages.records import Poses
 from mavnav.logs.namespaces import laser_topics, of_same_robot
 from mavnav.logs.odometry_chains import without_jumps
-from mavnav.logs.pose_track import PoseTrack
-from mavnav.logs.records import Odometry, RecordedTruth
-from mavnav.logs.transforms import frame_name, mounting
+from mavnav.logs.records import Channel, Odometry, RecordedTruth, Topic
+from mavnav.logs.transforms import FrameTree, frame_name, mounting
 from mavnav.pose import Pose
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
-    from mavnav.logs.log import Log
-    from mavnav.logs.messages.records import Poses
-    from mavnav.logs.records import Channel, Topic
-    from mavnav.logs.transforms import FrameTree
 
 TF_TOPIC = "/tf"
 _ODOM_FRAME = "odom"

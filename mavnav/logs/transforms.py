@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from math import atan2, cos, isfinite, radians
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct, field
+from numpy.typing import NDArray
 
 from mavnav.logs.messages.columns import merge_by
+from mavnav.logs.messages.records import Poses, TransformMessage
 from mavnav.logs.namespaces import is_of_another_robot, namespace
 from mavnav.pose import Pose, yaw_of_quaternion
 from mavnav.units import LARGEST_COORDINATE_M
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-
-    from numpy.typing import NDArray
-
-    from mavnav.logs.messages.records import Poses, TransformMessage
+Edge = tuple[str, str]
+"""Parent and child."""
 
 BASE_FRAMES = ("base_link", "base_footprint")
 
@@ -84,10 +83,10 @@ class FrameTree(Struct):
     ``first_static`` are the static ones as they were first.
     """
 
-    static: dict[tuple[str, str], NDArray[np.float64]] = field(default_factory=dict)
-    first_static: dict[tuple[str, str], NDArray[np.float64]] = field(default_factory=dict)
-    moving: dict[tuple[str, str], NDArray[np.float64]] = field(default_factory=dict)
-    changed: set[tuple[str, str]] = field(default_factory=set)
+    static: dict[Edge, NDArray[np.float64]] = field(default_factory=dict)
+    first_static: dict[Edge, NDArray[np.float64]] = field(default_factory=dict)
+    moving: dict[Edge, NDArray[np.float64]] = field(default_factory=dict)
+    changed: set[Edge] = field(default_factory=set)
 
     def add(self, parts: Iterable[Poses], *, static: bool) -> None:
         """Take in transforms."""
@@ -145,21 +144,30 @@ def transforms_for(trees: dict[str, FrameTree], topic: str, scan_topics: Iterabl
     return tree
 
 
-def _chain(edges: dict[tuple[str, str], NDArray[np.float64]], base: str, laser: str) -> NDArray[np.floating] | None:
-    """Walk from frame to frame, breadth first, up and down."""
-    steps: dict[str, list[tuple[str, NDArray[np.floating]]]] = {}
-    for (parent, child), matrix in edges.items():
-        steps.setdefault(parent, []).append((child, matrix))
-        steps.setdefault(child, []).append((parent, np.linalg.inv(matrix)))
-    base_T_frame: dict[str, NDArray[np.floating]] = {base: np.eye(4)}
-    queue = deque([base])
-    while queue and laser not in base_T_frame:
+def shortest_way(edges: Iterable[Edge], start: str, end: str) -> list[tuple[Edge, bool]] | None:
+    """Return the shortest way between two frames, each step with whether it leads to the parent; None without one."""
+    neighbours: dict[str, list[tuple[str, Edge, bool]]] = {}
+    for parent, child in edges:
+        neighbours.setdefault(parent, []).append((child, (parent, child), False))
+        neighbours.setdefault(child, []).append((parent, (parent, child), True))
+    way: dict[str, list[tuple[Edge, bool]]] = {start: []}
+    queue = deque([start])
+    while queue and end not in way:
         frame = queue.popleft()
-        for other, step in steps.get(frame, []):
-            if other not in base_T_frame:
-                base_T_frame[other] = base_T_frame[frame] @ step
+        for other, edge, upwards in neighbours.get(frame, []):
+            if other not in way:
+                way[other] = [*way[frame], (edge, upwards)]
                 queue.append(other)
-    return base_T_frame.get(laser)
+    return way.get(end)
+
+
+def _chain(edges: dict[Edge, NDArray[np.float64]], base: str, laser: str) -> NDArray[np.floating] | None:
+    """Return ``base_T_laser`` by the shortest way between the two."""
+    way = shortest_way(edges, base, laser)
+    base_T_laser: NDArray[np.floating] = np.eye(4)
+    for edge, upwards in way or ():
+        base_T_laser = base_T_laser @ (np.linalg.inv(edges[edge]) if upwards else edges[edge])
+    return None if way is None else base_T_laser
 
 
 def planar(matrix: NDArray[np.floating]) -> Pose:

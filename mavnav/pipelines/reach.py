@@ -9,7 +9,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from mavnav.config.models import RobustConfig
-from mavnav.logs.range_units import FARTHEST_M
+from mavnav.logs.preprocessing import FARTHEST_M
 from mavnav.units import MM
 
 if TYPE_CHECKING:

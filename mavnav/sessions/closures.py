@@ -8,19 +8,21 @@ Where a recording goes on after a cut, the scans on both sides of it are tracked
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import chain, islice
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
 
+from mavnav.config.models import Config
 from mavnav.pose import Pose, Trajectory
-from mavnav.sessions.group import APART_M, SessionGroup, frame_of, own_edges
+from mavnav.sessions.group import APART_M, GroupMap, Join, Session, SessionGroup, frame_of, own_edges
 from mavnav.slam.findings import Edge
 from mavnav.slam.loop_closure.closure import KeyClosure, agree, find_closure
 from mavnav.slam.loop_closure.detection import LOOP_M, SIGHT_M, consistent_closures, edges_of, track_confirmed
-from mavnav.slam.loop_closure.key_frames import KEY_M, KeyFrame
+from mavnav.slam.loop_closure.key_frames import KEY_M, KeyFrame, KeyFrameMap
 from mavnav.slam.loop_closure.pose_graph import PATH_SIGMA_M, PATH_SIGMA_RAD, optimize, root_information
 from mavnav.slam.matching.relocalization import with_conflicts
 from mavnav.slam.matching.scan_matching import no_match
@@ -28,14 +30,6 @@ from mavnav.slam.matching.steps import Steps, evenly, lost_intervals, tracked_tr
 from mavnav.slam.methods.robust import Robust
 from mavnav.slam.tracker import track
 from mavnav.units import DEG, NS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from mavnav.config.models import Config
-    from mavnav.sessions.group import GroupMap, Join, Session
-    from mavnav.slam.loop_closure.key_frames import KeyFrameMap
-
 
 SOON_S = 5.0
 """Time between two parts of one recording."""

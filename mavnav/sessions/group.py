@@ -6,16 +6,21 @@ In the map every scan is where the pose graph puts it, then where it fits what a
 from __future__ import annotations
 
 from array import array
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 from zlib import crc32
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
-from mavnav.mapping.occupancy_grid import GridBuilder
-from mavnav.pose import rigid_fit
+from mavnav.config.models import Config
+from mavnav.mapping.occupancy_grid import Grid, GridBuilder
+from mavnav.pose import Pose, Trajectory, rigid_fit
+from mavnav.profiling import Progress
+from mavnav.scan import Scan
 from mavnav.slam.findings import Edge
 from mavnav.slam.loop_closure.detection import LOOP_M, follow
 from mavnav.slam.loop_closure.key_frames import KEY_M, KEY_RAD, KeyFrame, KeyFrameMap, LocalMaps, Visibility, key_rows
@@ -26,18 +31,6 @@ from mavnav.slam.matching.steps import Step, Steps, tracked_trajectory
 from mavnav.slam.methods.robust import Robust
 from mavnav.slam.refinement.refine import refine_steps
 from mavnav.units import DEG, NS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from mavnav.config.models import Config
-    from mavnav.mapping.occupancy_grid import Grid
-    from mavnav.pose import Pose, Trajectory
-    from mavnav.profiling import Progress
-    from mavnav.scan import Scan
-
 
 END_M, END_KEY_M, END_KEY_RAD = 1.5, 0.1, 5 * DEG
 """Sessions may meet at an end: that near to the ends of the path, key frames follow each other more closely."""
@@ -185,13 +178,8 @@ def own_edges(session: Session, first: int) -> Iterator[Edge]:
         a_T_b = a.between(b)
         share = max(a_T_b.distance_m / KEY_M, abs(a_T_b.yaw_rad) / KEY_RAD)
         yield Edge(first + k, first + k + 1, a_T_b, path / np.sqrt(min(max(share, SHORT), 1.0)))
-    for i, j in revisits(keys, 0):
-        yield Edge(
-            first + i,
-            first + j,
-            poses[i].between(poses[j]),
-            root_information(REVISIT_SIGMA_M, REVISIT_SIGMA_RAD) / times,
-        )
+    firm = root_information(REVISIT_SIGMA_M, REVISIT_SIGMA_RAD) / times
+    yield from (Edge(first + i, first + j, poses[i].between(poses[j]), firm) for i, j in revisits(keys, 0))
 
 
 def revisits(keys: Sequence[KeyFrame], begin: int) -> Iterator[tuple[int, int]]:

@@ -7,28 +7,25 @@ from there.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mavnav.config.models import Config
+from mavnav.pose import Pose
 from mavnav.sessions.closures import SOON_S, ended_before, join_at_end, join_session, pause_between_s
-from mavnav.sessions.group import GroupMap, Join, SessionGroup, group_of
+from mavnav.sessions.group import GroupMap, Join, Session, SessionGroup, group_of
 from mavnav.sessions.map_alignment import fit_transform
 from mavnav.slam.loop_closure.closure import AMBIGUITY_MARGIN, fits
+from mavnav.slam.loop_closure.key_frames import KeyFrame, KeyFrameMap
 from mavnav.slam.matching.relocalization import AGREEING_SCANS, apart, candidates, everywhere, unambiguous
+from mavnav.slam.matching.scan_matching import Match
 from mavnav.slam.matching.steps import evenly
 from mavnav.slam.recovery.parts import consensus
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-
-    from mavnav.config.models import Config
-    from mavnav.pose import Pose
-    from mavnav.sessions.group import Session
-    from mavnav.slam.loop_closure.key_frames import KeyFrame, KeyFrameMap
     from mavnav.slam.matching.relocalization import Region
-    from mavnav.slam.matching.scan_matching import Match
-
 
 WITNESSES, IN_TURN = 24, 3
 """So many key frames of a session, evenly along its path, are searched in the whole map of a group, a third at once."""

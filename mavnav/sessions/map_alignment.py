@@ -7,36 +7,25 @@ from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mavnav.config.models import Config
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, Grid, GridBuilder, cell_centres, occupancy
 from mavnav.mapping.tiled_arrays import farther, in_strips
 from mavnav.pose import Pose, rigid_fit, transform_points
+from mavnav.slam.matching import relocalization
 from mavnav.slam.matching.placement import place_together
-from mavnav.slam.matching.relocalization import (
-    AMBIGUITY_MARGIN,
-    MAP_CANDIDATES,
-    apart,
-    around,
-    candidates,
-    everywhere,
-    search_credit,
-    unambiguous,
-)
+from mavnav.slam.matching.prior_map import PriorMap
 from mavnav.slam.matching.scan_matching import Schedule, empty_line_map, search_lines
 from mavnav.slam.methods.acceptance import Acceptance
 from mavnav.slam.recovery.parts import consensus
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mavnav.config.models import Config
     from mavnav.slam.matching.placement import PosedScan
-    from mavnav.slam.matching.prior_map import PriorMap
-    from mavnav.slam.matching.relocalization import Credit, Region
 
-    Placed = tuple[Pose, Pose]
-    """The pose of a virtual scan in its own map ``b``, and in map ``a``."""
+Placed = tuple[Pose, Pose]
+"""The pose of a virtual scan in its own map ``b``, and in map ``a``."""
 
 VIEWPOINTS = 12
 """Number of positions of virtual scans, each as far as possible from the others."""
@@ -88,12 +77,12 @@ def align(a: PriorMap, b: PriorMap, config: Config) -> tuple[Alignment | None, b
     fit together at just one place: in a coarse map each of them fits at many. Also returns whether the searches came
     to their end: together they have one credit.
     """
-    credit = search_credit()
+    credit = relocalization.search_credit()
     alignment = _one_by_one(a, b, config, credit) or _together(a, b, config, credit)
     return alignment, bool(credit[0])
 
 
-def _one_by_one(a: PriorMap, b: PriorMap, config: Config, credit: Credit) -> Alignment | None:
+def _one_by_one(a: PriorMap, b: PriorMap, config: Config, credit: relocalization.Credit) -> Alignment | None:
     """Return the better alignment on which virtual scans of ``b`` agree; None if too few do."""
     target, scans = _Target(a, config, credit), virtual_scans(b, config)
     near = _alignment(target, target.place_scans(scans, anywhere=False), b, len(scans))
@@ -108,12 +97,12 @@ def _alignment(target: _Target, pairs: list[Placed], b: PriorMap, taken: int) ->
     a_T_b = consensus(pairs)
     if a_T_b is None:
         return None
-    agreeing = [pair for pair in pairs if not apart(a_T_b @ pair[0], pair[1])]
+    agreeing = [pair for pair in pairs if not relocalization.apart(a_T_b @ pair[0], pair[1])]
     refined, cost_m2 = target.refine(fit_transform(agreeing), b)
     return Alignment(refined, taken, len(agreeing), cost_m2)
 
 
-def _together(a: PriorMap, b: PriorMap, config: Config, credit: Credit) -> Alignment | None:
+def _together(a: PriorMap, b: PriorMap, config: Config, credit: relocalization.Credit) -> Alignment | None:
     """Return the alignment at which scans of the finer map, from where it was seen most, fit the coarser one together.
 
     None if they do not fit, fit at another place about as well, or the credit ends.
@@ -134,20 +123,25 @@ def _together(a: PriorMap, b: PriorMap, config: Config, credit: Credit) -> Align
 class _Target:
     """The map in which another map is searched."""
 
-    def __init__(self, known: PriorMap, config: Config, credit: Credit) -> None:
+    def __init__(self, known: PriorMap, config: Config, credit: relocalization.Credit) -> None:
         self.config, self.credit, self.grid = config, credit, _for_look_ups(known.grid, known.grid.hits)
         self.lines = empty_line_map(config, known.grid.cell_m)
         self.lines.insert(known.walls_xy_m)
 
     def place_scans(self, scans: list[PosedScan], *, anywhere: bool) -> list[Placed]:
         """Return the poses of those scans that fit the map at exactly one pose."""
-        all_over = everywhere(self.grid) if anywhere else None
-        places = ((pose, self._place(points, all_over or around(pose, NEAR_M, NEAR_RAD))) for pose, points in scans)
+        all_over = relocalization.everywhere(self.grid) if anywhere else None
+        places = (
+            (pose, self._place(points, all_over or relocalization.around(pose, NEAR_M, NEAR_RAD)))
+            for pose, points in scans
+        )
         return [(pose, place) for pose, place in places if place]
 
-    def _place(self, points: NDArray[np.float64], region: Region) -> Pose | None:
-        matches = candidates(points, self.lines, self.grid, region, self.config, MAP_CANDIDATES, credit=self.credit)
-        best = unambiguous(matches, AMBIGUITY_MARGIN, self.config)
+    def _place(self, points: NDArray[np.float64], region: relocalization.Region) -> Pose | None:
+        matches = relocalization.candidates(
+            points, self.lines, self.grid, region, self.config, relocalization.MAP_CANDIDATES, credit=self.credit
+        )
+        best = relocalization.unambiguous(matches, relocalization.AMBIGUITY_MARGIN, self.config)
         return best.map_T_laser if best and best.inliers >= LEAST_INLIERS else None
 
     def refine(self, a_T_b: Pose, b: PriorMap) -> tuple[Pose, float]:

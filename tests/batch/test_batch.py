@@ -17,7 +17,7 @@ from mavnav.batch.request import BatchPart
 from mavnav.batch.runner import plan_batch, run_batch
 from mavnav.batch.summary import missing_lines
 from mavnav.errors import ConfigError, ExitCode, OutputError, UsageError
-from mavnav.jobs import Ended, Event, Started
+from mavnav.jobs.worker import Ended, Event, Started
 from mavnav.metrics.gates import check_names, names
 from mavnav.outputs.documents.schema import number_names
 from support.small_batch import NAME, OPTIONS, batch

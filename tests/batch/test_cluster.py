@@ -21,11 +21,9 @@ import pytest
 from mavnav.batch.options import BatchOptions, request_of
 from mavnav.batch.runner import plan_batch, run_batch
 from mavnav.errors import ExitCode, UsageError
-from mavnav.jobs import Ended, Event, Job, Outcome, Progressed, Started, Status
-from mavnav.jobs.dask import LOCAL, Cluster, connect
-from mavnav.jobs.dask import client as cluster_client
-from mavnav.jobs.dask.client import _incompatibility
-from mavnav.jobs.dask.worker import in_cluster
+from mavnav.jobs import dask as cluster_client
+from mavnav.jobs.dask import LOCAL, Cluster, _incompatibility, connect, in_cluster
+from mavnav.jobs.worker import Ended, Event, Job, Outcome, Progressed, Started, Status
 from support import strange_jobs
 from support.small_batch import OPTIONS
 
@@ -196,7 +194,7 @@ def test_workers_that_will_not_do(version, seen, said: str) -> None:
 
 @pytest.mark.slow
 def test_workers_of_another_version_are_refused(processes: Cluster, tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr("mavnav.jobs.dask.worker.__version__", "0.0.9")
+    monkeypatch.setattr("mavnav.jobs.dask.__version__", "0.0.9")
     with (
         pytest.raises(UsageError, match=r"the worker has mavnav .*, not 0\.0\.9: install mavnav 0\.0\.9"),
         connect(processes.client.scheduler.address, tmp_path, 1, None, 1),

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from mavnav.errors import UsageError
-from mavnav.jobs import Ended, Event, Job
-from mavnav.jobs.dask import client as cluster_client
+from mavnav.jobs import dask as cluster_client
 from mavnav.jobs.dask import connect
+from mavnav.jobs.worker import Ended, Event, Job
 from support import strange_jobs
 
 distributed = pytest.importorskip("distributed", reason="the extra mavnav[cluster]")

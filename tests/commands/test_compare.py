@@ -15,7 +15,7 @@ from mavnav.commands.comparison_table import bar, print_comparison
 from mavnav.commands.progress import watching
 from mavnav.commands.shared import gated_code, gates_of
 from mavnav.errors import ExitCode, UsageError
-from mavnav.jobs import Ended, Outcome, Retried, Started, Status
+from mavnav.jobs.worker import Ended, Outcome, Retried, Started, Status
 
 
 @pytest.fixture

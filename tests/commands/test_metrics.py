@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mavnav.commands.quality_rows import quality_rows
+from mavnav.commands.run_screen import quality_rows
 from mavnav.ground_truth.tables import read_tum
 from mavnav.logs import open_log
 from support.log_files import laser, write_mcap

@@ -26,8 +26,8 @@ from mavnav.comparison.pipeline import (
     short_names,
 )
 from mavnav.errors import ExitCode, OutputError, UsageError
-from mavnav.jobs import Event, Started
 from mavnav.jobs.run_cache import run_key
+from mavnav.jobs.worker import Event, Started
 from mavnav.metrics.gates import parse_gate
 from mavnav.profiling import silent
 

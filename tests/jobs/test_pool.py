@@ -16,20 +16,8 @@ from types import SimpleNamespace
 import pytest
 
 from mavnav.errors import ExitCode
-from mavnav.jobs import (
-    Ended,
-    Event,
-    Job,
-    Outcome,
-    Progressed,
-    Retried,
-    Started,
-    Status,
-    run_jobs,
-    run_with_retries,
-    usable_cores,
-)
-from mavnav.jobs.worker import failure
+from mavnav.jobs.pool import run_jobs, run_with_retries, usable_cores
+from mavnav.jobs.worker import Ended, Event, Job, Outcome, Progressed, Retried, Started, Status, failure
 from mavnav.logs.content import unreadable
 from support import strange_jobs as strange
 
@@ -174,7 +162,8 @@ def test_workers_follow_a_parent_that_is_killed(tmp_path: Path) -> None:
         import pathlib, sys
         sys.path.insert(0, {str(Path(__file__).parents[1])!r})
         from support import strange_jobs
-        from mavnav.jobs import Job, run_jobs
+        from mavnav.jobs.pool import run_jobs
+        from mavnav.jobs.worker import Job
         if __name__ == "__main__":
             job = Job("long", strange_jobs.sleep_with_a_file, (pathlib.Path({str(file)!r}),))
             run_jobs([job], 1, lambda event: print(event, flush=True))

@@ -14,12 +14,13 @@ from typing import Any
 import numpy as np
 import pytest
 import zstandard
+from mcap.opcode import Opcode as Op
 from mcap.writer import Writer
 
 from mavnav.errors import NoScansError
 from mavnav.logs import choose, open_log, survey
 from mavnav.logs.formats import decompress
-from mavnav.logs.formats.mcap_records import HEAD, Op
+from mavnav.logs.formats.mcap_records import HEAD
 from mavnav.logs.read_report import MAX_DAMAGE, MAX_TEXT, MAX_WARNINGS, ReadReport
 from mavnav.logs.writing.convert import convert_log
 from mavnav.pipelines.info import info_document

@@ -10,9 +10,9 @@ from mcap.reader import make_reader
 
 from mavnav.cli import run
 from mavnav.errors import NoScansError, OutputError, UsageError
-from mavnav.logs import open_log
+from mavnav.logs import Topic, open_log
 from mavnav.logs.writing.convert import convert_log
-from support.log_files import ODOM, WRITERS, drive, foxglove_json, laser, write_bag1, write_bag2, write_mcap
+from support.log_files import LASER, ODOM, WRITERS, drive, foxglove_json, laser, write_bag1, write_bag2, write_mcap
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -132,7 +132,8 @@ def test_a_source_that_cannot_be_read_is_not_blamed_on_the_target(tmp_path: Path
 
 
 def test_what_does_not_read_back_gets_no_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mavnav.logs.writing.convert._by_name", lambda topics: {"/scan": 99})
+    topics = (Topic("/scan", LASER, "cdr", 99),)
+    monkeypatch.setattr("mavnav.logs.writing.convert._Writing.topics", lambda _: topics)
     with pytest.raises(OutputError, match="reads back differently"):
         convert_log(write_mcap(tmp_path / "a.mcap", drive(3)), tmp_path / "b.mcap")
     assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]

@@ -7,14 +7,14 @@ from msgspec.structs import replace
 
 from mavnav.logs.messages.decode import _deserialize, decoder
 from mavnav.logs.messages.definitions import ODOMETRY, POSE, SCAN, TF, TRANSFORM
-from mavnav.logs.messages.fast_cdr import laser_of, odometry_of, pose_of, transform_of, transforms_of
+from mavnav.logs.messages.fast_cdr import exactly, laser_of, read_odometry, read_pose, read_transform, read_transforms
 from mavnav.logs.messages.records import DecodeError, TransformMessage
 from mavnav.logs.records import Channel
 from mavnav.scan import Attitude
 from support.log_files import PATH, POSE_COVARIANCE, START_NS, Message, build, drive, laser, serialized, store
 from support.tilted import attitude_message
 
-BY_LAYOUT = {TF: transforms_of, ODOMETRY: odometry_of}
+BY_LAYOUT = {TF: exactly(read_transforms), ODOMETRY: exactly(read_odometry)}
 MESSAGES = [message for message in drive(2) if message.type in BY_LAYOUT]
 
 
@@ -55,11 +55,11 @@ def test_transforms_and_odometry(ros, frame) -> None:
 def test_poses(ros) -> None:
     encoding = {1: "ros1", 2: "cdr"}[ros]
     data = serialized(attitude_message(START_NS + 5, Attitude(0.1, -0.2, 1.5)), ros)
-    found = pose_of(data, encoding)
+    found = exactly(read_pose)(data, encoding)
     assert found == by_definition(data, encoding, POSE)
     assert (found[0].stamp_ns, found[0].xyz) == (START_NS + 5, (0.0, 0.0, 1.5))
     for broken in (*(data[:end] for end in range(0, len(data), 7)), data + bytes(8)):
-        assert pose_of(broken, encoding) is None
+        assert exactly(read_pose)(broken, encoding) is None
 
 
 @pytest.mark.parametrize("ros", [1, 2])
@@ -68,7 +68,7 @@ def test_poses_with_covariances_and_paths(ros, kind, count) -> None:
     encoding = {1: "ros1", 2: "cdr"}[ros]
     poses = [Message("/p", POSE, START_NS + k, {"x": float(k), "y": 2.0, "yaw": 0.1 * k}) for k in range(count)]
     data = serialized(replace(poses[0], type=kind, fields=poses[0].fields | {"poses": poses}), ros)
-    expected = [pose_of(serialized(pose, ros), encoding)[0] for pose in poses]
+    expected = [exactly(read_pose)(serialized(pose, ros), encoding)[0] for pose in poses]
     decode = decoder(Channel("/p", kind, encoding), poses=True)
     assert decode is not None
     assert decode(data) == expected
@@ -95,7 +95,7 @@ def test_one_transform(ros) -> None:
     one = build(next(message for message in MESSAGES if message.type == TF), ros).transforms[0]
     data = bytes((types.serialize_ros1 if ros == 1 else types.serialize_cdr)(one, TRANSFORM))
     found = decoder(Channel("/t", TRANSFORM, encoding), poses=True)(data)
-    assert found == transform_of(data, encoding) == by_definition(data, encoding, TRANSFORM)
+    assert found == exactly(read_transform)(data, encoding) == by_definition(data, encoding, TRANSFORM)
     assert found[0].child == one.child_frame_id
 
 

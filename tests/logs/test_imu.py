@@ -9,7 +9,7 @@ import pytest
 
 from mavnav.logs import Log, open_log
 from mavnav.logs.messages.decode import decoder
-from mavnav.logs.messages.fast_cdr import imu_of
+from mavnav.logs.messages.fast_cdr import exactly, read_imu
 from mavnav.logs.messages.records import ImuMessage
 from mavnav.logs.records import Channel
 from mavnav.logs.writing.convert import convert_log
@@ -34,15 +34,15 @@ def test_a_message_is_read_by_layout_and_by_definition(ros: int) -> None:
     encoding = "cdr" if ros == 2 else "ros1"
     expected = ImuMessage(START_NS + 3 * STEP_NS, (0.1, 0.2, 0.3, 0.9), (0.0, 0.0, RATE), (1.0, 2.0, 9.0), "imu")
     data = serialized(message, ros)
-    assert imu_of(data, encoding) == expected
-    assert imu_of(data[:-8], encoding) is None
+    assert exactly(read_imu)(data, encoding) == expected
+    assert exactly(read_imu)(data[:-8], encoding) is None
     decode = decoder(Channel("/imu", IMU, encoding))
     assert decode is not None
     assert decode(data) == expected
 
 
 def test_a_message_says_that_it_has_no_orientation() -> None:
-    found = imu_of(serialized(imu(0), 2), "cdr")
+    found = exactly(read_imu)(serialized(imu(0), 2), "cdr")
     assert found is not None
     assert found.xyzw is None
 

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from mcap.opcode import Opcode as Op
 
 from mavnav.errors import NoScansError
 from mavnav.logs import Log, open_log, survey
-from mavnav.logs.formats.mcap_records import HEAD, MAGIC, Op, chunk_head, plain_records
+from mavnav.logs.formats.mcap_records import HEAD, MAGIC, chunk_head, plain_records
 from support.log_files import START_NS, WRITERS, foxglove_json, foxglove_protobuf, laser, serialized, write_mcap
 
 if TYPE_CHECKING:

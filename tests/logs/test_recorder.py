@@ -14,7 +14,7 @@ from rosbags.highlevel import AnyReader
 
 from mavnav.errors import OutputError, UsageError
 from mavnav.logs import open_log
-from mavnav.logs.writing import containers, recorder
+from mavnav.logs.writing import recorder
 from mavnav.logs.writing.recorder import Recording, check_recording
 from mavnav.pose import Pose, Trajectory, yaw_of_quaternion
 from mavnav.scan import Attitude, Scan
@@ -138,9 +138,9 @@ def test_in_one_stamp_truth_and_transform_come_before_the_scan(drive, tmp_path, 
 
     def listen(path, channels):
         path.touch()
-        return containers.contextmanager(lambda: iter([lambda topic, stamp_ns, _: told.append((stamp_ns, topic))]))()
+        return recorder.contextmanager(lambda: iter([lambda topic, stamp_ns, _: told.append((stamp_ns, topic))]))()
 
-    monkeypatch.setitem(containers.CONTAINERS, ".mcap", listen)
+    monkeypatch.setitem(recorder.CONTAINERS, ".mcap", listen)
     recorder.record(drive, tmp_path / "x.mcap")
     assert [topic for _, topic in told[:5]] == ["/tf_static", "/ground_truth", "/tf", "/odom", "/scan"]
     assert [stamp for stamp, _ in told] == sorted(stamp for stamp, _ in told)
@@ -201,7 +201,7 @@ def test_a_recording_that_fails_leaves_what_was_there(drive, form, name, existin
 
 def test_a_refusal_of_sqlite_is_an_output_error(drive, tmp_path, monkeypatch):
     def refuse(*_):
-        raise containers.sqlite3.OperationalError("database or disk is full")
+        raise recorder.sqlite3.OperationalError("database or disk is full")
 
     monkeypatch.setattr("rosbags.rosbag2.storage_sqlite3.Sqlite3Writer.write", refuse)
     with pytest.raises(OutputError, match="disk is full"):

@@ -21,7 +21,7 @@ from msgspec import Struct, field
 
 from mavnav import atomic_files, cli
 from mavnav.batch import runner
-from mavnav.jobs import Ended, Event, Job, Outcome, Started, attempt
+from mavnav.jobs.worker import Ended, Event, Job, Outcome, Started, attempt
 
 STDOUT = "stdout"
 
@@ -171,7 +171,7 @@ def _patches(disk: Disk) -> Iterator[Any]:
 
 
 def run_here(jobs: Sequence[Job], workers: int, on_event: Callable[[Event], None], *_: object) -> list[Outcome]:
-    """Run jobs like `mavnav.jobs.run_jobs`, but in this process."""
+    """Run jobs like `mavnav.jobs.pool.run_jobs`, but in this process."""
     outcomes = []
     for index, job in enumerate(jobs):
         on_event(Started(index, os.getpid()))

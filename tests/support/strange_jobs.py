@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 from mavnav.errors import NoScansError
-from mavnav.jobs.dask.worker import in_cluster
+from mavnav.jobs.dask import in_cluster
 
 
 def square(x: int, report) -> int:

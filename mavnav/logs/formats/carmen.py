@@ -7,24 +7,19 @@ the name of a computer, and the time since the logger started.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Iterator
 from enum import Enum
 from itertools import islice
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import IO, Final
 
 from msgspec import Struct, field
 
-from mavnav.logs.messages.carmen import ENCODING, laser_of, pose_line, pose_of, stamp_ns
+from mavnav.logs.messages.carmen import ENCODING, LaserLine, laser_of, pose_line, pose_of, stamp_ns
 from mavnav.logs.messages.definitions import ODOMETRY, SCAN, TF, TRANSFORM
+from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel, RawMessage, Schema
 from mavnav.pose import Pose
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-    from pathlib import Path
-    from typing import IO
-
-    from mavnav.logs.messages.carmen import LaserLine
-    from mavnav.logs.read_report import ReadReport
 
 LASER_LINE: Final = re.compile(rb"^(?:[FR]LASER|(?:RAW|ROBOT)LASER\d) ", re.MULTILINE)
 _PARAMETER_LINE: Final = re.compile(rb"^PARAM \w+ ", re.MULTILINE)

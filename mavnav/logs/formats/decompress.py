@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import bz2
+import gzip
 import zlib
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from io import BytesIO
-from typing import IO, TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import IO, Any, Final
 
 from mavnav.atomic_files import no_space, temporary_folder
-
-if TYPE_CHECKING:
-    import gzip
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
-    from mavnav.logs.read_report import ReadReport
+from mavnav.logs.read_report import ReadReport
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 MAX_CHUNK_BYTES = 128 << 20

@@ -3,31 +3,18 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Mapping
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from mavnav.atomic_files import short_name
+from mavnav.logs.formats import rosbag2
 from mavnav.logs.formats.decompress import PACKERS, first_bytes, unpack_file
 from mavnav.logs.formats.mcap_records import MAGIC, find_record
-from mavnav.logs.formats.rosbag2 import (
-    METADATA,
-    compare_count,
-    compare_storage,
-    name_stem,
-    natural_key,
-    part_number,
-    read_metadata,
-    storage_files,
-)
 from mavnav.logs.formats.source import BAG_MAGIC, MAGIC_WITHIN_BYTES, OLD_BAG_MAGIC, SQLITE_MAGIC, Source
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from pathlib import Path
-
-    from mavnav.logs.formats.rosbag2 import Metadata
-    from mavnav.logs.read_report import ReadReport
-    from mavnav.logs.records import RawMessage
+from mavnav.logs.read_report import ReadReport
+from mavnav.logs.records import RawMessage
 
 UNKNOWN = "unknown"
 SUFFIXES = (".mcap", ".bag", ".active", ".db3", ".clf", ".log", ".zst", ".zstd", ".gz", ".bz2")
@@ -100,13 +87,15 @@ def _sniff_folder(folder: Path) -> str:
         return f"rosbag2-{inner.removeprefix('rosbag2-')}"
     if _is_split_bag1(folder):
         return "rosbag1"
-    return "rosbag2" if (folder / METADATA).is_file() else UNKNOWN
+    return "rosbag2" if (folder / rosbag2.METADATA).is_file() else UNKNOWN
 
 
 def _is_split_bag1(folder: Path) -> bool:
     """Return whether a folder has parts of one ROS 1 bag, as ``rosbag record --split`` names them, and no other log."""
     files = [file for file in folder.iterdir() if _is_storage(file)]
-    numbered = len({name_stem(file) for file in files}) == 1 and all(part_number(file) is not None for file in files)
+    numbered = len({rosbag2.name_stem(file) for file in files}) == 1 and all(
+        rosbag2.part_number(file) is not None for file in files
+    )
     return len(files) > 1 and numbered and all(split_name(sniff(file))[0] == "rosbag1" for file in files)
 
 
@@ -127,15 +116,15 @@ def is_named_like_a_log(path: Path) -> bool:
     return path.name.endswith(SUFFIXES) and (not path.name.endswith(_AMBIGUOUS) or sniff(path) != UNKNOWN)
 
 
-def parts(path: Path, report: ReadReport, more: tuple[Path, ...] = ()) -> tuple[list[Path], Metadata | None]:
+def parts(path: Path, report: ReadReport, more: tuple[Path, ...] = ()) -> tuple[list[Path], rosbag2.Metadata | None]:
     """Return the files of a log in their order, and the metadata of a ROS 2 bag's folder.
 
     They are those of a folder, or the file itself and ``more`` parts of the same bag.
     """
     if not path.is_dir():
-        return sorted({path, *more}, key=natural_key), None
-    metadata = None if sniff(path) == "rosbag1" else read_metadata(path, report)
-    return storage_files(path, report, _is_storage, metadata), metadata
+        return sorted({path, *more}, key=rosbag2.natural_key), None
+    metadata = None if sniff(path) == "rosbag1" else rosbag2.read_metadata(path, report)
+    return rosbag2.storage_files(path, report, _is_storage, metadata), metadata
 
 
 def _is_storage(path: Path) -> bool:
@@ -156,8 +145,8 @@ def read(path: Path, report: ReadReport, more: tuple[Path, ...] = ()) -> Iterato
             yield message
         report.next_file(file.stat().st_size)
     if metadata is not None:
-        compare_count(metadata, messages, report)
-        compare_storage(metadata, {split_name(sniff(file))[0] for file in files}, report)
+        rosbag2.compare_count(metadata, messages, report)
+        rosbag2.compare_storage(metadata, {split_name(sniff(file))[0] for file in files}, report)
 
 
 def _read_file(path: Path, report: ReadReport) -> Iterator[RawMessage]:

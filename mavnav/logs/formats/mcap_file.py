@@ -8,34 +8,19 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Iterator
 from io import BytesIO
-from typing import TYPE_CHECKING
+from pathlib import Path
 
+from mcap.opcode import Opcode as Op
+
+from mavnav.logs.formats import mcap_content, mcap_records
 from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES, TOO_MANY, Allowance, DecompressError, decompress
-from mavnav.logs.formats.mcap_content import EXTRAS, McapState, apply_record, plain_message, read_extra
-from mavnav.logs.formats.mcap_records import (
-    HEAD,
-    IN_CHUNKS,
-    MAGIC,
-    PRIVATE,
-    ChunkHead,
-    McapRecord,
-    Op,
-    chunk_head,
-    find_record,
-    is_boundary,
-    plain_records,
-    record_at,
-)
-from mavnav.logs.formats.mcap_summary import check_data_section, read_summary
+from mavnav.logs.formats.mcap_content import EXTRAS, McapState
+from mavnav.logs.formats.mcap_records import HEAD, IN_CHUNKS, MAGIC, PRIVATE, ChunkHead, McapRecord
 from mavnav.logs.formats.source import MAGIC_WITHIN_BYTES, Source
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from mavnav.logs.read_report import ReadReport
-    from mavnav.logs.records import RawMessage
+from mavnav.logs.read_report import ReadReport
+from mavnav.logs.records import RawMessage
 
 _READ = frozenset({Op.HEADER, Op.FOOTER, Op.SCHEMA, Op.CHANNEL, Op.MESSAGE, Op.CHUNK, Op.STATISTICS, Op.DATA_END})
 _MESSAGE = int(Op.MESSAGE)
@@ -54,7 +39,7 @@ def read_mcap(path: Path, report: ReadReport) -> Iterator[RawMessage]:
     with path.open("rb") as file:
         source = Source(file, path.stat().st_size)
         state = McapState(report, Allowance(source.size))
-        read_summary(source, state)
+        mcap_content.read_summary(source, state)
         for record in _records(source, _begin(source, state), state):
             report.at(record.start)
             if record.opcode == Op.CHUNK:
@@ -62,7 +47,7 @@ def read_mcap(path: Path, report: ReadReport) -> Iterator[RawMessage]:
             elif record.opcode in _READ:
                 yield from _outside(source, record, state)
             elif record.opcode in EXTRAS and report.take_extra:
-                report.take_extra(read_extra(source, record))
+                report.take_extra(mcap_content.read_extra(source, record))
         if not state.closed:
             report.damage("the file ends without a footer; it was cut or not closed", source.where(source.size))
 
@@ -77,7 +62,7 @@ def _outside(source: Source, record: McapRecord, state: McapState) -> Iterator[R
         state.report.damage(text, source.where(record.start))
     content = source.read(record.start, min(record.end - record.start, MAX_CHUNK_BYTES))
     state.suspect = outside_chunks
-    message = apply_record(record.opcode, content, source.where(record.start), state)
+    message = mcap_content.apply_record(record.opcode, content, source.where(record.start), state)
     state.suspect = False
     if message is not None:
         doubtful = outside_chunks or state.unsound or _runs_into_loss(source, record.end)
@@ -90,9 +75,9 @@ def _begin(source: Source, state: McapState) -> int:
     if at == 0:
         return 0
     state.report.damage("the file does not begin with the magic of MCAP", source.where(0))
-    if at > 0 and record_at(source, at + len(MAGIC)) is not None:
+    if at > 0 and mcap_records.record_at(source, at + len(MAGIC)) is not None:
         return at
-    check_data_section(source, 0, state)
+    mcap_content.check_data_section(source, 0, state)
     return 0
 
 
@@ -106,7 +91,7 @@ def _records(source: Source, offset: int, state: McapState) -> Iterator[McapReco
         if source.read(offset, len(MAGIC)) == MAGIC:
             offset = _skip_magic(source, offset, state)
             continue
-        record = record_at(source, offset)
+        record = mcap_records.record_at(source, offset)
         if record is None:
             offset = _report_loss(source, offset, offset + 1, state)
             continue
@@ -114,7 +99,7 @@ def _records(source: Source, offset: int, state: McapState) -> Iterator[McapReco
             state.report.warn(f"a record of an unknown kind ({record.opcode}) was passed over")
         if record.correction:
             state.report.damage(record.correction, source.where(offset))
-        followed = is_boundary(source, record.end)
+        followed = mcap_records.is_boundary(source, record.end)
         if not followed and record.opcode == Op.CHUNK:
             record = _clip(source, record, state)
         yield record
@@ -134,7 +119,7 @@ def _clip(source: Source, record: McapRecord, state: McapState) -> McapRecord:
     state.searched_bytes += record.end - record.start
     if state.searched_bytes > _FREE_SEARCH_BYTES + 4 * source.size or _is_verified(source, record, state):
         return record
-    end = find_record(source, record.start + 1, outer=True)
+    end = mcap_records.find_record(source, record.start + 1, outer=True)
     if end >= record.end:
         return record
     text = f"the chunk has {end - record.start} of its {record.end - record.start} bytes"
@@ -154,7 +139,7 @@ def _is_verified(source: Source, record: McapRecord, state: McapState) -> bool:
 def _runs_into_loss(source: Source, end: int) -> bool:
     """Return whether neither a record nor a cut record follows; the end of the record before may then be lost too."""
     head = source.read(end, HEAD.size)
-    if len(head) < HEAD.size or is_boundary(source, end):
+    if len(head) < HEAD.size or mcap_records.is_boundary(source, end):
         return False
     opcode, length = HEAD.unpack(head)
     return not (0 < opcode <= Op.DATA_END and source.size - end < length < 1 << 32)
@@ -162,7 +147,7 @@ def _runs_into_loss(source: Source, end: int) -> bool:
 
 def _report_loss(source: Source, offset: int, search_from: int, state: McapState) -> int:
     """Report the bytes up to the next record as lost; return the offset of that record."""
-    next_offset = find_record(source, search_from)
+    next_offset = mcap_records.find_record(source, search_from)
     if next_offset == offset:
         return next_offset
     empty = not any(source.read(offset, min(next_offset - offset, _BLOCK_BYTES)))
@@ -176,7 +161,7 @@ def _skip_magic(source: Source, offset: int, state: McapState) -> int:
     if state.closed or state.messages:
         state.report.warn("several MCAP files lie one behind the other in this one; all were read")
         state.begin()
-    check_data_section(source, offset, state)
+    mcap_content.check_data_section(source, offset, state)
     return offset + len(MAGIC)
 
 
@@ -227,7 +212,7 @@ def _read_chunk(source: Source, record: McapRecord, allowance: Allowance) -> tup
     if size > MAX_CHUNK_BYTES:
         raise DecompressError(f"of {size} bytes; no more than {MAX_CHUNK_BYTES} are taken into memory")
     content = source.read(record.start, size)
-    head = chunk_head(content)
+    head = mcap_records.chunk_head(content)
     records, problem = decompress(head.compression, content[head.start :][: head.stored_bytes], allowance)
     if problem and len(content) > head.start + head.stored_bytes:
         records, problem = decompress(head.compression, content[head.start :], allowance)
@@ -237,11 +222,11 @@ def _read_chunk(source: Source, record: McapRecord, allowance: Allowance) -> tup
 def _sound_messages(records: bytes, inner: Source, state: McapState) -> Iterator[RawMessage]:
     """Yield the messages of an undamaged chunk without checks; after a record that does not fit, with checks."""
     offset = 0
-    for opcode, content in plain_records(records):
+    for opcode, content in mcap_records.plain_records(records):
         if not state.allowance.spend_record():
             state.report.damage(TOO_MANY, inner.where(offset))
             return
-        message = plain_message(content, state) if opcode == _MESSAGE else None
+        message = mcap_content.plain_message(content, state) if opcode == _MESSAGE else None
         if message or (message := _inner_message(opcode, content, inner, offset, state)):
             yield message
         offset += HEAD.size + len(content)
@@ -262,7 +247,7 @@ def _walk(inner: Source, offset: int, state: McapState) -> Iterator[RawMessage]:
 def _inner_message(opcode: int, content: bytes, inner: Source, offset: int, state: McapState) -> RawMessage | None:
     """Return the message of a record of a chunk; others of its kinds update the state, nested chunks are reported."""
     if opcode in IN_CHUNKS:
-        return apply_record(opcode, content, inner.where(offset), state)
+        return mcap_content.apply_record(opcode, content, inner.where(offset), state)
     if opcode == Op.CHUNK:
         state.report.damage("a chunk lies within a chunk, which is not legal; it is not read", inner.where(offset))
     return None

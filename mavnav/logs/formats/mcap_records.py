@@ -8,17 +8,14 @@ from __future__ import annotations
 
 import re
 import struct
-from enum import IntEnum
-from typing import TYPE_CHECKING, Final, NamedTuple
+from collections.abc import Callable, Iterator
+from typing import Final, NamedTuple
 
 import numpy as np
+from mcap.opcode import Opcode as Op
 
 from mavnav.logs.formats.decompress import COMPRESSIONS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from mavnav.logs.formats.source import Source
+from mavnav.logs.formats.source import Source
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 HEAD: Final = struct.Struct("<BQ")
@@ -31,27 +28,6 @@ _NAME_LENGTHS = frozenset(len(name).to_bytes(4, "little") for name in COMPRESSIO
 _PREFIX_BYTES = 64
 _FIRST_BLOCK_BYTES, _BLOCK_BYTES = 1 << 12, 1 << 20
 _MAX_CANDIDATES = 200_000
-
-
-class Op(IntEnum):
-    """Opcodes."""
-
-    HEADER = 1
-    FOOTER = 2
-    SCHEMA = 3
-    CHANNEL = 4
-    MESSAGE = 5
-    CHUNK = 6
-    MESSAGE_INDEX = 7
-    CHUNK_INDEX = 8
-    ATTACHMENT = 9
-    ATTACHMENT_INDEX = 10
-    STATISTICS = 11
-    METADATA = 12
-    METADATA_INDEX = 13
-    SUMMARY_OFFSET = 14
-    DATA_END = 15
-
 
 IN_CHUNKS: Final = frozenset({Op.SCHEMA, Op.CHANNEL, Op.MESSAGE})
 """Records that chunks contain."""
@@ -155,7 +131,7 @@ def record_at(source: Source, offset: int, *, repair: bool = True) -> McapRecord
 def _may_be_chunk(opcode: int, length: int) -> bool:
     """Return whether a head can be a chunk's: its opcode is a chunk's with at most one wrong bit, or unknown."""
     long_enough = length > _CHUNK_HEAD.size or opcode == Op.CHUNK
-    return long_enough and (opcode > Op.DATA_END or (opcode ^ Op.CHUNK).bit_count() <= 1)
+    return long_enough and bool(opcode > Op.DATA_END or (opcode ^ Op.CHUNK).bit_count() <= 1)
 
 
 def _is_chunk_instead(source: Source, declared: McapRecord | None, opcode: int, start: int, head: ChunkHead) -> bool:

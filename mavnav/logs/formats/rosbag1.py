@@ -10,21 +10,18 @@ from __future__ import annotations
 
 import re
 import struct
+from collections.abc import Callable, Iterable, Iterator
 from enum import IntEnum
 from functools import partial
 from io import BytesIO
-from typing import TYPE_CHECKING, Final, NamedTuple
+from pathlib import Path
+from typing import Final, NamedTuple
 
-from mavnav.logs.formats.channels import ReaderState
 from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES, TOO_MANY, Allowance, DecompressError, decompress
-from mavnav.logs.formats.source import BAG_MAGIC, MAGIC_WITHIN_BYTES, OLD_BAG_MAGIC, Source
+from mavnav.logs.formats.source import BAG_MAGIC, MAGIC_WITHIN_BYTES, OLD_BAG_MAGIC, ReaderState, Source
 from mavnav.logs.messages.definitions import MD5
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import LATCHING, Channel, RawMessage, Schema, ros_type
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-    from pathlib import Path
 
 OP_FIELD: Final = b"\x04\x00\x00\x00op="
 _MAX_HEADER_BYTES = 1 << 16

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from msgspec import Struct
 
 from mavnav.errors import UsageError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from mavnav.logs.read_report import ReadReport
+from mavnav.logs.read_report import ReadReport
 
 METADATA = "metadata.yaml"
 LATEST_VERSION = 9

@@ -9,26 +9,20 @@ from __future__ import annotations
 import os
 import shutil
 import sqlite3
+from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from errno import ENOSPC
-from typing import TYPE_CHECKING
+from pathlib import Path
 from urllib.parse import quote
 
 from msgspec import Struct, field
 
 from mavnav.atomic_files import temporary_folder
-from mavnav.logs.formats.channels import channel_of, with_known_type
 from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES
-from mavnav.logs.formats.source import SQLITE_MAGIC, Source
+from mavnav.logs.formats.source import SQLITE_MAGIC, Source, channel_of, with_known_type
 from mavnav.logs.formats.sqlite_pages import page_size, rows
+from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import QOS, Channel, RawMessage, Schema, ros_type
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from mavnav.logs.read_report import ReadReport
-
 
 _TABLES = """SELECT name FROM sqlite_master WHERE type = 'table' AND sql NOT LIKE '%VIRTUAL%'
 AND name IN ('topics', 'messages', 'message_definitions')"""

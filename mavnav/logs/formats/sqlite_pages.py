@@ -7,14 +7,10 @@ recognized by the types of their columns: a message is (NULL, integer, integer, 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from mavnav.logs.formats.source import Source
+from mavnav.logs.formats.source import Source
 
 _LEAF = 0x0D
 _FILE_HEADER_BYTES = 100

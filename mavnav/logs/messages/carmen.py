@@ -7,21 +7,17 @@ logger.h and readlog.c.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from math import cos, inf, isfinite, pi, sin
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavnav.logs.messages.records import DecodeError, LaserMessage, TransformMessage
+from mavnav.logs.records import Channel
 from mavnav.pose import Pose
 from mavnav.units import DEG
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from mavnav.logs.records import Channel
 
 ENCODING: Final = "carmen"
 _HALF_TURN_DEG: Final = 180.0
@@ -112,11 +108,6 @@ def _step_rad(beams: int, step_deg: float) -> float:
     if isfinite(step_deg) and abs(beams * step_deg - _HALF_TURN_DEG) <= 1.5 * step_deg:
         return step_deg * DEG
     return _HALF_TURN_DEG * DEG / max(beams - beams % 2, 1)
-
-
-def pose_decoder(_channel: Channel) -> Callable[[bytes], list[TransformMessage]]:
-    """Return the decoder of odometry and of single poses; it raises DecodeError."""
-    return decode_pose
 
 
 def decode_pose(data: bytes) -> list[TransformMessage]:

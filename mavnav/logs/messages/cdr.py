@@ -7,19 +7,15 @@ their own size, counted from the end of the 4-byte encapsulation header.
 from __future__ import annotations
 
 import struct
-from math import cos, sin
-from typing import TYPE_CHECKING, Final, NamedTuple
+from collections.abc import Callable, Sequence
+from math import cos, nan, sin
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavnav.pose import Pose
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from mavnav.scan import Scan
+from mavnav.scan import Attitude, Scan
 
 _LITTLE_ENDIAN: Final = b"\0\1\0\0"
 """The encapsulation header of plain CDR."""
@@ -48,11 +44,41 @@ def _stamp(stamp_ns: int) -> bytes:
     return _STAMP.pack(*divmod(stamp_ns, 1_000_000_000))
 
 
+def _pose_of(at: int, parent: str, child: str) -> Callable[[int, Pose], bytes]:
+    """Return the function that serializes header, child frame and pose, from offset ``at`` on."""
+    outer = _text(at + 8, parent, 4)
+    inner = _text(at + 8 + len(outer), child, 8)
+    return lambda stamp_ns, pose: b"".join((_stamp(stamp_ns), outer, inner, _pose(pose)))
+
+
+def transform(parent: str, child: str) -> Callable[[int, Pose], bytes]:
+    """Return the function that serializes a TransformStamped from stamp (ns) and ``parent_T_child``."""
+    body = _pose_of(0, parent, child)
+    return lambda stamp_ns, pose: _LITTLE_ENDIAN + body(stamp_ns, pose)
+
+
 def transforms(parent: str, child: str) -> Callable[[int, Pose], bytes]:
     """Return the function that serializes a TFMessage of one transform from stamp (ns) and ``parent_T_child``."""
-    one, outer = _COUNT.pack(1), _text(12, parent, 4)
-    inner = _text(12 + len(outer), child, 8)
-    return lambda stamp_ns, pose: b"".join((_LITTLE_ENDIAN, one, _stamp(stamp_ns), outer, inner, _pose(pose)))
+    head, body = _LITTLE_ENDIAN + _COUNT.pack(1), _pose_of(4, parent, child)
+    return lambda stamp_ns, pose: head + body(stamp_ns, pose)
+
+
+def odometry(parent: str, child: str) -> Callable[[int, Pose], bytes]:
+    """Return the function that serializes an Odometry; velocities and covariances are zero, which means unknown."""
+    body, unknown = _pose_of(0, parent, child), bytes(8 * (36 + 6 + 36))
+    return lambda stamp_ns, pose: _LITTLE_ENDIAN + body(stamp_ns, pose) + unknown
+
+
+def attitudes(frame: str) -> Callable[[int, Attitude], bytes]:
+    """Return the function that serializes a PoseStamped of tilt and height: ``Ry(pitch) Rx(roll)``, x = y = 0."""
+    name = _text(8, frame, 8)
+
+    def write(stamp_ns: int, attitude: Attitude) -> bytes:
+        (a, c), (b, d) = ((sin(angle / 2.0), cos(angle / 2.0)) for angle in attitude[:2])
+        pose = _POSE.pack(0.0, 0.0, attitude.height_m, a * d, c * b, -a * b, c * d)
+        return b"".join((_LITTLE_ENDIAN, _stamp(stamp_ns), name, pose))
+
+    return write
 
 
 def poses(frame: str) -> Callable[[int, Pose], bytes]:
@@ -61,8 +87,8 @@ def poses(frame: str) -> Callable[[int, Pose], bytes]:
     return lambda stamp_ns, pose: b"".join((_LITTLE_ENDIAN, _stamp(stamp_ns), name, _pose(pose)))
 
 
-def scans(frame: str) -> Callable[[Scan], bytes]:
-    """Return the function that serializes a LaserScan, NaN where there is no valid return; no intensities."""
+def scans(frame: str, no_return_m: float = nan) -> Callable[[Scan], bytes]:
+    """Return the function that serializes a LaserScan with ``no_return_m`` where there is no return; no intensities."""
     name, none = _text(8, frame, 4), _COUNT.pack(0)
 
     def write(scan: Scan) -> bytes:
@@ -72,7 +98,7 @@ def scans(frame: str) -> Callable[[Scan], bytes]:
         head = _SCAN.pack(
             spec.angle_min_rad, last, spec.angle_step_rad, *times, spec.range_min_m, spec.range_max_m, spec.beams
         )
-        ranges = scan.ranges_m.astype(np.dtype("<f4")).tobytes()
+        ranges = np.where(np.isnan(scan.ranges_m), no_return_m, scan.ranges_m).astype(np.dtype("<f4")).tobytes()
         return b"".join((_LITTLE_ENDIAN, _stamp(scan.stamp_ns), name, head, ranges, none))
 
     return write

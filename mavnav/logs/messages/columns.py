@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import struct
 from collections import defaultdict
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from typing import Any, Final, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavnav.logs.messages.fast_cdr import CdrFields
 from mavnav.logs.messages.records import ImuMessage, Measurements, Poses
 from mavnav.logs.stamps import storable
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    Rows = NDArray[np.int64]
+Rows = NDArray[np.int64]
 
 T = TypeVar("T", "Poses", "Measurements")
 

@@ -1,57 +1,32 @@
 """Decoders of messages, selected by encoding and type.
 
 ROS messages are decoded by the standard definitions; the schema text in the log, ros2msg or ros2idl, is not used.
+Messages that are no scans wait here until they are decoded together, in columns.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from msgspec import Struct, field
+from numpy.typing import NDArray
 
 from mavnav.logs.formats.decompress import DecompressError, unpack_message
-from mavnav.logs.messages import carmen
+from mavnav.logs.messages import carmen, definitions, fast_cdr
 from mavnav.logs.messages.columns import columns_of, read_blocks
-from mavnav.logs.messages.definitions import (
-    FOXGLOVE_SCAN,
-    IMU,
-    ODOMETRY,
-    PATH,
-    POSE,
-    POSE_COVARIANCE,
-    SCAN,
-    TF,
-    TF_ROS1,
-    TRANSFORM,
-)
-from mavnav.logs.messages.fast_cdr import (
-    exactly,
-    laser_of,
-    read_covariance_pose,
-    read_imu,
-    read_odometry,
-    read_path,
-    read_pose,
-    read_transform,
-    read_transforms,
-)
 from mavnav.logs.messages.other_scans import other_scan, suffix_of
-from mavnav.logs.messages.records import DecodeError
+from mavnav.logs.messages.records import DecodeError, LaserMessage
 from mavnav.logs.namespaces import topic_and_frame
+from mavnav.logs.read_report import ReadReport
+from mavnav.logs.records import Channel
+from mavnav.logs.stamps import storable
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from mavnav.logs.messages.fast_cdr import CdrFields
-    from mavnav.logs.messages.records import LaserMessage
-    from mavnav.logs.records import Channel
-
-LASER_TYPES = frozenset({SCAN, FOXGLOVE_SCAN})
+LASER_TYPES = frozenset({definitions.SCAN, definitions.FOXGLOVE_SCAN})
 ROS_ENCODINGS = ("cdr", "ros1")
-SINGLE_POSES = frozenset({POSE, POSE_COVARIANCE, PATH, TRANSFORM})
+SINGLE_POSES = frozenset({definitions.POSE, definitions.POSE_COVARIANCE, definitions.PATH, definitions.TRANSFORM})
 """Types that are of use only on a topic that is named, or is named like a ground truth."""
 
 
@@ -151,7 +126,7 @@ def _deserialize(data: bytes, encoding: str, type_name: str) -> Any:  # noqa: AN
 
 
 def _ros_decoder(read: Callable[[bytes, str], Any], channel: Channel) -> Callable[[bytes], Any]:
-    type_name = TF if channel.type == TF_ROS1 else channel.type
+    type_name = definitions.TF if channel.type == definitions.TF_ROS1 else channel.type
 
     def decode(data: bytes) -> Any:  # noqa: ANN401
         message = read(data, channel.encoding)
@@ -169,24 +144,48 @@ def _foxglove(channel: Channel) -> Callable[[bytes], LaserMessage]:
     return decode_json if channel.encoding == "json" else protobuf_decoder(channel)
 
 
-_FIELD_READERS: dict[str, Callable[[CdrFields], Any]] = {
-    ODOMETRY: read_odometry,
-    IMU: read_imu,
-    TF: read_transforms,
-    TF_ROS1: read_transforms,
-    POSE: read_pose,
-    POSE_COVARIANCE: read_covariance_pose,
-    PATH: read_path,
-    TRANSFORM: read_transform,
+_FIELD_READERS: dict[str, Callable[[fast_cdr.CdrFields], Any]] = {
+    definitions.ODOMETRY: fast_cdr.read_odometry,
+    definitions.IMU: fast_cdr.read_imu,
+    definitions.TF: fast_cdr.read_transforms,
+    definitions.TF_ROS1: fast_cdr.read_transforms,
+    definitions.POSE: fast_cdr.read_pose,
+    definitions.POSE_COVARIANCE: fast_cdr.read_covariance_pose,
+    definitions.PATH: fast_cdr.read_path,
+    definitions.TRANSFORM: fast_cdr.read_transform,
 }
 _ROS_READERS: dict[str, Callable[[bytes, str], Any]] = {
-    SCAN: partial(laser_of, any_stamp=True),
-    **{name: exactly(read) for name, read in _FIELD_READERS.items()},
+    definitions.SCAN: partial(fast_cdr.laser_of, any_stamp=True),
+    **{name: fast_cdr.exactly(read) for name, read in _FIELD_READERS.items()},
 }
 DECODERS: dict[tuple[str, str], Callable[[Channel], Callable[[bytes], Any]]] = {
-    ("json", FOXGLOVE_SCAN): _foxglove,
-    ("protobuf", FOXGLOVE_SCAN): _foxglove,
+    ("json", definitions.FOXGLOVE_SCAN): _foxglove,
+    ("protobuf", definitions.FOXGLOVE_SCAN): _foxglove,
     **{(each, name): partial(_ros_decoder, read) for name, read in _ROS_READERS.items() for each in ROS_ENCODINGS},
-    (carmen.ENCODING, SCAN): carmen.scan_decoder,
-    **{(carmen.ENCODING, name): carmen.pose_decoder for name in (ODOMETRY, TF, TRANSFORM)},
+    (carmen.ENCODING, definitions.SCAN): carmen.scan_decoder,
+    **{
+        (carmen.ENCODING, name): (lambda _: carmen.decode_pose)
+        for name in (definitions.ODOMETRY, definitions.TF, definitions.TRANSFORM)
+    },
 }
+
+
+class Waiting(Struct):
+    """Messages of a topic that are no scans, until they are decoded together and go to the ``takers``."""
+
+    channel: Channel
+    decode: Callable[[bytes], Any]
+    takers: tuple[Callable[[list[Any]], None], ...]
+    messages: list[bytes] = field(default_factory=list)
+    log_ns: list[int] = field(default_factory=list)
+
+    def pass_on(self, report: ReadReport) -> None:
+        """Decode what waits; a message that does not decode is noted."""
+        log_ns = np.array([*map(storable, self.log_ns)], np.int64)
+        parts, errors = decode_together(self.channel, self.messages, log_ns, self.decode)
+        for row, error in errors.items():
+            where = f"{self.channel.topic}, {self.log_ns[row]} ns"
+            report.damage(f"a message does not decode ({error})", where)
+        for take in self.takers if parts else ():
+            take(parts)
+        self.messages, self.log_ns = [], []

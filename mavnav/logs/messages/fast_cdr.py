@@ -9,16 +9,14 @@ than four bytes (OMG DDS-XTypes 1.3, 7.6.3). Other messages are read as their de
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from functools import wraps
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from msgspec import Struct
 
 from mavnav.logs.messages.records import ImuMessage, LaserMessage, TransformMessage
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 _ENCAPSULATIONS = {0: (">", 0), 1: ("<", 0), 6: (">", 0), 7: ("<", 0), 8: (">", 4), 9: ("<", 4)}
 """Encapsulation kind of a CDR message -> byte order, and bytes of a header before the fields."""
@@ -187,7 +185,3 @@ class CdrFields(Struct):
     def _align(self, size: int) -> None:
         if self.aligned:
             self.offset += -self.offset % size
-
-
-transforms_of, transform_of = exactly(read_transforms), exactly(read_transform)
-pose_of, odometry_of, imu_of = exactly(read_pose), exactly(read_odometry), exactly(read_imu)

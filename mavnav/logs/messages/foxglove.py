@@ -6,18 +6,14 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavnav.logs.messages.records import DecodeError, LaserMessage
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from mavnav.logs.records import Channel
+from mavnav.logs.records import Channel
 
 _NAN = float("nan")
 _MAX_JSON_BYTES = 8 << 20
@@ -45,13 +41,9 @@ def decode_json(data: bytes) -> LaserMessage:
     try:
         scan = json.loads(data)
         stamp = scan["timestamp"]
-        return _laser(
-            int(stamp["sec"]) * 1_000_000_000 + int(stamp["nsec"]),
-            str(scan.get("frame_id", "")),
-            (float(scan["start_angle"]), float(scan["end_angle"])),
-            _floats(scan["ranges"]),
-            has_pose=not _is_identity_json(scan.get("pose") or {}),
-        )
+        stamp_ns, frame_id = int(stamp["sec"]) * 1_000_000_000 + int(stamp["nsec"]), str(scan.get("frame_id", ""))
+        ends_rad, ranges_m = (float(scan["start_angle"]), float(scan["end_angle"])), _floats(scan["ranges"])
+        return _laser(stamp_ns, frame_id, ends_rad, ranges_m, has_pose=not _is_identity_json(scan.get("pose") or {}))
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError) as error:
         raise DecodeError(f"no foxglove.LaserScan in JSON ({type(error).__name__}: {error})") from error
 
@@ -76,13 +68,10 @@ def protobuf_decoder(channel: Channel) -> Callable[[bytes], LaserMessage]:
         try:
             scan = message_class.FromString(data)
             p, q = scan.pose.position, scan.pose.orientation
-            return _laser(
-                scan.timestamp.seconds * 1_000_000_000 + scan.timestamp.nanos,
-                scan.frame_id,
-                (scan.start_angle, scan.end_angle),
-                np.fromiter(scan.ranges, dtype=np.float64, count=len(scan.ranges)),
-                has_pose=any((p.x, p.y, p.z, q.x, q.y, q.z)),
-            )
+            stamp_ns = scan.timestamp.seconds * 1_000_000_000 + scan.timestamp.nanos
+            ranges_m = np.fromiter(scan.ranges, dtype=np.float64, count=len(scan.ranges))
+            has_pose = any((p.x, p.y, p.z, q.x, q.y, q.z))
+            return _laser(stamp_ns, scan.frame_id, (scan.start_angle, scan.end_angle), ranges_m, has_pose=has_pose)
         except (ProtobufError, AttributeError) as error:
             raise DecodeError(f"no foxglove.LaserScan in protobuf ({error})") from error
 

@@ -7,23 +7,19 @@ message: ``/echoes/last``, ``/points/ring_7``, ``/points/z_-0.1_0.3``.
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from math import inf, pi
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavnav.logs.messages.definitions import CLOUD, MULTI_ECHO
 from mavnav.logs.messages.records import DecodeError, LaserMessage
+from mavnav.logs.records import Channel
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from mavnav.logs.records import Channel
-
-    Array = NDArray[np.float64]
-    Pick = Callable[[dict[str, Array]], NDArray[np.bool_]]
+Array = NDArray[np.float64]
+Pick = Callable[[dict[str, Array]], NDArray[np.bool_]]
 
 OTHER_TYPES: Final = frozenset({MULTI_ECHO, CLOUD})
 ECHOES: Final = ("first", "strongest", "last")

@@ -1,29 +1,21 @@
-"""ROS messages built from plain values, and their serialization as CDR (ROS 2) or for ROS 1."""
+"""The type stores of ROS: definitions of all standard messages, and what (de)serializes by them."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cache
-from math import cos, sin
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from mavnav.logs.messages.definitions import ODOMETRY, POSE, SCAN, TF
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from mavnav.pose import Pose
-    from mavnav.scan import Attitude, Scan
+from mavnav.logs.messages.definitions import TF
 
 _OLDER = ("iron", "humble", "galactic", "foxy", "eloquent", "dashing")
 
 
-@cache
 def types_ros2() -> Any:  # noqa: ANN401  rosbags' types are made at run time
     """Return the type store of ROS 2."""
-    return get_typestore(Stores.ROS2_JAZZY)
+    return _types_of("jazzy")
 
 
 @cache
@@ -36,8 +28,7 @@ def types_ros1() -> Any:  # noqa: ANN401
 
 def all_types_ros2() -> Iterator[Any]:
     """Yield the type stores of ROS 2: that of ``types_ros2``, then those of older distributions, the newest first."""
-    yield types_ros2()
-    yield from map(_types_of, _OLDER)
+    return map(_types_of, ("jazzy", *_OLDER))
 
 
 @cache
@@ -54,67 +45,3 @@ def definition(msgtype: str, types: Any = None) -> str:  # noqa: ANN401
 def cdr(message: Any) -> bytes:  # noqa: ANN401
     """Serialize a message for ROS 2."""
     return bytes(types_ros2().serialize_cdr(message, message.__msgtype__))
-
-
-def ros1(message: Any) -> bytes:  # noqa: ANN401
-    """Serialize a message for ROS 1; the sequence number, which ROS 2 does not have, is 0."""
-    return bytes(types_ros2().cdr_to_ros1(cdr(message), message.__msgtype__))
-
-
-def _new(msgtype: str, *fields: object) -> Any:  # noqa: ANN401
-    return types_ros2().types[msgtype](*fields)
-
-
-def _time(stamp_ns: int) -> Any:  # noqa: ANN401
-    return _new("builtin_interfaces/msg/Time", *divmod(stamp_ns, 1_000_000_000))
-
-
-def _header(stamp_ns: int, frame: str) -> Any:  # noqa: ANN401
-    return _new("std_msgs/msg/Header", _time(stamp_ns), frame)
-
-
-def _turn(yaw_rad: float) -> Any:  # noqa: ANN401
-    return _new("geometry_msgs/msg/Quaternion", 0.0, 0.0, sin(yaw_rad / 2.0), cos(yaw_rad / 2.0))
-
-
-def _pose(pose: Pose) -> Any:  # noqa: ANN401
-    point = _new("geometry_msgs/msg/Point", pose.x_m, pose.y_m, 0.0)
-    return _new("geometry_msgs/msg/Pose", point, _turn(pose.yaw_rad))
-
-
-def transform(stamp_ns: int, parent: str, child: str, parent_T_child: Pose) -> Any:  # noqa: ANN401
-    """Return a TFMessage of one transform."""
-    shift = _new("geometry_msgs/msg/Vector3", parent_T_child.x_m, parent_T_child.y_m, 0.0)
-    body = _new("geometry_msgs/msg/Transform", shift, _turn(parent_T_child.yaw_rad))
-    return _new(TF, [_new("geometry_msgs/msg/TransformStamped", _header(stamp_ns, parent), child, body)])
-
-
-def pose_stamped(stamp_ns: int, frame: str, pose: Pose) -> Any:  # noqa: ANN401
-    """Return a PoseStamped."""
-    return _new(POSE, _header(stamp_ns, frame), _pose(pose))
-
-
-def attitude(stamp_ns: int, frame: str, attitude: Attitude) -> Any:  # noqa: ANN401
-    """Return a PoseStamped of roll, pitch and height: the orientation ``Ry(pitch) Rx(roll)``, x = y = 0."""
-    (a, c), (b, d) = ((sin(angle / 2.0), cos(angle / 2.0)) for angle in attitude[:2])
-    turn = _new("geometry_msgs/msg/Quaternion", a * d, c * b, -a * b, c * d)
-    point = _new("geometry_msgs/msg/Point", 0.0, 0.0, attitude.height_m)
-    return _new(POSE, _header(stamp_ns, frame), _new("geometry_msgs/msg/Pose", point, turn))
-
-
-def odometry(stamp_ns: int, parent: str, child: str, parent_T_child: Pose) -> Any:  # noqa: ANN401
-    """Return an Odometry; velocities and covariances are zero, which means unknown."""
-    still = _new("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
-    pose = _new("geometry_msgs/msg/PoseWithCovariance", _pose(parent_T_child), np.zeros(36))
-    twist = _new("geometry_msgs/msg/TwistWithCovariance", _new("geometry_msgs/msg/Twist", still, still), np.zeros(36))
-    return _new(ODOMETRY, _header(stamp_ns, parent), child, pose, twist)
-
-
-def laser_scan(scan: Scan, frame: str, no_return_m: float = np.nan) -> Any:  # noqa: ANN401
-    """Return a LaserScan with ``no_return_m`` where there is no valid return; no intensities."""
-    spec = scan.spec
-    last = spec.angle_min_rad + spec.angle_step_rad * max(spec.beams - 1, 0)
-    angles, times = (spec.angle_min_rad, last, spec.angle_step_rad), (spec.time_increment_s, spec.scan_time_s)
-    limits = (spec.range_min_m, spec.range_max_m)
-    ranges = np.where(np.isnan(scan.ranges_m), no_return_m, scan.ranges_m).astype(np.float32)
-    return _new(SCAN, _header(scan.stamp_ns, frame), *angles, *times, *limits, ranges, np.empty(0, np.float32))

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from msgspec import Struct, field
 
@@ -15,15 +17,9 @@ from mavnav.logs.formats import detect
 from mavnav.logs.formats.decompress import DecompressError, unpack_message
 from mavnav.logs.messages.records import DecodeError
 from mavnav.logs.read_report import ReadReport
-from mavnav.logs.records import LATCHING, QOS, Channel, Damage, MetadataRecord, RawMessage, Schema, Topic
+from mavnav.logs.records import LATCHING, QOS, AttachedFile, Channel, Damage, MetadataRecord, RawMessage, Schema, Topic
 from mavnav.logs.writing.mcap_writer import CHUNK_BYTES, OutputChannel, qos_text
 from mavnav.logs.writing.translation import Translator
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
-    from pathlib import Path
-
-    from mavnav.logs.records import AttachedFile
 
 _MAX_STAMP_NS = (1 << 63) - 1
 
@@ -215,16 +211,11 @@ def _compare(unfinished: Path, target: Path, topics: tuple[Topic, ...]) -> None:
     report, counts = ReadReport(), Counter[str]()
     for message in detect.read(unfinished, report):
         counts[message.channel.topic] += 1
-    expected = _by_name(topics)
+    expected = Counter[str]()
+    for topic in topics:
+        expected[topic.name] += topic.count
     with unfinished.open("rb") as file:
         summary = make_reader(file).get_summary()
     indexed = summary.statistics.message_count if summary and summary.statistics else -1
     if counts != expected or report.damages() or indexed != sum(expected.values()):
         raise OutputError(f"{target}: what was written reads back differently; is the disk sound? Try another place")
-
-
-def _by_name(topics: tuple[Topic, ...]) -> Mapping[str, int]:
-    counts = Counter[str]()
-    for topic in topics:
-        counts[topic.name] += topic.count
-    return counts

@@ -5,32 +5,21 @@ The output does not depend on the clock: equal messages give equal bytes.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from string import Template
+from typing import Final
 
 from msgspec import Struct, field
 
 from mavnav.logs.messages.definitions import definition
 from mavnav.version import __version__
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-    from pathlib import Path
-
 CHUNK_BYTES: Final = 128 * 1024
 """Size of a chunk before compression, in bytes, about 4 s of scans; a cut file loses no chunk before the cut."""
 
-_QOS: Final = """\
-- history: keep_last
-  depth: {depth}
-  reliability: reliable
-  durability: {durability}
-  deadline: {{sec: 9223372036, nsec: 854775807}}
-  lifespan: {{sec: 9223372036, nsec: 854775807}}
-  liveliness: automatic
-  liveliness_lease_duration: {{sec: 9223372036, nsec: 854775807}}
-  avoid_ros_namespace_conventions: false
-"""
+_QOS: Final = Template(Path(__file__).with_name("qos.yaml").read_text("ascii"))
 
 
 class OutputChannel(Struct, frozen=True):
@@ -42,9 +31,8 @@ class OutputChannel(Struct, frozen=True):
 
 def qos_text(channel: OutputChannel) -> str:
     """Return the quality of service of a channel in the format of rosbag2's metadata."""
-    return _QOS.format(
-        depth=1 if channel.latched else 10, durability="transient_local" if channel.latched else "volatile"
-    )
+    depth, durability = (1, "transient_local") if channel.latched else (10, "volatile")
+    return _QOS.substitute(depth=depth, durability=durability)
 
 
 class Attachment(Struct, frozen=True):

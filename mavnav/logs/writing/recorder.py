@@ -11,31 +11,34 @@ topic              type                        what
 ``/tf_static``     tf2_msgs/TFMessage          ``base_link`` -> ``laser``, once, before everything else
 =================  ==========================  ====================================================================
 
-The ground truth is no Odometry message and not in ``/tf``, so that no reader mistakes it for odometry.
+The ground truth is no Odometry message and not in ``/tf``, so that no reader mistakes it for odometry. The time of
+recording is the stamp, not the clock, so that equal messages give equal bytes.
 """
 
 from __future__ import annotations
 
+import sqlite3
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from heapq import merge
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Final
 
 from msgspec import Struct, field
+from rosbags.rosbag1 import Writer as Bag1Writer
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Bag2Writer
+from rosbags.rosbag2.metadata import parse_qos
 
 from mavnav.atomic_files import beside, is_stream
 from mavnav.errors import OutputError, UsageError
 from mavnav.logs.formats.rosbag2 import METADATA
-from mavnav.logs.messages import definitions, ros
-from mavnav.logs.writing.containers import CONTAINERS
-from mavnav.logs.writing.mcap_writer import OutputChannel
-from mavnav.pose import Pose
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
-
-    from mavnav.pose import Trajectory
-    from mavnav.scan import Attitude, Scan
+from mavnav.logs.messages import cdr, definitions, ros
+from mavnav.logs.writing.mcap_writer import OutputChannel, qos_text, write_serialized
+from mavnav.pose import Pose, Trajectory
+from mavnav.scan import Attitude, Scan
 
 CHANNELS: Final = {
     "/tf_static": OutputChannel(definitions.TF, latched=True),
@@ -47,6 +50,8 @@ CHANNELS: Final = {
 ATTITUDE: Final = {"/attitude": OutputChannel(definitions.POSE)}
 NO_RETURN_M: Final = 0.0
 WORLD, ODOM, BASE, LASER = "world", "odom", "base_link", "laser"
+Put = Callable[[str, int, bytes], None]
+"""Writes a message in CDR: its topic, its stamp in ns, and its bytes."""
 
 
 class Recording(Struct, frozen=True):
@@ -79,7 +84,7 @@ def record(recording: Recording, path: Path, *, force: bool = False) -> None:
     check_recording(path, force=force)
     channels = CHANNELS | (ATTITUDE if recording.attitudes else {})
     try:
-        with beside(path, exclusive=not force) as partial, CONTAINERS[path.suffix](partial, channels) as put:
+        with beside(path, exclusive=not force) as unfinished, CONTAINERS[path.suffix](unfinished, channels) as put:
             for stamp_ns, topic, message in _messages(recording):
                 put(topic, stamp_ns, message)
     except FileExistsError as error:
@@ -89,19 +94,19 @@ def record(recording: Recording, path: Path, *, force: bool = False) -> None:
         raise OutputError(f"{path} cannot be written: {reason}; make room or choose another place") from error
 
 
-def _messages(r: Recording) -> Iterator[tuple[int, str, Any]]:
+def _messages(r: Recording) -> Iterator[tuple[int, str, bytes]]:
     """Yield stamps, topics and messages in the order of time; before the first, at its stamp, the laser's mounting."""
-    truth = ((stamp, "/ground_truth", ros.pose_stamped(stamp, WORLD, pose)) for stamp, pose in _poses(r.world_T_base))
+    pose, attitude, scan = cdr.poses(WORLD), cdr.attitudes(WORLD), cdr.scans(LASER, NO_RETURN_M)
+    builders = (("/tf", cdr.transforms(ODOM, BASE)), ("/odom", cdr.odometry(ODOM, BASE)))
+    truth = ((stamp, "/ground_truth", pose(stamp, place)) for stamp, place in _poses(r.world_T_base))
     odometry = (
-        (stamp, topic, build(stamp, ODOM, BASE, pose))
-        for stamp, pose in _poses(r.odom_T_base)
-        for topic, build in (("/tf", ros.transform), ("/odom", ros.odometry))
+        (stamp, topic, build(stamp, place)) for stamp, place in _poses(r.odom_T_base) for topic, build in builders
     )
-    attitudes = ((stamp, "/attitude", ros.attitude(stamp, WORLD, attitude)) for stamp, attitude in r.attitudes)
-    scans = ((scan.stamp_ns, "/scan", ros.laser_scan(scan, LASER, NO_RETURN_M)) for scan in r.scans)
+    attitudes = ((stamp, "/attitude", attitude(stamp, tilt)) for stamp, tilt in r.attitudes)
+    scans = ((each.stamp_ns, "/scan", scan(each)) for each in r.scans)
     for number, message in enumerate(merge(truth, odometry, attitudes, scans, key=itemgetter(0))):
         if number == 0:
-            yield message[0], "/tf_static", ros.transform(message[0], BASE, LASER, r.base_T_laser)
+            yield message[0], "/tf_static", cdr.transforms(BASE, LASER)(message[0], r.base_T_laser)
         yield message
 
 
@@ -113,10 +118,8 @@ def _poses(trajectory: Trajectory) -> Iterator[tuple[int, Pose]]:
 def check_recording(path: Path, *, force: bool) -> None:
     """Raise the errors of ``record`` for this path before any work is done."""
     if path.suffix not in CONTAINERS:
-        raise UsageError(
-            f"{path}: no format of this name can be recorded; end it in .mcap or .bag (ROS 1), "
-            "or leave the ending out for the folder of a ROS 2 bag"
-        )
+        advice = "end it in .mcap or .bag (ROS 1), or leave the ending out for the folder of a ROS 2 bag"
+        raise UsageError(f"{path}: no format of this name can be recorded; {advice}")
     if path.suffix and is_stream(path):
         return
     if path.is_dir():
@@ -126,3 +129,39 @@ def check_recording(path: Path, *, force: bool) -> None:
         raise OutputError(f"{path} is in the way; choose another name for the recording")
     if path.exists() and not force:
         raise OutputError(f"{path} exists; choose another name for the recording, or --force to replace it")
+
+
+@contextmanager
+def write_bag1(path: Path, channels: Mapping[str, OutputChannel]) -> Iterator[Put]:
+    """Write a ROS 1 bag, chunks compressed with bz2, whose output does not depend on the version of the library."""
+    writer = Bag1Writer(path)
+    writer.set_compression(Bag1Writer.CompressionFormat.BZ2)
+    with writer:
+        add = partial(writer.add_connection, typestore=ros.types_ros1(), callerid="/mavnav")
+        connections = {topic: add(topic, c.type, latching=int(c.latched)) for topic, c in channels.items()}
+        to_ros1 = ros.types_ros2().cdr_to_ros1
+        yield lambda topic, stamp_ns, message: writer.write(
+            connections[topic], stamp_ns, to_ros1(message, channels[topic].type)
+        )
+
+
+@contextmanager
+def write_bag2(path: Path, channels: Mapping[str, OutputChannel]) -> Iterator[Put]:
+    """Write the folder of a ROS 2 bag: sqlite3 storage and metadata.yaml. Raises OSError for errors of sqlite."""
+    writer = Bag2Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3)
+    try:
+        with writer:
+            add = partial(writer.add_connection, typestore=ros.types_ros2())
+            qos = {topic: parse_qos(qos_text(channel)) for topic, channel in channels.items()}
+            connections = {topic: add(topic, c.type, offered_qos_profiles=qos[topic]) for topic, c in channels.items()}
+            yield lambda topic, stamp_ns, message: writer.write(connections[topic], stamp_ns, message)
+    except sqlite3.Error as error:
+        raise OSError(f"sqlite: {error}") from error
+
+
+CONTAINERS: Final[dict[str, Callable[[Path, Mapping[str, OutputChannel]], AbstractContextManager[Put]]]] = {
+    ".mcap": write_serialized,
+    ".bag": write_bag1,
+    "": write_bag2,
+}
+"""Suffix of a log's name -> its writer; a name without a suffix is the folder of a ROS 2 bag."""

@@ -5,25 +5,22 @@ The definition of a type decides, not its first message, which may be cut, or em
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache, partial
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from msgspec import Struct, field
 
-from mavnav.logs.messages import ros
-from mavnav.logs.messages.carmen import ENCODING, pose_decoder, scan_decoder
+from mavnav.logs.messages import cdr, ros
+from mavnav.logs.messages.carmen import ENCODING, decode_pose, scan_decoder
 from mavnav.logs.messages.decode import decoder
 from mavnav.logs.messages.definitions import ODOMETRY, SCAN, TF, TF_ROS1, TRANSFORM
-from mavnav.logs.messages.records import DecodeError, LaserMessage, TransformMessage
+from mavnav.logs.messages.records import DecodeError, LaserMessage
+from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel, Schema
 from mavnav.logs.transforms import planar_pose
 from mavnav.pose import Pose
 from mavnav.scan import LaserSpec, Scan
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-
-    from mavnav.logs.read_report import ReadReport
 
 _ROS1_ONLY: Final = {TF_ROS1: TF}
 _MAX_DEFINITION_BYTES: Final = 1 << 20
@@ -126,24 +123,21 @@ def _ros2(channel: Channel, name: str, text: str = "") -> Channel:
 def _carmen_to_cdr(channel: Channel) -> Callable[[bytes], bytes]:
     """Return the function that converts a line of a CARMEN log to a message of its channel; it raises DecodeError."""
     if channel.type == SCAN:
-        scan = scan_decoder(channel)
-        return lambda line: ros.cdr(_laser_scan(scan(line)))
-    poses = pose_decoder(channel)
-    return lambda line: ros.cdr(_pose_message(channel.type, poses(line)[0]))
+        decode = scan_decoder(channel)
+        return lambda line: _laser_scan(decode(line))
+    write = {ODOMETRY: cdr.odometry, TRANSFORM: cdr.transform}.get(channel.type, cdr.transforms)
+
+    def convert(line: bytes) -> bytes:
+        (pose,) = decode_pose(line)
+        return write(pose.parent, pose.child)(pose.stamp_ns, planar_pose(pose) or Pose())
+
+    return convert
 
 
-def _laser_scan(laser: LaserMessage) -> Any:  # noqa: ANN401  rosbags' types are made at run time
+def _laser_scan(laser: LaserMessage) -> bytes:
     limits, times = (laser.range_min_m, laser.range_max_m), (laser.time_increment_s, laser.scan_time_s)
     spec = LaserSpec(laser.angle_min_rad, laser.angle_step_rad, len(laser.ranges_m), *limits, *times)
-    return ros.laser_scan(Scan(laser.stamp_ns, laser.ranges_m, spec), laser.frame_id)
-
-
-def _pose_message(kind: str, pose: TransformMessage) -> Any:  # noqa: ANN401
-    edge = pose.stamp_ns, pose.parent, pose.child, planar_pose(pose) or Pose()
-    if kind == ODOMETRY:
-        return ros.odometry(*edge)
-    transforms = ros.transform(*edge)
-    return transforms.transforms[0] if kind == TRANSFORM else transforms
+    return cdr.scans(laser.frame_id)(Scan(laser.stamp_ns, laser.ranges_m, spec))
 
 
 def _read_ros1(data: bytes, name: str) -> bytes:

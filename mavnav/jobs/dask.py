@@ -1,28 +1,35 @@
-"""Client of a Dask cluster: connection, check of the workers, and submission of jobs."""
+"""Jobs on a Dask cluster: the scheduler assigns them, and reassigns the jobs of a lost worker.
+
+Needs ``mavnav[cluster]``. Workers need the same version of mavnav, and the same folders under the same paths. A worker
+runs one job at a time, in its own process and the folder of the caller. Dask runs a job that killed its worker on
+another one, a few times at most.
+"""
 
 from __future__ import annotations
 
-import asyncio
 import pickle
-from contextlib import ExitStack, contextmanager
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, chdir, contextmanager
 from logging import CRITICAL, getLogger
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from tempfile import NamedTemporaryFile
+from threading import Lock
 from time import monotonic
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
+from urllib.parse import urlsplit
 from uuid import uuid4
 
 from msgspec import Struct
-from msgspec.structs import asdict
+from msgspec.structs import asdict, replace
 
 from mavnav.errors import ExitCode, UsageError
-from mavnav.jobs import Ended, Event, Job, Outcome, Progressed, Started, Status, run_with_retries
-from mavnav.jobs.dask.worker import JobContext, our_version, run_on_worker, sees
+from mavnav.jobs.pool import run_with_retries
+from mavnav.jobs.run_cache import source_sha256
+from mavnav.jobs.worker import Ended, Event, Job, Outcome, Progressed, Started, Status, attempt, failure
 from mavnav.units import pluralize
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+from mavnav.version import __version__
 
 LOCAL: Final = "local"
 """Name of a scheduler that is started on this machine, with workers, and ends with the batch."""
@@ -44,7 +51,7 @@ class Cluster(Struct, frozen=True):
         return len(self.client.nthreads())
 
     def run_jobs(self, jobs: Sequence[Job], on_event: Callable[[Event], None], timeout_s: float | None = None) -> None:
-        """Run jobs on the cluster; ``on_event`` gets the events of `mavnav.jobs.run_with_retries`.
+        """Run jobs on the cluster; ``on_event`` gets the events of `run_with_retries`.
 
         Dask runs the jobs of a lost worker again, and counts the failure against every job that was assigned to it. So
         there are never more unfinished jobs than workers, and jobs that Dask gave up are run once more, one at a time.
@@ -189,6 +196,8 @@ def _silence() -> Iterator[None]:
 
 def _check_scheduler(address: str) -> None:
     """Raise UsageError where something else than a scheduler answers, or says nothing; a client would wait for ever."""
+    import asyncio  # noqa: PLC0415  it takes long to load
+
     from distributed.comm import connect  # noqa: PLC0415  an extra
     from distributed.security import Security  # noqa: PLC0415  an extra
 
@@ -253,3 +262,86 @@ def _incompatibility(version: Any, seen: Any, ours: tuple[str, str]) -> str:  # 
         same = " of other sources" if version[0] == ours[0] else ""
         return f"the worker has mavnav {version[0]}{same}, not {ours[0]}"
     return "" if seen is True else "the worker does not see the directory of the results"
+
+
+REPORT_PERIOD_S = 0.5
+"""Minimum time between two progress reports of a worker, in s."""
+
+_ONE_AT_A_TIME = Lock()
+"""Prevents concurrent jobs: the current folder, memory and drawing state are shared by all threads of a process."""
+
+
+class JobContext(Struct, frozen=True):
+    """Context of a job: the required version of mavnav, the current folder, and the time limit.
+
+    Progress is sent to ``topic``.
+    """
+
+    version: str
+    modules_sha256: str
+    folder: str
+    topic: str
+    timeout_s: float | None = None
+
+
+def our_version() -> tuple[str, str]:
+    """Return the version of mavnav in this process, and the hash of its modules."""
+    return __version__, source_sha256()
+
+
+def sees(path: str) -> bool:
+    """Return whether a file exists on this machine."""
+    return Path(path).is_file()
+
+
+def in_cluster() -> bool:
+    """Return whether this thread runs a job of a scheduler on another machine."""
+    if "distributed" not in sys.modules:
+        return False
+    from distributed import get_worker  # noqa: PLC0415  an extra
+
+    try:
+        scheduler = urlsplit(get_worker().scheduler.address)
+    except ValueError:
+        return False
+    return scheduler.scheme != "inproc" and scheduler.hostname not in {"127.0.0.1", "::1", "localhost"}
+
+
+def run_on_worker(index: int, packed: bytes, context: dict[str, Any]) -> Outcome:
+    """Run one job in this process."""
+    began_s = monotonic()
+    try:
+        return _run(index, packed, JobContext(**context))
+    except Exception as error:
+        return failure(error, began_s)
+
+
+def _run(index: int, packed: bytes, context: JobContext) -> Outcome:
+    if our_version() != (context.version, context.modules_sha256):
+        raise UsageError(f"a worker has another mavnav ({__version__}); install {context.version} there")
+    with _ONE_AT_A_TIME, chdir(context.folder):
+        job: Job = pickle.loads(packed)  # noqa: S301  who can submit jobs can run any code anyway
+        report = _Reporter(index, context, began_s=monotonic())
+        outcome = attempt(job, report)
+    if report.late and outcome.status is Status.FAILED:
+        return replace(outcome, status=Status.TIMEOUT, error=f"took longer than {context.timeout_s:g} s")
+    return outcome
+
+
+class _Reporter:
+    """Progress callback: sends a report every ``REPORT_PERIOD_S`` at most, and ends a job at its time limit."""
+
+    def __init__(self, index: int, context: JobContext, began_s: float) -> None:
+        from distributed import get_worker  # noqa: PLC0415  an extra
+
+        self.index, self.context, self.began_s = index, context, began_s
+        self.late, self.sent_s, self.worker = False, float("-inf"), get_worker()
+
+    def __call__(self, phase: str, done: int, total: int | None) -> None:
+        now_s = monotonic()
+        if self.context.timeout_s is not None and now_s - self.began_s > self.context.timeout_s:
+            self.late = True
+            raise TimeoutError
+        if now_s - self.sent_s >= REPORT_PERIOD_S:
+            self.sent_s = now_s
+            self.worker.log_event(self.context.topic, {"progress": [self.index, phase, done, total]})
