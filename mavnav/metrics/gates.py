@@ -230,10 +230,17 @@ def _fits(parts: Sequence[str], pattern: Sequence[str]) -> bool:
 
 
 def find(document: Mapping[str, Any], name: str) -> Number | None:
+    """Return what `look_up` does; raises UsageError for a name that the document does not have, or is no number."""
+    value: Any = look_up(document, name)
+    if value is None or isinstance(value, Number):
+        return value
+    raise UsageError(_unknown(name, names(document)))
+
+
+def look_up(document: Mapping[str, Any], name: str) -> object:
     """Return the number of that name; None if it or a parent is null, or if it is NaN; 0 for an unused skip reason.
 
-    The number of a verdict is its place from good to bad. Raises UsageError for a name that the document does
-    not have, or that is no number.
+    The number of a verdict is its place from good to bad. What is returned of other names is no number.
     """
     value: Any = document
     if name == VERDICT and (known := stored_verdict(document)):
@@ -244,9 +251,7 @@ def find(document: Mapping[str, Any], name: str) -> Number | None:
         value = _child(value, part)
     if value is _NOTHING and _did_not_occur(document, name):
         return 0
-    if value is None or isinstance(value, Number):
-        return None if value != value else value  # noqa: PLR0124  NaN compares with nothing
-    raise UsageError(_unknown(name, names(document)))
+    return None if value != value else value  # noqa: PLR0124  NaN compares with nothing
 
 
 _NOTHING: Final = object()

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 
-from mavnav.errors import ExitCode, UsageError
-from mavnav.metrics.gates import VERDICTS, find, stored_verdict
+from mavnav.errors import ExitCode
+from mavnav.metrics.gates import VERDICTS, Number, look_up, stored_verdict
 from mavnav.outputs.documents.schema import number_schema
 
 if TYPE_CHECKING:
@@ -118,10 +118,8 @@ NAMED: Final = {quantity.name: quantity for quantity in QUANTITIES}
 
 def number(run: Run | None, name: str) -> float | None:
     """Return a number of run.json, None where there is no such number."""
-    try:
-        return None if run is None else find(run, name)
-    except UsageError:
-        return None
+    value = None if run is None else look_up(run, name)
+    return value if isinstance(value, Number) else None
 
 
 def why_not_meaningful(run: Run) -> str:
