@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import sys
+from functools import cache
 
 __version__ = "0.3.0"
 
 
 def installed_version(package: str) -> str:
-    """Return the version of an installed package by the name of its folder; "none" if there is no such folder.
+    """Return the version of an installed package by the name of its folder; "none" if there is no such folder."""
+    return _installed_versions().get(package, "none")
 
-    It takes a tenth of the time of ``importlib.metadata``.
-    """
+
+@cache
+def _installed_versions() -> dict[str, str]:
+    """Return the version of each package by the name of its folder, in a tenth of ``importlib.metadata``'s time."""
     from pathlib import Path  # noqa: PLC0415  the package is imported before Ctrl-C ends it silently
 
-    folders = (folder.stem for path in sys.path for folder in Path(path).glob(f"{package}-*.*-info"))
-    return next(folders, "-none").partition("-")[2]
+    folders = (folder.stem for path in reversed(sys.path) for folder in Path(path).glob("*-*.*-info"))
+    return {name: version for name, _, version in (folder.partition("-") for folder in folders)}

@@ -8,6 +8,7 @@ import shlex
 import shutil
 import subprocess
 import tomllib
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,8 @@ import pytest
 import yaml
 
 from mavnav import __version__
-from mavnav.cli import run
+from mavnav.cli import LIBRARIES, run
+from mavnav.version import installed_version
 
 ROOT = Path(__file__).parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -27,6 +29,15 @@ def test_the_version_is_the_same_everywhere() -> None:
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
     assert (citation["title"], citation["version"]) == (PROJECT["name"], __version__)
     assert [author["name"] for author in citation["authors"]] == [author["name"] for author in PROJECT["authors"]]
+
+
+@pytest.mark.parametrize("name", LIBRARIES)
+def test_the_folder_of_a_library_tells_its_version(name: str) -> None:
+    try:
+        wanted = metadata.version(name)
+    except metadata.PackageNotFoundError:
+        wanted = "none"
+    assert installed_version(name) == wanted
 
 
 def test_the_text_of_the_package_index_needs_no_other_file() -> None:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from functools import partial
-from math import floor
+from math import floor, hypot
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -172,7 +172,8 @@ class LineMap(Struct):
         frame, are those of a scan in the order of its beams, ``step_rad`` is the angle between two beams.
         """
         reach_m, spacing_m = WINDOW_CELLS * self.cell_m, max(self.line_sigma_m, self.cell_m)
-        if not len(points) or abs(step_rad) * np.hypot(*np.abs(points).max(axis=0)) <= reach_m:
+        x0, y0, x1, y1 = extent(points)
+        if not len(points) or abs(step_rad) * hypot(max(-x0, x1), max(-y0, y1)) <= reach_m:
             return
         out = np.empty((len(points) * int(LONGEST_M / spacing_m), 2))
         between = out[: points_between(points, abs(step_rad), reach_m, spacing_m, out)]

@@ -130,7 +130,7 @@ class Canvas(Struct, frozen=True):
         x0, y0 = (SMOOTH * floor(v / SMOOTH) for v in inked[:2])
         x1, y1 = (SMOOTH * ceil(v / SMOOTH) for v in inked[2:])
         step = SMOOTH // self.density
-        part = mask.crop((x0, y0, x1, y1)).reduce(step)
+        part = mask.reduce(step, (x0, y0, x1, y1))
         self.image.paste(rgb_of(colour), (left * self.density + x0 // step, top * self.density + y0 // step), part)
 
     def gradient(self, box: Box, colours: NDArray[np.uint8], *, upwards: bool = False) -> None:

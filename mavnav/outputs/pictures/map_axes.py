@@ -94,19 +94,17 @@ def draw_cells(
     first_col, end_col, first_row, end_row = Viewport(*axes.limits, axes.turn_rad).cells_of(grid)
     factor = max(1, ceil(1.0 / (grid.cell_m * axes.per_unit[0] * axes.canvas.density)))
     shown = max_pool(cells[first_row:end_row, first_col:end_col], factor, value_of=value_of)
-    some = shown > 0
-    colours = colour_of(shown[some])
-    pixels = 255 * some.astype(np.uint8)  # one colour takes a mask, several a picture that is clear elsewhere
-    if colours.ndim > 1:
-        pixels = np.zeros((*some.shape, 4), np.uint8)
-        pixels[some] = np.column_stack((colours, np.full(len(colours), 255, np.uint8)))
+    some, pixels = shown > 0, np.zeros((*shown.shape, 3), np.uint8)
+    pixels[some] = colour_of(shown[some])
     left, top, right, bottom = (v * axes.canvas.density for v in axes.box)
     first_m = grid.origin_xy_m + np.array([first_col, first_row]) * grid.cell_m
     to_squares = _to_squares(axes, first_m, factor * grid.cell_m)
-    image = Image.fromarray(pixels).transform(
-        (right - left, bottom - top), Image.Transform.AFFINE, to_squares, Image.Resampling.NEAREST
-    )
-    axes.canvas.image.paste(tuple(colours.tolist()) if colours.ndim == 1 else image, (left, top), image)
+
+    def on_axes(squares: NDArray[Any]) -> Image.Image:
+        size, affine = (right - left, bottom - top), Image.Transform.AFFINE
+        return Image.fromarray(squares).transform(size, affine, to_squares, Image.Resampling.NEAREST)
+
+    axes.canvas.image.paste(on_axes(pixels), (left, top), on_axes(some))
 
 
 def _to_squares(axes: Axes, first_m: NDArray[np.float64], edge_m: float) -> tuple[float, ...]:

@@ -257,7 +257,7 @@ def _scale(driven: NDArray[Any], wanted: NDArray[Any], error2: float) -> float:
 
 
 def _mean2(values: NDArray[Any]) -> float:
-    return float(np.square(np.abs(values)).mean())
+    return float(np.square(np.abs(values)).sum()) / len(values)  # nearly half the time of mean()
 
 
 def _by_odometry(motions: _Windows, offset_s: float) -> tuple[Array, NDArray[np.bool_]]:

@@ -96,11 +96,11 @@ def beams(
 
 
 def _whole_mm(ranges_m: NDArray[np.float64]) -> NDArray[np.uint16]:
-    return np.nan_to_num(ranges_m / MM).clip(0, MAX_RANGE_MM).round().astype(np.uint16)
+    return np.fmin(np.fmax(ranges_m / MM, 0.0), MAX_RANGE_MM).round().astype(np.uint16)  # fmax turns NaN to 0
 
 
 def _same_beams(spec: LaserSpec, other: LaserSpec) -> bool:
-    return spec.beams == other.beams and np.array_equal(spec.directions, other.directions)
+    return spec.directions is other.directions or np.array_equal(spec.directions, other.directions)
 
 
 def _nearest(sorted_s: NDArray[np.float64], wanted_s: NDArray[np.float64]) -> NDArray[np.intp]:
