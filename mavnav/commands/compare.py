@@ -87,7 +87,7 @@ def compare(
         with loading_modules():
             from mavnav.batch.runner import load_kernels
             from mavnav.comparison import pipeline
-            from mavnav.comparison.beside import check_given
+            from mavnav.comparison.scores import check_given
             from mavnav.jobs import usable_cores
             from mavnav.outputs.documents.provenance import Typed
         target = directory or pipeline.comparison_directory(logs or ())
@@ -153,7 +153,7 @@ def _compare_finished(
     """Compare finished runs; return comparison.json."""
     with reporting(quiet=quiet) as report:
         with loading_modules():
-            from mavnav.comparison.finished import compare_finished
+            from mavnav.comparison.scores import compare_finished
             from mavnav.outputs.writers import REPORT_FILE, write_page
         target = directory or shared.free_directory(Path("runs/compare"), force=False)
         document = compare_finished(runs, target, gates)
@@ -176,8 +176,8 @@ def _sample(directory: Path, report: Progress) -> tuple[list[Path], Path]:
 def _run_and_draw(plan: BatchPlan, given_poses: GivenPoses | None, *, quiet: bool) -> tuple[dict[str, Any], Path]:
     """Run what is missing, and draw the report unless it shows these results; return comparison.json and its path."""
     from mavnav.batch.runner import run_cases
-    from mavnav.comparison.beside import compare_with_poses
     from mavnav.comparison.pipeline import is_report_current, write_results
+    from mavnav.comparison.scores import compare_with_poses
     from mavnav.outputs.writers import REPORT_FILE, write_page
 
     directory, drawn = plan.request.directory, is_report_current(plan)  # before comparison.json is written again

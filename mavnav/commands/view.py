@@ -41,7 +41,7 @@ def view(
     """Look around in a map: zoom, layers, every scan at its pose, reasons of doubt; runs side by side."""
     with reporting(quiet=quiet) as report:
         with loading_modules():
-            from mavnav.outputs.report.finished import finished_page
+            from mavnav.outputs.report.page import finished_page
         report("drawing the page", 0, None)
         name, text = finished_page(directory)
         page = text.encode("utf-8", "backslashreplace")  # names need not be UTF-8

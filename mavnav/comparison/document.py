@@ -152,11 +152,13 @@ def _relative_cost(runs: Sequence[Run | None], k: int, reference: int | None, na
     return None if own is None or not base else own / base
 
 
-def write_comparison(document: dict[str, Any], directory: Path) -> None:
-    """Write the files of a comparison, each complete or not at all; raises OutputError."""
+def write_comparison(results: Sequence[CaseResult], directory: Path, gates: Sequence[Gate]) -> dict[str, Any]:
+    """Write the files of a comparison, each complete or not at all; return comparison.json. Raises OutputError."""
+    document: dict[str, Any] = plain(comparison_document(results, directory, gates))
     for name, text in TEXTS.items():
         with writing(directory / name, "make room"), beside(directory / name) as path:
             path.write_text(text(document), "utf-8", "backslashreplace")  # names of files need not be UTF-8
+    return document
 
 
 HIT_QUANTITIES: Final = ("wall_thickness.2.p95_mm", "wall_thickness.2.max_mm")

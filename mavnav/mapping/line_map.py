@@ -15,8 +15,7 @@ from msgspec import Struct, field
 from mavnav.kernels.maps import cost_floors
 from mavnav.kernels.maps.layout import FAR, LEVELS, NEAR, REACH_CELLS
 from mavnav.kernels.maps.linemap import WINDOW_CELLS, Geometry, insert_points, rebuild
-from mavnav.kernels.scans.correlative_search import pose_costs
-from mavnav.kernels.scans.observability import observability
+from mavnav.kernels.scans.correlative_search import observability, pose_costs
 from mavnav.kernels.scans.points import LONGEST_M, extent, place_points, points_between
 from mavnav.mapping.tiled_arrays import NO_EXTENT, check_size, covered_extent, covering, enlarge, within
 from mavnav.profiling import timed

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import numpy as np
 from msgspec import Struct, field
 
-from mavnav.kernels.walls.profiles import wall_profiles
-from mavnav.kernels.walls.straight_beams import straight_beams
+from mavnav.kernels.walls.profiles import straight_beams, wall_profiles
 from mavnav.metrics.fields import Measured, absent, number, text
 from mavnav.metrics.journey import spread
 from mavnav.metrics.wall_thickness import Sections, WallThickness, quantiles, summary

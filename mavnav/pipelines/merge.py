@@ -23,10 +23,9 @@ from mavnav.outputs.documents.sections import evidence
 from mavnav.outputs.documents.verdict import Verdict, joining_advice, worst_verdict
 from mavnav.outputs.files.document import plain, to_json
 from mavnav.outputs.files.finished_run import MergeRecord, finished_run, of_document
-from mavnav.outputs.files.gridmap import GridMap, write_npz, write_pgm, write_yaml
+from mavnav.outputs.files.gridmap import WALLS_FILE, GridMap, write_cuts, write_npz, write_pgm, write_yaml
 from mavnav.outputs.files.map_document import map_document
 from mavnav.outputs.files.trajectory import session_files, write_poses, write_scans
-from mavnav.outputs.files.wall_table import WALLS_FILE, write_cuts
 from mavnav.outputs.pictures.map_picture import write_merged
 from mavnav.outputs.report.summary_page import merge_summary, write_summary
 from mavnav.outputs.writers import REPORT_FILE

@@ -29,8 +29,7 @@ from mavnav.units import MM
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
-    from mavnav.simulation.world.shapes import XY, Shape
-    from mavnav.simulation.world.walls import WallEntry
+    from mavnav.simulation.world.shapes import XY, Shape, WallEntry
 
 LASER_BY_NAME = (("laser",), "preset")
 """The section that may be written as a word, and the key that the word is."""
