@@ -13,8 +13,7 @@ from msgspec import Struct
 
 from mavnav.mapping.occupancy_grid import FREE, occupancy, occupied_xy_m
 from mavnav.metrics.map_quality import only_occupied
-from mavnav.metrics.wall_thickness import wall_sections
-from mavnav.metrics.walls import straight_walls
+from mavnav.metrics.walls import straight_walls, wall_sections
 from mavnav.pose import Pose, transform_points
 from mavnav.units import DEG
 

@@ -22,8 +22,7 @@ from mavnav.metrics.journey import placed_scans, spread
 from mavnav.metrics.revisits import Revisits, pairs_of, revisits
 from mavnav.metrics.shape import Crispness, EnclosedAreas, corners, crispness, dilate, enclosed_areas, occupied_share
 from mavnav.metrics.wall_spread import WALL_SCANS, cut_walls, wall_spread
-from mavnav.metrics.wall_thickness import THRESHOLDS, wall_sections
-from mavnav.metrics.walls import StraightWall, straight_walls
+from mavnav.metrics.walls import THRESHOLDS, StraightWall, straight_walls, wall_sections
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.metrics.journey import Journey, PlacedScans
     from mavnav.metrics.wall_spread import WallCuts
-    from mavnav.metrics.wall_thickness import Sections
+    from mavnav.metrics.walls import Sections
 
 PROFILE: Final = "map-quality/2"
 

@@ -19,16 +19,7 @@ from mavnav.errors import UsageError
 from mavnav.ground_truth.map_file import map_files
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, Grid, counts, occupancy
 from mavnav.mapping.tiled_arrays import bands
-from mavnav.outputs.directory import (
-    MERGE_FILE,
-    RUN_FILE,
-    atomic_directory,
-    check_apart,
-    check_directory,
-    check_file,
-    file_sha256,
-    write_file,
-)
+from mavnav.outputs import directory
 from mavnav.outputs.documents.provenance import shell_line
 from mavnav.outputs.documents.run_json import METRICS
 from mavnav.outputs.documents.verdict import Verdict
@@ -142,12 +133,12 @@ def edit_map(request: EditRequest, progress: Progress) -> dict[str, Any]:
 def _check_target(request: EditRequest, *, is_run: bool) -> None:
     """Raise UsageError or OutputError where the result cannot be put; the input is never overwritten."""
     if is_run:
-        check_directory(request.target, force=request.force, inputs=[request.path])
+        directory.check_directory(request.target, force=request.force, inputs=[request.path])
         return
     picture = request.target.with_suffix(".pgm")
-    check_file(request.target, ".yaml", force=request.force)
-    check_file(picture, ".pgm", force=request.force)
-    check_apart({"--output": request.target, "its picture": picture}, map_files(request.path))
+    directory.check_file(request.target, ".yaml", force=request.force)
+    directory.check_file(picture, ".pgm", force=request.force)
+    directory.check_apart({"--output": request.target, "its picture": picture}, map_files(request.path))
 
 
 def _write_map(request: EditRequest, edited: Grid, corner: Pose) -> None:
@@ -157,8 +148,8 @@ def _write_map(request: EditRequest, edited: Grid, corner: Pose) -> None:
     picture = request.target.with_suffix(".pgm")
     text = yaml_text(GridMap(replace(edited, origin_xy_m=corner[:2])), picture.name, corner.yaw_rad)
     content = "\n".join([*marks, text]).encode(errors="backslashreplace")
-    write_file(picture, partial(write_pgm, GridMap(edited)), force=request.force)
-    write_file(request.target, lambda path: path.write_bytes(content), force=request.force)
+    directory.write_file(picture, partial(write_pgm, GridMap(edited)), force=request.force)
+    directory.write_file(request.target, lambda path: path.write_bytes(content), force=request.force)
 
 
 def _turn_rad(folder: Path, record: RunRecord | MergeRecord) -> float:
@@ -172,12 +163,12 @@ def _turn_rad(folder: Path, record: RunRecord | MergeRecord) -> float:
 def _write_run(request: EditRequest, edited: Grid) -> None:
     """Write a run or merge with an edited map; its verdict and metrics stay, because an edit does not mend them."""
     run, drawn = finished_run(request.path), GridMap(edited)
-    files = [request.path / name for name in (RUN_FILE, MERGE_FILE)]
+    files = [request.path / name for name in (directory.RUN_FILE, directory.MERGE_FILE)]
     documents = {file.name: read_json(file) for file in files if file.is_file()}
-    own = documents[RUN_FILE]
+    own = documents[directory.RUN_FILE]
     own["map"] = plain(map_section(edited, own["map"]["accepted_share"]))
     own.pop("slices", None)
-    with atomic_directory(request.target, force=request.force) as folder:
+    with directory.atomic_directory(request.target, force=request.force) as folder:
         for name in run.record.outputs:
             if name.endswith(KEPT) and (request.path / name).exists():
                 shutil.copyfile(run.file(name), folder / name)
@@ -189,7 +180,7 @@ def _write_run(request: EditRequest, edited: Grid) -> None:
         write_merged(drawn, paths, Verdict(**own["verdict"]), folder / "map.png", turn_rad)
         if (folder / METRICS_FILE).exists():
             (folder / METRICS_FILE).write_text(to_json({k: own[k] for k in METRICS if k in own}), encoding="utf-8")
-        digests = {file.name: file_sha256(file) for file in sorted(folder.iterdir())}
+        digests = {file.name: directory.file_sha256(file) for file in sorted(folder.iterdir())}
         for name, document in documents.items():
             (folder / name).write_text(to_json(_mark(document, digests, request.command)), encoding="utf-8")
 

@@ -15,7 +15,7 @@ from mavnav.mapping.occupancy_grid import OCCUPIED, occupancy
 from mavnav.mapping.slices import Slice, slice_name
 from mavnav.metrics.fields import Measured, absent, number, text
 from mavnav.metrics.wall_spread import PAPER_MIN_HITS, WallThicknessReport, wall_report
-from mavnav.metrics.wall_thickness import wall_sections
+from mavnav.metrics.walls import wall_sections
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:

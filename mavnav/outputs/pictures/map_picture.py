@@ -15,18 +15,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from mavnav.outputs.files.document import run_verdict
-from mavnav.outputs.pictures import map_axes
+from mavnav.outputs.pictures import map_axes, viewport
 from mavnav.outputs.pictures.canvas import stroke
 from mavnav.outputs.pictures.plot import Mark, Style, arrow, circle, legend_room
-from mavnav.outputs.pictures.viewport import (
-    INK,
-    PATH_GREY,
-    POSE_MAGENTA,
-    Viewport,
-    wall_lines,
-    window_around,
-    window_of,
-)
 from mavnav.pose import Pose, transform_points
 from mavnav.slam.result import doubtful_parts, parts_of_path
 from mavnav.units import MM, pluralize
@@ -60,7 +51,7 @@ LONG_PATH: Final = Style(map_axes.POSE.colour, "estimated path", partial(stroke,
 def write(run: RunResult, path: Path) -> None:
     """Draw the map of a run."""
     trajectory = run.slam.trajectory
-    window = window_of(run.known, points_to_show(run), run.turn_rad)
+    window = viewport.window_of(run.known, points_to_show(run), run.turn_rad)
     some = thin_path(trajectory.xyyaw[:, :2], CIRCLE_SPACING * max(window.size_m))
     line, circles = (PATH, some) if len(some) <= MOST_CIRCLES else (LONG_PATH, some[:0])
     ends = _ends(run, trajectory.stamps_ns[some].tolist())
@@ -80,7 +71,7 @@ def write(run: RunResult, path: Path) -> None:
 def points_to_show(run: RunResult) -> NDArray[np.float64]:
     """Return the points (n, 2) that the picture has to show besides the map."""
     xy_m, truth = run.slam.trajectory.xyyaw[:, :2], run.truth
-    walls = wall_lines(run.true_walls) if run.true_walls else []
+    walls = viewport.wall_lines(run.true_walls) if run.true_walls else []
     mission = () if truth is None else (truth.map_T_laser.xyyaw[:, :2], [truth.goal_xy_map_m])
     return np.vstack((xy_m, *mission, *walls))
 
@@ -91,7 +82,7 @@ def _draw_lines(axes: Axes, run: RunResult, path: Style) -> None:
     axes.lines(path, parts_of_path(run.slam))
     axes.lines(map_axes.LOOP, [xy_m[[loop.start, loop.end]] for loop in run.slam.loops.closed])
     if run.true_walls:
-        axes.lines(map_axes.TRUE_WALL, wall_lines(run.true_walls))
+        axes.lines(map_axes.TRUE_WALL, viewport.wall_lines(run.true_walls))
 
 
 def _ends(run: RunResult, stamps_ns: list[int]) -> list[tuple[Mark, NDArray[np.float64]]]:
@@ -143,7 +134,7 @@ def write_merged(
     drawn: GridMap, paths: dict[str, Trajectory], verdict: Verdict, path: Path, turn_rad: float = 0.0
 ) -> None:
     """Draw the map of several sessions, turned, with its verdict, and map_T_laser of each by its name."""
-    window = window_of(drawn.known, np.concatenate([poses.xyyaw[:, :2] for poses in paths.values()]), turn_rad)
+    window = viewport.window_of(drawn.known, np.concatenate([poses.xyyaw[:, :2] for poses in paths.values()]), turn_rad)
     axes = map_axes.framed_map(window, 7.5, map_axes.JUDGED_MARGINS, least=(960, 420))
     map_axes.draw_counts(axes, drawn.known, drawn.cells)
     pen, colours = partial(stroke, width_pt=1.2), cycle(SESSION_COLOURS)
@@ -163,11 +154,11 @@ LEAST_SHARE: Final = 0.4
 ARROW_SHARE: Final = 0.07
 """Length of the heading's arrow, of the picture's longer side."""
 
-WALL: Final = Style(INK, "wall", partial(stroke, width_pt=1.8))
-TRUE_PATH: Final = Style(PATH_GREY, "", partial(stroke, width_pt=0.9))
-HEADING: Final = Style(POSE_MAGENTA, "", partial(stroke, width_pt=1.8))
-FIRST_HEADING: Final = Mark(POSE_MAGENTA, "heading at the start", partial(arrow, size_pt=15.0, width_pt=1.8))
-ON_PATH: Final = Mark(PATH_GREY, "true path", partial(circle, size_pt=2.4, width_pt=1.2))
+WALL: Final = Style(viewport.INK, "wall", partial(stroke, width_pt=1.8))
+TRUE_PATH: Final = Style(viewport.PATH_GREY, "", partial(stroke, width_pt=0.9))
+HEADING: Final = Style(viewport.POSE_MAGENTA, "", partial(stroke, width_pt=1.8))
+FIRST_HEADING: Final = Mark(viewport.POSE_MAGENTA, "heading at the start", partial(arrow, size_pt=15.0, width_pt=1.8))
+ON_PATH: Final = Mark(viewport.PATH_GREY, "true path", partial(circle, size_pt=2.4, width_pt=1.2))
 
 
 def write_true_map(run: RunResult, path: Path) -> None:
@@ -183,16 +174,16 @@ def write_true_map(run: RunResult, path: Path) -> None:
     map_axes.finish(axes, named, f"{run.name}: the true map", _truth_subtitle(run.truth), path, about_y=62)
 
 
-def _truth_window(truth: Truth, turn_rad: float) -> Viewport:
-    points = np.vstack((truth.map_T_laser.xyyaw[:, :2], [truth.goal_xy_map_m], *wall_lines(truth)))
-    return window_around(transform_points(Pose(yaw_rad=turn_rad), points), 0.1, turn_rad).widen(LEAST_SHARE)
+def _truth_window(truth: Truth, turn_rad: float) -> viewport.Viewport:
+    points = np.vstack((truth.map_T_laser.xyyaw[:, :2], [truth.goal_xy_map_m], *viewport.wall_lines(truth)))
+    return viewport.window_around(transform_points(Pose(yaw_rad=turn_rad), points), 0.1, turn_rad).widen(LEAST_SHARE)
 
 
 def _draw_truth(axes: Axes, truth: Truth) -> None:
     xy_m = truth.map_T_laser.xyyaw[:, :2]
-    axes.lines(WALL, wall_lines(truth))
+    axes.lines(WALL, viewport.wall_lines(truth))
     if truth.measured_by_hand:
-        axes.lines(map_axes.MEASURED_WALL, wall_lines(truth.measured_by_hand))
+        axes.lines(map_axes.MEASURED_WALL, viewport.wall_lines(truth.measured_by_hand))
     axes.lines(TRUE_PATH, [xy_m])
     axes.mark(ON_PATH, xy_m)
     _draw_heading(axes, truth)
