@@ -26,8 +26,7 @@ from mavnav.outputs.documents.verdict import Verdict
 from mavnav.outputs.files import gridmap
 from mavnav.outputs.files.document import plain, to_json
 from mavnav.outputs.files.finished_run import MergeRecord, RunRecord, finished_run
-from mavnav.outputs.files.gridmap import HITS_FILE, GridMap, write_npz, write_pgm, write_yaml, yaml_text
-from mavnav.outputs.files.map_document import map_section
+from mavnav.outputs.files.gridmap import HITS_FILE, GridMap, map_section, write_npz, write_pgm, write_yaml, yaml_text
 from mavnav.outputs.pictures.map_picture import write_merged
 from mavnav.outputs.run import picture_turn_rad
 from mavnav.pipelines.diff import read_grid

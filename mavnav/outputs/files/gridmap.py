@@ -19,6 +19,7 @@ from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, OCCUPIED_SHARE, UNKNOW
 from mavnav.mapping.slices import slice_name
 from mavnav.mapping.tiled_arrays import bands
 from mavnav.metrics.wall_spread import WallCuts
+from mavnav.outputs.documents import run_json
 from mavnav.units import DEG, LARGEST_COORDINATE_M, MM
 
 if TYPE_CHECKING:
@@ -71,6 +72,21 @@ class GridMap(Struct, frozen=True, dict=True):
     def cells(self) -> NDArray[np.int8]:
         """What is free, occupied and unknown, (rows, cols)."""
         return occupancy(self.known)
+
+
+def map_section(grid: Grid, accepted_share: float) -> run_json.Map:
+    """Describe the known part of a map, which has the scans of a share of 0 to 1."""
+    rows, cols = grid.hits.shape
+    return run_json.Map(
+        cell_mm=grid.cell_m / MM,
+        rows=rows,
+        cols=cols,
+        cells=int(np.count_nonzero(grid.hits)),
+        hits=int(grid.hits.sum(dtype=np.int64)),
+        size_m=[cols * grid.cell_m, rows * grid.cell_m],
+        origin_xy_m=list(grid.origin_xy_m),
+        accepted_share=accepted_share,
+    )
 
 
 def write_pgm(run: GridMap | RunResult, path: Path) -> None:

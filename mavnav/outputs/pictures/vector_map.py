@@ -6,6 +6,7 @@ on paper, or a DXF in meters.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 from xml.sax.saxutils import escape
 
@@ -17,8 +18,6 @@ from mavnav.outputs.pictures.viewport import GOAL_RED, INK, MUTED, POSE_MAGENTA,
 from mavnav.slam.result import parts_of_path
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from numpy.typing import NDArray
 
     from mavnav.metrics.floor_plan import FloorPlan
@@ -33,22 +32,13 @@ LETTERS_SHARE: Final = 0.025
 LEAST_LETTERS: Final = 4.0
 NICE: Final = (1.0, 2.0, 5.0)
 
-_SVG: Final = """\
-<svg xmlns="http://www.w3.org/2000/svg" viewBox="{x:g} {y:g} {width:g} {height:g}" width="{width_mm:.1f}mm" \
-height="{height_mm:.1f}mm">
-<title>{title}</title>
-<desc>One unit is a cell of {cell_m:g} m; drawn at 1:{ratio:g}.</desc>
-<rect x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}" fill="#fff"/>
-<path fill="{ink}" d="{walls}"/>
-<g fill="none" stroke-linejoin="round" stroke-linecap="round" stroke-width="{stroke:.2f}">
-<path stroke="{path_colour}" d="{path}"/>
-{ends}</g>
-<path fill="none" stroke="{ink}" stroke-width="{stroke:.2f}" d="{bar}"/>
-<text x="{text_x:.1f}" y="{text_y:.1f}" font-family="sans-serif" font-size="{letters:.1f}" fill="{ink}">{label}</text>
-</svg>
-"""
 RATIO: Final = 100.0
 """A metre of the map is a centimetre of the picture."""
+
+
+def _template(name: str) -> str:
+    """Return the text of a drawing, with names in braces for what is filled in."""
+    return (Path(__file__).parent / "templates" / name).read_text(encoding="utf-8")
 
 
 def write(run: RunResult, path: Path) -> None:
@@ -66,7 +56,7 @@ def svg(run: RunResult) -> str:
     xy = [_on_picture(part, run) for part in parts_of_path(run.slam) if len(part)]
     bar_cells, label = scale_bar(BAR_SHARE * width, grid.cell_m)
     bar_y, mm = rows + margin + letters, grid.cell_m * 1000.0 / RATIO
-    return _SVG.format(
+    return _template("map.svg").format(
         x=-margin, y=-margin, width=width, height=height, width_mm=width * mm, height_mm=height * mm,
         title=escape(run.name), cell_m=grid.cell_m, ratio=RATIO, ink=INK, walls=outlines(cells), stroke=letters / 6.0,
         path_colour=POSE_MAGENTA, path="".join(map(_line, xy)), ends=_ends(xy, letters / 2.0), letters=letters,
@@ -130,19 +120,6 @@ MARGIN_MM: Final = 12.0
 LAYERS: Final = {"WALLS": 7, "OPENINGS": 8}
 """Layers of a DXF and their colours: black or white, and grey."""
 
-_PLAN_SVG: Final = """\
-<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.2f} {height:.2f}" width="{width:.2f}mm" \
-height="{height:.2f}mm">
-<title>{title}</title>
-<desc>Floor plan at 1:{ratio:g}; one unit is a millimeter on paper. Map turned by {yaw_deg:.3f} deg.</desc>
-<rect width="{width:.2f}" height="{height:.2f}" fill="#fff"/>
-<path id="walls" fill="none" stroke="{ink}" stroke-width="0.6" stroke-linecap="square" d="{walls}"/>
-<path id="openings" fill="none" stroke="{muted}" stroke-width="0.25" stroke-dasharray="1 1" d="{openings}"/>
-<path id="scale" fill="none" stroke="{ink}" stroke-width="0.3" d="M{bar_x:.2f} {bar_y:.2f}v1.5h{bar:.2f}v-1.5"/>
-<text x="{text_x:.2f}" y="{text_y:.2f}" font-family="sans-serif" font-size="3" fill="{ink}">{label}</text>
-</svg>
-"""
-
 
 def write_svg(plan: FloorPlan, title: str, ratio: float, path: Path) -> None:
     """Write a floor plan at 1:``ratio``, with the length of the scale bar and the size of the place below."""
@@ -151,7 +128,7 @@ def write_svg(plan: FloorPlan, title: str, ratio: float, path: Path) -> None:
     size = (high - low) * mm
     bar_m, label = scale_bar(max(float(size[0]) / 2.0, 10.0) / mm, 1.0)
     base = MARGIN_MM + float(size[1]) + 4.0
-    text = _PLAN_SVG.format(
+    text = _template("plan.svg").format(
         width=max(float(size[0]), bar_m * mm + 60.0) + 2 * MARGIN_MM, height=base + 12.0, title=escape(title),
         ratio=ratio, yaw_deg=np.degrees(plan.plan_T_map.yaw_rad), ink=INK, muted=MUTED,
         walls=_strokes(plan.walls, low, high, mm), openings=_strokes(plan.openings, low, high, mm), bar=bar_m * mm,

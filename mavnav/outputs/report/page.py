@@ -85,16 +85,14 @@ def _sections(comparison: dict[str, Any], directory: Path, run: RunResult | None
 
 
 def _section(log: str, loaded: list[Entry | Failure]) -> LogSection:
-    entries = [e for e in loaded if isinstance(e, Entry)]
-    return LogSection(
-        log=log,
-        headline=headline(entries),
-        facts=facts([e.document for e in entries]),
-        entries=entries,
-        failures=[e for e in loaded if isinstance(e, Failure)],
-        table=tables.table(entries),
-        pictures=draw(entries) if entries else None,
-    )
+    entries, failures = _by_kind(loaded)
+    texts, pictures = (headline(entries), facts([e.document for e in entries])), draw(entries) if entries else None
+    return LogSection(log, *texts, entries, failures, tables.table(entries), pictures)
+
+
+def _by_kind(loaded: Sequence[Entry | Failure]) -> tuple[list[Entry], list[Failure]]:
+    """Divide what was loaded."""
+    return [e for e in loaded if isinstance(e, Entry)], [e for e in loaded if isinstance(e, Failure)]
 
 
 def _write_pictures(section: LogSection, folder: Path, number: str) -> None:
@@ -111,8 +109,7 @@ def page_text(comparison: dict[str, Any], directory: Path, run: RunResult | None
 
 def list_text(loaded: Sequence[Entry | Failure], title: str) -> str:
     """Return a page of many runs: a list of them, and the interactive map of the one that is chosen."""
-    entries = [each for each in loaded if isinstance(each, Entry)]
-    failures = [each for each in loaded if isinstance(each, Failure)]
+    entries, failures = _by_kind(loaded)
     return _render("list.html", {}, view_data(entries, {}), title=title, failures=failures)
 
 

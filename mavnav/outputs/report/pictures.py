@@ -113,13 +113,8 @@ def _ghost_places(entries: Sequence[Entry]) -> list[Viewport]:
 
 
 def _closeup(letter: str, box: Viewport, entries: Sequence[Entry], top_hits: float) -> Closeup:
-    return Closeup(
-        letter=letter,
-        x_m=(box.x0_m + box.x1_m) / 2,
-        y_m=(box.y0_m + box.y1_m) / 2,
-        side_m=box.size_m[0],
-        images={e.name: closeup_panel(e, box, top_hits, letter) for e in entries},
-    )
+    images = {e.name: closeup_panel(e, box, top_hits, letter) for e in entries}
+    return Closeup(letter, (box.x0_m + box.x1_m) / 2, (box.y0_m + box.y1_m) / 2, box.size_m[0], images)
 
 
 MAX_CLOSEUPS: Final = 3
