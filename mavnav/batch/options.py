@@ -33,7 +33,7 @@ from mavnav.jobs.dask import LOCAL
 from mavnav.metrics.gates import Gate, full_name, parse_gate, read_accept
 from mavnav.outputs.documents.addresses import is_address
 from mavnav.outputs.documents.provenance import Typed
-from mavnav.pipelines.programs import read_program
+from mavnav.pipelines.trajectory_source import read_program
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from mavnav.config.layers import Key
     from mavnav.config.models import Config
     from mavnav.metrics.gates import Gate
-    from mavnav.pipelines.programs import Program
+    from mavnav.pipelines.trajectory_source import Program
 
 
 SEARCH: Final = {("grid",), ("azimuth",)}

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
 
     from mavnav.batch.runner import BatchPlan
     from mavnav.metrics.gates import Gate
-    from mavnav.pipelines.programs import Program
-    from mavnav.pipelines.trajectory_source import TrajectorySource
+    from mavnav.pipelines.trajectory_source import Program, TrajectorySource
     from mavnav.profiling import Progress
 
     GivenPoses = tuple[Sequence[TrajectorySource], Sequence[Program], float]
@@ -128,8 +127,7 @@ def compare(
 
 def _given_poses(trajectories: Sequence[str], programs: Sequence[str], limit_s: float) -> GivenPoses | None:
     """Read what stands beside mavnav's own runs; None for nothing."""
-    from mavnav.pipelines.programs import read_program
-    from mavnav.pipelines.trajectory_source import read_source
+    from mavnav.pipelines.trajectory_source import read_program, read_source
 
     given = tuple(map(read_source, trajectories)), tuple(map(read_program, programs))
     return (*given, limit_s) if any(given) else None

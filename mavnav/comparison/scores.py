@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from mavnav.batch.runner import BatchPlan
     from mavnav.metrics.gates import Gate
     from mavnav.outputs.files.finished_run import FinishedRun
-    from mavnav.pipelines.programs import Program
     from mavnav.pipelines.score import Scored
+    from mavnav.pipelines.trajectory_source import Program
     from mavnav.profiling import Progress
 
 

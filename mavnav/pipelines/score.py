@@ -29,10 +29,9 @@ from mavnav.outputs.run import RunResult, Timing, half_sweep_s
 from mavnav.outputs.writers import write_run
 from mavnav.pipelines.again import changed_values
 from mavnav.pipelines.maps import check_references, measured_map, references_in_map, with_true_map_placed
-from mavnav.pipelines.programs import Program, run_program
 from mavnav.pipelines.reach import with_reach
 from mavnav.pipelines.replay import ReplayRequest
-from mavnav.pipelines.trajectory_source import LASER, WHOLE, TrajectorySource
+from mavnav.pipelines.trajectory_source import LASER, WHOLE, Program, TrajectorySource, run_program
 from mavnav.pose import Pose
 from mavnav.profiling import new_profile
 from mavnav.slam.given_poses import draw_at_poses
@@ -46,7 +45,7 @@ if TYPE_CHECKING:
 
     from mavnav.ground_truth.references import References
     from mavnav.logs import Log
-    from mavnav.pipelines.programs import ProgramCost
+    from mavnav.pipelines.trajectory_source import ProgramCost
     from mavnav.pose import Trajectory
     from mavnav.profiling import Progress
 

@@ -16,8 +16,16 @@ from mavnav.outputs.documents.quantities import why_not_meaningful
 from mavnav.outputs.pictures.map_axes import top_of_scale
 from mavnav.outputs.pictures.viewport import Viewport
 from mavnav.outputs.report.charts import caption, cost_panels, motion_panel, thickness_panels
-from mavnav.outputs.report.map_panel import closeup_panel, common_window, ghosts, legend_panel, map_panel, shape
-from mavnav.outputs.report.panels import sheet, stack
+from mavnav.outputs.report.panels import (
+    closeup_panel,
+    common_window,
+    ghosts,
+    legend_panel,
+    map_panel,
+    shape,
+    sheet,
+    stack,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

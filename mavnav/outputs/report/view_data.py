@@ -23,7 +23,7 @@ from mavnav.outputs.pictures.canvas import rgb_of
 from mavnav.outputs.pictures.map_axes import HIT_COLOURS, top_of_scale
 from mavnav.outputs.pictures.slices_picture import height_colours
 from mavnav.outputs.report.entry import file_in
-from mavnav.outputs.report.map_panel import common_window, ghosts
+from mavnav.outputs.report.panels import common_window, ghosts
 from mavnav.outputs.report.recording import MAX_RANGES, beams, odometry_path, read_recording, recording_of
 from mavnav.pose import Pose
 from mavnav.units import MM
