@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from mavnav.atomic_files import beside, writing
 from mavnav.batch.document import ENDS, run_row
 from mavnav.errors import ExitCode, worst
-from mavnav.metrics.gates import failure_text, judge_some, stored_verdict
+from mavnav.metrics.gates import Gate, failure_text, judge_some, stored_verdict
 from mavnav.outputs.documents.quantities import (
     QUANTITIES,
     UNUSABLE,
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 
     from mavnav.batch.cases import CaseResult
     from mavnav.jobs.run_cache import PlannedRun
-    from mavnav.metrics.gates import Gate
     from mavnav.outputs.documents.quantities import Run
 
 COMPARISON_FILE: Final = "comparison.json"

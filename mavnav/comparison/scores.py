@@ -15,21 +15,17 @@ from mavnav.errors import ExitCode, UsageError
 from mavnav.ground_truth.tables import read_trajectory
 from mavnav.jobs import Outcome, Status
 from mavnav.jobs.run_cache import PlannedRun
-from mavnav.metrics.gates import check_known
+from mavnav.metrics.gates import Gate, check_known
 from mavnav.outputs.directory import RUN_FILE, check_files, file_sha256
-from mavnav.outputs.files.finished_run import RunRecord, finished_run
+from mavnav.outputs.files.finished_run import FinishedRun, RunRecord, finished_run
 from mavnav.pipelines.replay import ReplayRequest
-from mavnav.pipelines.score import ScoreRequest, check_names, score_log, scored_options
-from mavnav.pipelines.trajectory_source import LASER, RUN_POSES, TrajectorySource
+from mavnav.pipelines.score import Scored, ScoreRequest, check_names, score_log, scored_options
+from mavnav.pipelines.trajectory_source import LASER, RUN_POSES, Program, TrajectorySource
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mavnav.batch.runner import BatchPlan
-    from mavnav.metrics.gates import Gate
-    from mavnav.outputs.files.finished_run import FinishedRun
-    from mavnav.pipelines.score import Scored
-    from mavnav.pipelines.trajectory_source import Program
     from mavnav.profiling import Progress
 
 

@@ -13,18 +13,15 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.kernels.walls.profiles import wall_profiles
-from mavnav.mapping.occupancy_grid import cell_centres
+from mavnav.mapping.occupancy_grid import Grid, cell_centres
 from mavnav.metrics.fields import Measured, number
-from mavnav.metrics.walls import fit_line, link, members
+from mavnav.metrics.walls import Sections, fit_line, link, members
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from numpy.typing import NDArray
-
-    from mavnav.mapping.occupancy_grid import Grid
-    from mavnav.metrics.walls import Sections
 
     Array = NDArray[np.float64]
 

@@ -12,13 +12,12 @@ from msgspec import Struct
 
 from mavnav.kernels.walls.overlap import scan_distances
 from mavnav.metrics.fields import Measured, number
-from mavnav.metrics.journey import spread, used_beams
+from mavnav.metrics.journey import PlacedScans, spread, used_beams
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.metrics.journey import PlacedScans
     from mavnav.pose import Trajectory
 
 CAP_M: Final = 0.15

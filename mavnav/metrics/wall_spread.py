@@ -14,7 +14,7 @@ from msgspec import Struct, field
 
 from mavnav.kernels.walls.profiles import straight_beams, wall_profiles
 from mavnav.metrics.fields import Measured, absent, number, text
-from mavnav.metrics.journey import spread
+from mavnav.metrics.journey import PlacedScans, spread
 from mavnav.metrics.walls import Sections, WallThickness, link, quantiles, summary
 from mavnav.units import DEG, MM
 
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.mapping.occupancy_grid import Grid
-    from mavnav.metrics.journey import PlacedScans
 
     Array = NDArray[np.float64]
 

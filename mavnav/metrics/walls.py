@@ -14,7 +14,7 @@ from msgspec import Struct
 
 from mavnav.kernels.maps.regions import link_groups
 from mavnav.kernels.walls.thickness import column_runs, run_moments
-from mavnav.mapping.occupancy_grid import cell_centres, counts
+from mavnav.mapping.occupancy_grid import Grid, cell_centres, counts
 from mavnav.mapping.tiled_arrays import bands, count
 from mavnav.metrics.fields import Measured, number
 from mavnav.units import DEG, MM
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
-
-    from mavnav.mapping.occupancy_grid import Grid
 
     Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from msgspec.structs import asdict
 
 from mavnav.errors import ExitCode, UsageError
 from mavnav.ground_truth.tables import read_tum
-from mavnav.logs import choose, content_sha256, survey
+from mavnav.logs import Log, Survey, choose, content_sha256, survey
 from mavnav.logs.formats import detect
 from mavnav.logs.frame_poses import TF_PREFIX, FramePoses, follow
 from mavnav.logs.messages import cdr, ros
@@ -24,15 +24,12 @@ from mavnav.logs.transforms import frame_name, transforms_for
 from mavnav.logs.writing.convert import convert_log
 from mavnav.outputs.files.finished_run import finished_run
 from mavnav.outputs.files.replay_log import MAP_FRAME
-from mavnav.pose import Pose, between
+from mavnav.pose import Pose, Trajectory, between
 from mavnav.units import NS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
-
-    from mavnav.logs import Log, Survey
-    from mavnav.pose import Trajectory
 
 
 SCHEMA_VERSION: Final = 1

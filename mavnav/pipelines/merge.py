@@ -13,11 +13,11 @@ from mavnav.atomic_files import temporary_folder
 from mavnav.errors import ExitCode, NoScansError, SeveralTopicsError, TopicError, UsageError, reason_of, worst
 from mavnav.logs import check_log
 from mavnav.logs.formats.detect import log_name
-from mavnav.mapping.occupancy_grid import known_area, measured_area
+from mavnav.mapping.occupancy_grid import Grid, known_area, measured_area
 from mavnav.metrics.floor_plan import turn_to_cuts
 from mavnav.metrics.gates import stored_verdict
 from mavnav.metrics.journey import one_after_another
-from mavnav.metrics.map_quality import measure_map
+from mavnav.metrics.map_quality import MeasuredMap, measure_map
 from mavnav.metrics.wall_spread import wall_report
 from mavnav.outputs.directory import MERGE_FILE, RUN_FILE, atomic_directory, check_directory, document_of, file_sha256
 from mavnav.outputs.documents.provenance import versions
@@ -25,7 +25,7 @@ from mavnav.outputs.documents.run_json import RunDocument
 from mavnav.outputs.documents.sections import evidence
 from mavnav.outputs.documents.verdict import Verdict, joining_advice, worst_verdict
 from mavnav.outputs.files.document import plain, to_json
-from mavnav.outputs.files.finished_run import MergeRecord, finished_run, of_document
+from mavnav.outputs.files.finished_run import FinishedRun, MergeRecord, finished_run, of_document
 from mavnav.outputs.files.gridmap import WALLS_FILE, GridMap, map_section, write_cuts, write_npz, write_pgm, write_yaml
 from mavnav.outputs.files.trajectory import session_files, write_poses, write_scans
 from mavnav.outputs.pictures.map_picture import write_merged
@@ -34,7 +34,7 @@ from mavnav.outputs.writers import REPORT_FILE
 from mavnav.pipelines.maps import rounded_pose
 from mavnav.pipelines.replay import ReplayRequest, replay_log
 from mavnav.pipelines.sessions import UNREADABLE, mapped_share, read_session
-from mavnav.sessions.group import Join, frame_of, merged_map
+from mavnav.sessions.group import Join, Session, SessionGroup, frame_of, merged_map
 from mavnav.sessions.growth import join_sessions
 from mavnav.slam.methods.registry import load_kernels
 from mavnav.units import pluralize
@@ -44,12 +44,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from mavnav.config.models import Config
-    from mavnav.mapping.occupancy_grid import Grid
-    from mavnav.metrics.map_quality import MeasuredMap
-    from mavnav.outputs.files.finished_run import FinishedRun
     from mavnav.pose import Trajectory
     from mavnav.profiling import Progress
-    from mavnav.sessions.group import Session, SessionGroup
 
 TRACKING: Final = ("lost", "tracked_share", "intervals", "doubt")
 """What merge.json repeats of the tracking of each session."""

@@ -15,9 +15,9 @@ from mavnav.config.models import Config
 from mavnav.config.option_kinds import recorded_topic
 from mavnav.config.options import REFERENCES, ReplayOptions, paths_of, reference_files, words_of
 from mavnav.errors import ProgramError, UsageError
-from mavnav.ground_truth.references import SWEEPS, compare_to, in_time_of_truth, load_references
+from mavnav.ground_truth.references import SWEEPS, References, compare_to, in_time_of_truth, load_references
 from mavnav.ground_truth.tables import read_trajectory
-from mavnav.logs import open_log
+from mavnav.logs import Log, open_log
 from mavnav.logs.formats.detect import log_name
 from mavnav.mapping.occupancy_grid import occupied_xy_m
 from mavnav.metrics.reference import position_errors
@@ -31,9 +31,9 @@ from mavnav.pipelines.again import changed_values
 from mavnav.pipelines.maps import check_references, measured_map, references_in_map, with_true_map_placed
 from mavnav.pipelines.reach import with_reach
 from mavnav.pipelines.replay import ReplayRequest
-from mavnav.pipelines.trajectory_source import LASER, WHOLE, Program, TrajectorySource, run_program
-from mavnav.pose import Pose
-from mavnav.profiling import new_profile
+from mavnav.pipelines.trajectory_source import LASER, WHOLE, Program, ProgramCost, TrajectorySource, run_program
+from mavnav.pose import Pose, Trajectory
+from mavnav.profiling import Progress, new_profile
 from mavnav.slam.given_poses import draw_at_poses
 from mavnav.slam.matching.differences import differences
 from mavnav.slam.methods.registry import load_kernels
@@ -42,12 +42,6 @@ from mavnav.units import DEG, MM, NS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
-
-    from mavnav.ground_truth.references import References
-    from mavnav.logs import Log
-    from mavnav.pipelines.trajectory_source import ProgramCost
-    from mavnav.pose import Trajectory
-    from mavnav.profiling import Progress
 
 
 BASE: Final = "base"

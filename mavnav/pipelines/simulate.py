@@ -16,7 +16,7 @@ from msgspec.structs import asdict, replace
 from mavnav.atomic_files import short_name, temporary_folder
 from mavnav.errors import NoScansError, UsageError
 from mavnav.ground_truth.references import References, compare_to, of_scenario
-from mavnav.logs import open_log
+from mavnav.logs import Log, open_log
 from mavnav.logs.writing.recorder import Recording, check_recording, record
 from mavnav.mapping.occupancy_grid import GridBuilder, occupied_xy_m
 from mavnav.metrics.reference import LEAST_POSES, absolute_error, position_errors
@@ -36,7 +36,6 @@ from mavnav.slam.methods.registry import load_kernels
 from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
-    from mavnav.logs import Log
     from mavnav.simulation.world import Scenario
 
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import numpy as np
 from msgspec import Struct, defstruct, field
 
-from mavnav.config.option_kinds import NUMBER, POSE, SWITCH
-from mavnav.config.options import OPTIONS
+from mavnav.config.option_kinds import NUMBER, POSE, SWITCH, Option
+from mavnav.config.options import OPTIONS, ReplayOptions
 from mavnav.logs.levelling import RecordedAttitude
 from mavnav.mapping.occupancy_grid import OCCUPIED, occupancy
 from mavnav.mapping.slices import Slice, slice_name
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mavnav.config.models import Config
-    from mavnav.config.option_kinds import Option
-    from mavnav.config.options import ReplayOptions
     from mavnav.sessions.group import Join
 
 OPTIONAL: Final[Any] = field(default_factory=absent)

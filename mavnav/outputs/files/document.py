@@ -11,18 +11,18 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import astuple, replace
 
-from mavnav.config.models import Config
+from mavnav.config.models import Config, OdometryConfig
 from mavnav.metrics.fields import ABSENT
 from mavnav.outputs.documents import run_json as model
 from mavnav.outputs.documents import sections
 from mavnav.outputs.documents.addresses import public_address
 from mavnav.outputs.documents.provenance import versions
-from mavnav.outputs.documents.verdict import verdict_of
+from mavnav.outputs.documents.verdict import Verdict, verdict_of
 from mavnav.outputs.files.gridmap import map_section
-from mavnav.outputs.run import base_frame, half_sweep_s
+from mavnav.outputs.run import RunResult, base_frame, half_sweep_s
 from mavnav.profiling import peak_memory_mb
-from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY
-from mavnav.slam.matching.steps import refused_by
+from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, OdometryFit
+from mavnav.slam.matching.steps import LostInterval, Steps, refused_by
 from mavnav.units import DEG, NS
 from mavnav.version import __version__
 
@@ -32,14 +32,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.config.models import OdometryConfig
     from mavnav.logs import Log
     from mavnav.logs.records import Odometry
-    from mavnav.outputs.documents.verdict import Verdict
-    from mavnav.outputs.run import RunResult
     from mavnav.slam.findings import Doubt, Reason
-    from mavnav.slam.matching.odometry_fit import OdometryFit
-    from mavnav.slam.matching.steps import LostInterval, Steps
     from mavnav.slam.recovery.parts import Part
     from mavnav.slam.result import SlamResult
 

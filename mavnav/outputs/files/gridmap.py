@@ -16,7 +16,7 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, OCCUPIED_SHARE, UNKNOWN, Grid, counts, occupancy
-from mavnav.mapping.slices import slice_name
+from mavnav.mapping.slices import Slice, slice_name
 from mavnav.mapping.tiled_arrays import bands
 from mavnav.metrics.wall_spread import WallCuts
 from mavnav.outputs.documents import run_json
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.mapping.slices import Slice
     from mavnav.outputs.run import RunResult
 
 

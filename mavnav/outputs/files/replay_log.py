@@ -16,11 +16,11 @@ from msgspec.structs import replace
 
 from mavnav.logs.messages import cdr, definitions
 from mavnav.logs.writing.mcap_writer import OutputChannel, write_serialized
-from mavnav.mapping.occupancy_grid import UNKNOWN, show_ends
+from mavnav.mapping.occupancy_grid import UNKNOWN, Grid, show_ends
 from mavnav.mapping.tiled_arrays import max_pool
 from mavnav.outputs.files.extras import extras, markers_of
-from mavnav.outputs.run import base_frame
-from mavnav.pose import Pose
+from mavnav.outputs.run import RunResult, base_frame
+from mavnav.pose import Pose, Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -28,9 +28,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.mapping.occupancy_grid import Grid
-    from mavnav.outputs.run import RunResult
-    from mavnav.pose import Trajectory
     from mavnav.scan import Scan
 
 MAP_FRAME, ODOM_FRAME = "map", "odom"

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from PIL import Image
 
-from mavnav.mapping.occupancy_grid import FREE
+from mavnav.mapping.occupancy_grid import FREE, Grid
 from mavnav.mapping.tiled_arrays import identity, max_pool, where
 from mavnav.outputs.pictures import plot, viewport
 from mavnav.outputs.pictures.canvas import Canvas, draw_dashes, ramp, rgb_of, stroke
-from mavnav.outputs.pictures.plot import Area, Axes, Mark, Style
+from mavnav.outputs.pictures.plot import Area, Axes, Mark, Sign, Style
 from mavnav.outputs.pictures.viewport import FREE_GREY, LEAST_IN, Viewport
 from mavnav.pose import Pose, transform_points
 from mavnav.units import DEG
@@ -25,11 +25,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.mapping.occupancy_grid import Grid
     from mavnav.mapping.tiled_arrays import CellFunction
     from mavnav.outputs.documents.verdict import Verdict
     from mavnav.outputs.pictures.canvas import Box
-    from mavnav.outputs.pictures.plot import Sign
 
 HIT_COLOURS: Final = ramp(("#35b779", "#1f9e89", "#26828e", "#31688e", "#3e4989", "#482878", "#440154"))
 """Viridis without its light end, on which a wall that was hit once would be hard to see."""

@@ -17,8 +17,8 @@ import numpy as np
 from mavnav.outputs.files.document import run_verdict
 from mavnav.outputs.pictures import map_axes, viewport
 from mavnav.outputs.pictures.canvas import stroke
-from mavnav.outputs.pictures.plot import Mark, Style, arrow, circle, legend_room
-from mavnav.pose import Pose, transform_points
+from mavnav.outputs.pictures.plot import Axes, Mark, Sign, Style, arrow, circle, legend_room
+from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.slam.result import doubtful_parts, parts_of_path
 from mavnav.units import MM, pluralize
 
@@ -30,9 +30,7 @@ if TYPE_CHECKING:
     from mavnav.metrics.wall_spread import WallSpread
     from mavnav.outputs.documents.verdict import Verdict
     from mavnav.outputs.files.gridmap import GridMap
-    from mavnav.outputs.pictures.plot import Axes, Sign
     from mavnav.outputs.run import RunResult, Truth
-    from mavnav.pose import Trajectory
 
 
 CIRCLE_SPACING: Final = 0.018

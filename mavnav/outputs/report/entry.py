@@ -22,13 +22,12 @@ from mavnav.outputs.files import gridmap
 from mavnav.outputs.files.gridmap import read_npz
 from mavnav.outputs.files.trajectory import ATTITUDE_COLUMNS, TRUE_WALLS_FILE
 from mavnav.outputs.pictures.viewport import wall_lines
-from mavnav.outputs.run import WallShapes
+from mavnav.outputs.run import RunResult, WallShapes
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.mapping.occupancy_grid import Grid
-    from mavnav.outputs.run import RunResult
 
 
 FAILED: Final = "failed"

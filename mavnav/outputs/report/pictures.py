@@ -11,21 +11,12 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from msgspec import Struct
 
-from mavnav.mapping.occupancy_grid import cell_centres
+from mavnav.mapping.occupancy_grid import Grid, cell_centres
 from mavnav.outputs.documents.quantities import why_not_meaningful
 from mavnav.outputs.pictures.map_axes import top_of_scale
 from mavnav.outputs.pictures.viewport import Viewport
+from mavnav.outputs.report import panels
 from mavnav.outputs.report.charts import caption, cost_panels, motion_panel, thickness_panels
-from mavnav.outputs.report.panels import (
-    closeup_panel,
-    common_window,
-    ghosts,
-    legend_panel,
-    map_panel,
-    shape,
-    sheet,
-    stack,
-)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,7 +24,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from PIL.Image import Image
 
-    from mavnav.mapping.occupancy_grid import Grid
     from mavnav.outputs.report.entry import Entry
 
 
@@ -71,15 +61,16 @@ class Pictures(Struct, frozen=True):
 
     def sheets(self) -> dict[str, Image]:
         """Return the pictures that are also written as files, by name."""
+        columns = 1 if self.shape == "wide" else None
         sheets = {
-            "maps": stack([sheet(self.maps, 1 if self.shape == "wide" else None), sheet([self.legend])]),
-            "thickness": sheet(self.thickness),
-            "cost": sheet(self.cost),
+            "maps": panels.stack([panels.sheet(self.maps, columns), panels.sheet([self.legend])]),
+            "thickness": panels.sheet(self.thickness),
+            "cost": panels.sheet(self.cost),
         }
         if self.motion:
             sheets["motion"] = self.motion
         if self.closeups:
-            sheets["closeups"] = stack([sheet(list(c.images.values())) for c in self.closeups])
+            sheets["closeups"] = panels.stack([panels.sheet(list(c.images.values())) for c in self.closeups])
         return sheets
 
 
@@ -89,17 +80,17 @@ def draw(entries: Sequence[Entry]) -> Pictures:
     Maps that are not meaningful are drawn too, but affect neither scale nor close-ups, unless there are no others.
     """
     sound = [e for e in entries if not why_not_meaningful(e.document)] or entries
-    window, top_hits = common_window(sound), top_of_scale(e.grid for e in sound)
+    window, top_hits = panels.common_window(sound), top_of_scale(e.grid for e in sound)
     places = differing_places([e.grid for e in sound], window) or _ghost_places(sound)
     alone = len(entries) == 1
     boxes = list(zip(ascii_uppercase, places, strict=False))
     return Pictures(
-        shape=shape(window),
-        maps=[map_panel(e, window, top_hits, boxes, ends=alone) for e in entries],
-        legend=legend_panel(
+        shape=panels.shape(window),
+        maps=[panels.map_panel(e, window, top_hits, boxes, ends=alone) for e in entries],
+        legend=panels.legend_panel(
             top_hits,
             truth=any(e.true_walls for e in entries),
-            ghost=any(map(ghosts, entries)),
+            ghost=any(map(panels.ghosts, entries)),
             doubtful=any(e.scans.doubtful.any() for e in entries),
             ends=alone,
             goal=any(len(e.goal_xy_m) for e in entries),
@@ -115,13 +106,13 @@ def draw(entries: Sequence[Entry]) -> Pictures:
 
 def _ghost_places(entries: Sequence[Entry]) -> list[Viewport]:
     """Return windows around the longest ghost walls, as close-ups of runs without differences."""
-    worst = sorted((place for e in entries for place in ghosts(e)), key=lambda p: -p["length_m"])[:3]
+    worst = sorted((place for e in entries for place in panels.ghosts(e)), key=lambda p: -p["length_m"])[:3]
     halves = [(p, max(0.75 * p["length_m"], MIN_SIDE_M / 2)) for p in worst]
     return [Viewport(p["x_m"] - h, p["x_m"] + h, p["y_m"] - h, p["y_m"] + h) for p, h in halves]
 
 
 def _closeup(letter: str, box: Viewport, entries: Sequence[Entry], top_hits: float) -> Closeup:
-    images = {e.name: closeup_panel(e, box, top_hits, letter) for e in entries}
+    images = {e.name: panels.closeup_panel(e, box, top_hits, letter) for e in entries}
     return Closeup(letter, (box.x0_m + box.x1_m) / 2, (box.y0_m + box.y1_m) / 2, box.size_m[0], images)
 
 

@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from PIL import Image
 
-from mavnav.mapping.occupancy_grid import FREE, known_area, occupancy
+from mavnav.mapping.occupancy_grid import FREE, Grid, known_area, occupancy
 from mavnav.mapping.tiled_arrays import max_pool
 from mavnav.outputs.documents.quantities import number, verdict_texts
 from mavnav.outputs.pictures.canvas import rgb_of
 from mavnav.outputs.pictures.map_axes import HIT_COLOURS, top_of_scale
 from mavnav.outputs.pictures.slices_picture import height_colours
-from mavnav.outputs.report.entry import file_in
+from mavnav.outputs.report.entry import Entry, ScanColumns, file_in
 from mavnav.outputs.report.panels import common_window, ghosts
 from mavnav.outputs.report.recording import MAX_RANGES, beams, odometry_path, read_recording, recording_of
 from mavnav.pose import Pose
@@ -34,8 +34,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.mapping.occupancy_grid import Grid
-    from mavnav.outputs.report.entry import Entry, ScanColumns
     from mavnav.outputs.report.pictures import Closeup
 
     Arrays = dict[str, NDArray[Any]]
