@@ -218,14 +218,12 @@ def _columns(sessions: list[NDArray[np.float64]]) -> ScanColumns:
     return ScanColumns(
         stamp_s=poses[:, 0],
         time_s=_one_after_the_other([session[:, 0] for session in sessions]),
-        cost_mm2=unknown,
-        threshold_mm2=unknown,
         xy_m=poses[:, 1:3],
         tracked=np.ones(len(poses), np.bool_),
         doubtful=np.zeros(len(poses), np.bool_),
         yaw_rad=poses[:, 3],
-        error_m=unknown,
         roll_pitch_height=np.full((len(poses), 3), np.nan),
+        **dict.fromkeys(("cost_mm2", "threshold_mm2", "error_m"), unknown),
     )
 
 
