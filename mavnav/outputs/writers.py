@@ -46,7 +46,10 @@ GROUPS: Final[dict[str, dict[str, Writer]]] = {
         "map.png": partial(_late, "pictures.map_picture"),
         "true_map.png": partial(_late, "pictures.map_picture", writer="write_true_map"),
     },
-    "mcap": {"result.mcap": partial(_late, "files.replay_log"), "foxglove_layout.json": partial(_late, "files.extras")},
+    "mcap": {
+        "result.mcap": partial(_late, "files.replay_log"),
+        "foxglove_layout.json": partial(_late, "files.replay_log", writer="write_layout"),
+    },
     "report": {},
     "slices": {"map_3d.png": partial(_late, "pictures.slices_picture")},
     "svg": {"map.svg": partial(_late, "pictures.vector_map")},
