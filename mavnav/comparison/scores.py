@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from msgspec.structs import replace
+
 from mavnav.batch.cases import Case, CaseResult
 from mavnav.batch.document import without_search
 from mavnav.batch.request import Setting
@@ -126,22 +128,11 @@ def compare_with_poses(
 
     Raises as `score_log`.
     """
-    request = plan.request
-    scored = score_log(
-        ScoreRequest(
-            Path(plan.cases[0].log),
-            request.directory / POSES,
-            plan.cases[0].setting.config,
-            (*_own_poses(own), *sources),
-            scored_options(request.entries[0].options),
-            force=True,
-            typed=request.typed,
-            programs=tuple(programs),
-            limit_s=limit_s,
-        ),
-        progress,
-    )
-    return write_scores(plan.cases[0].log, scored, request.directory, own, request.rules.gates)
+    request, log, config = plan.request, plan.cases[0].log, plan.cases[0].setting.config
+    every, options = (*_own_poses(own), *sources), scored_options(request.entries[0].options)
+    given = ScoreRequest(Path(log), request.directory / POSES, config, every, options, force=True, typed=request.typed)
+    scored = score_log(replace(given, programs=tuple(programs), limit_s=limit_s), progress)
+    return write_scores(log, scored, request.directory, own, request.rules.gates)
 
 
 def _own_poses(own: Sequence[CaseResult]) -> list[TrajectorySource]:
