@@ -110,7 +110,7 @@ class LineMap(Struct):
     def observability(self, points: Array, map_T_laser: Pose) -> tuple[float, Array]:
         """Return the observability of a pose by points (n, 2), m, laser frame, and its information (6,), in points.
 
-        Both are described in `kernels.scans.observability`.
+        Both are described in `kernels.scans.correlative_search`.
         """
         pose, information = map_T_laser.as_array(), np.empty(6)
         return observability(points, pose, self.nearest, self.lines, self.geometry, information), information
