@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from mavnav.mapping import tiled_arrays
-from mavnav.metrics import wall_thickness as module
+from mavnav.metrics import walls as module
 from mavnav.metrics.walls import summary, wall_sections
 from support.marks import slow
 
