@@ -29,7 +29,7 @@ from mavnav.mapping.occupancy_grid import Grid, occupied_xy_m
 from mavnav.metrics.ghost_walls import GhostWall
 from mavnav.metrics.map_quality import measure_map
 from mavnav.metrics.reference import AlignedError, MapDistance, Reference
-from mavnav.metrics.wall_thickness import summary, wall_sections
+from mavnav.metrics.walls import summary, wall_sections
 from mavnav.outputs.pictures.viewport import (
     DPI,
     GOAL_RED,

@@ -29,7 +29,7 @@ from mavnav.ground_truth.tables import read_trajectory
 from mavnav.logs import open_log
 from mavnav.metrics.journey import Journey, placed_scans
 from mavnav.metrics.revisits import pairs_of, revisits
-from mavnav.pipelines.programs import Program, run_program
+from mavnav.pipelines.trajectory_source import Program, run_program
 from mavnav.pose import Trajectory
 from mavnav.slam.methods.registry import load_kernels
 from mavnav.slam.pipeline import run_slam

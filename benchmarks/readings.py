@@ -36,7 +36,7 @@ from mavnav.logs import open_log
 from mavnav.mapping.occupancy_grid import occupied_xy_m
 from mavnav.metrics.map_quality import measure_map
 from mavnav.metrics.reference import map_distance, position_errors
-from mavnav.metrics.wall_thickness import summary, wall_sections
+from mavnav.metrics.walls import summary, wall_sections
 from mavnav.pipelines.maps import measured_map
 from mavnav.pipelines.simulate import truth_errors
 from mavnav.pose import Pose

@@ -22,7 +22,7 @@ from mavnav.jobs.pool import usable_cores
 from mavnav.metrics.gates import Gate, full_name, parse_gate, read_accept
 from mavnav.outputs.documents.addresses import is_address
 from mavnav.outputs.documents.provenance import Typed
-from mavnav.pipelines.programs import read_program
+from mavnav.pipelines.trajectory_source import read_program
 
 MANIFEST_SUFFIXES = (".yaml", ".yml")
 SETS = Path(__file__).parent / "sets"

@@ -19,7 +19,7 @@ from mavnav.config.options import ReplayOptions
 from mavnav.errors import ConfigError, UsageError
 from mavnav.metrics.gates import Gate
 from mavnav.outputs.documents.provenance import Typed
-from mavnav.pipelines.programs import Program
+from mavnav.pipelines.trajectory_source import Program
 
 SEARCH: Final = {("grid",), ("azimuth",)}
 """Keys by which the runs of a comparison are named anyhow, besides the method."""

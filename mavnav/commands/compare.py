@@ -29,8 +29,7 @@ from mavnav.profiling import Progress
 if TYPE_CHECKING:
     from mavnav.batch.runner import BatchPlan
     from mavnav.metrics.gates import Gate
-    from mavnav.pipelines.programs import Program
-    from mavnav.pipelines.trajectory_source import TrajectorySource
+    from mavnav.pipelines.trajectory_source import Program, TrajectorySource
 
     GivenPoses = tuple[Sequence[TrajectorySource], Sequence[Program], float]
 
@@ -86,7 +85,7 @@ def compare(
         with loading_modules():
             from mavnav.batch.runner import load_kernels
             from mavnav.comparison import pipeline
-            from mavnav.comparison.beside import check_given
+            from mavnav.comparison.scores import check_given
             from mavnav.jobs.pool import usable_cores
             from mavnav.outputs.documents.provenance import Typed
         target = directory or pipeline.comparison_directory(logs or ())
@@ -114,8 +113,7 @@ def compare(
 
 def _given_poses(trajectories: Sequence[str], programs: Sequence[str], limit_s: float) -> GivenPoses | None:
     """Read what stands beside mavnav's own runs; None for nothing."""
-    from mavnav.pipelines.programs import read_program
-    from mavnav.pipelines.trajectory_source import read_source
+    from mavnav.pipelines.trajectory_source import read_program, read_source
 
     given = tuple(map(read_source, trajectories)), tuple(map(read_program, programs))
     return (*given, limit_s) if any(given) else None
@@ -127,7 +125,7 @@ def _compare_finished(
     """Compare finished runs; return comparison.json."""
     with reporting(quiet=quiet) as report:
         with loading_modules():
-            from mavnav.comparison.finished import compare_finished
+            from mavnav.comparison.scores import compare_finished
             from mavnav.outputs.writers import REPORT_FILE, write_page
         target = directory or shared.free_directory(Path("runs/compare"), force=False)
         document = compare_finished(runs, target, gates)
@@ -150,8 +148,8 @@ def _sample(directory: Path, report: Progress) -> tuple[list[Path], Path]:
 def _run_and_draw(plan: BatchPlan, given_poses: GivenPoses | None, *, quiet: bool) -> tuple[dict[str, Any], Path]:
     """Run what is missing, and draw the report unless it shows these results; return comparison.json and its path."""
     from mavnav.batch.runner import run_cases
-    from mavnav.comparison.beside import compare_with_poses
     from mavnav.comparison.pipeline import is_report_current, write_results
+    from mavnav.comparison.scores import compare_with_poses
     from mavnav.outputs.writers import REPORT_FILE, write_page
 
     directory, drawn = plan.request.directory, is_report_current(plan)  # before comparison.json is written again

@@ -58,9 +58,8 @@ def score(
             from mavnav.logs.formats.detect import log_name
             from mavnav.outputs.documents.provenance import Typed
             from mavnav.outputs.writers import REPORT_FILE, write_page
-            from mavnav.pipelines.programs import read_program
             from mavnav.pipelines.score import ScoreRequest, score_log
-            from mavnav.pipelines.trajectory_source import read_source
+            from mavnav.pipelines.trajectory_source import read_program, read_source
         usual = Path("runs") / f"score-{log_name(source.path)}"
         target = directory or shared.free_directory(usual, force=force)
         chosen = load_config(config, sets or [], settings_of(options))

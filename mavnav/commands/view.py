@@ -47,7 +47,7 @@ def view(
     """
     with reporting(quiet=quiet) as report:
         with loading_modules():
-            from mavnav.outputs.report.finished import finished_page
+            from mavnav.outputs.report.page import finished_page
         report("drawing the page", 0, None)
         name, text = finished_page(directory)
         page = text.encode("utf-8", "backslashreplace")  # names need not be UTF-8

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from mavnav.atomic_files import beside, writing
 from mavnav.batch.document import ENDS, run_row
 from mavnav.errors import ExitCode, worst
-from mavnav.metrics.gates import failure_text, judge_some, stored_verdict
+from mavnav.metrics.gates import Gate, failure_text, judge_some, stored_verdict
 from mavnav.outputs.documents.quantities import (
     QUANTITIES,
     UNUSABLE,
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 
     from mavnav.batch.cases import CaseResult
     from mavnav.jobs.run_cache import PlannedRun
-    from mavnav.metrics.gates import Gate
     from mavnav.outputs.documents.quantities import Run
 
 COMPARISON_FILE: Final = "comparison.json"
@@ -152,11 +151,13 @@ def _relative_cost(runs: Sequence[Run | None], k: int, reference: int | None, na
     return None if own is None or not base else own / base
 
 
-def write_comparison(document: dict[str, Any], directory: Path) -> None:
-    """Write the files of a comparison, each complete or not at all; raises OutputError."""
+def write_comparison(results: Sequence[CaseResult], directory: Path, gates: Sequence[Gate]) -> dict[str, Any]:
+    """Write the files of a comparison, each complete or not at all; return comparison.json. Raises OutputError."""
+    document: dict[str, Any] = plain(comparison_document(results, directory, gates))
     for name, text in TEXTS.items():
         with writing(directory / name, "make room"), beside(directory / name) as path:
             path.write_text(text(document), "utf-8", "backslashreplace")  # names of files need not be UTF-8
+    return document
 
 
 HIT_QUANTITIES: Final = ("wall_thickness.2.p95_mm", "wall_thickness.2.max_mm")
@@ -183,31 +184,24 @@ def comparison_csv(document: dict[str, Any]) -> str:
 
 def comparison_markdown(document: dict[str, Any]) -> str:
     """Return a table in GitHub's Markdown with the best values in bold, and a list of failures below it."""
-    titles = [
-        "log",
-        "method",
-        "yaw samples/grid",
-        "verdict",
-        *(f.head for f in QUANTITIES),
-        "evaluations ratio",
-        "cpu ratio",
-    ]
+    rows = [_cells(document, k) for k in range(len(document["cells"]))]
     lines = [f"# mavnav {document['mavnav_version']} compare", "", escape(document["headline"]), ""]
-    lines += [table_row(titles), table_row(["---"] * len(titles))]
-    lines += [table_row(_cells(document, k)) for k in range(len(document["cells"]))]
+    lines += [table_row(rows[0]), table_row(["---"] * len(rows[0])), *(table_row(row.values()) for row in rows)]
     failed = [f"- {escape(line)}" for line in (*problems(document), *remarks(document))]
     notes = [escape(line) for line in cell_size_notes(document)]
     return "\n".join([*lines, *(["", *notes] if notes else []), *(["", *failed] if failed else [])]) + "\n"
 
 
-def _cells(document: dict[str, Any], k: int) -> list[str]:
+def _cells(document: dict[str, Any], k: int) -> dict[str, str]:
+    """Return the texts of a run by their headings."""
     cell = document["cells"][k]
-    texts = [escape(cell["log"]), *map(escape, labels(cell))]
-    texts.append(verdict_texts(cell["run"])[0] or "-")
+    method, grid = map(escape, labels(cell))
+    texts = {"log": escape(cell["log"]), "method": method, "yaw samples/grid": grid}
+    texts["verdict"] = verdict_texts(cell["run"])[0] or "-"
     for figure in QUANTITIES:
         text = figure.text_of(cell["run"])
-        texts.append(f"**{text}**" if k in winning(document, figure.name) else text)
-    return texts + [ratio(document, name, k) for name in ("evaluations", "cpu")]
+        texts[figure.head] = f"**{text}**" if k in winning(document, figure.name) else text
+    return texts | {f"{name} ratio": ratio(document, name, k) for name in ("evaluations", "cpu")}
 
 
 def labels(cell: dict[str, Any]) -> tuple[str, str]:

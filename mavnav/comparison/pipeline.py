@@ -12,27 +12,23 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec.structs import replace
 
-from mavnav.batch.cases import make_cases
+from mavnav.batch.cases import Case, CaseResult, make_cases
 from mavnav.batch.request import BatchLogs, BatchRequest, Rules, RunLimits, crossed_settings, named_settings, swept
 from mavnav.batch.runner import BatchPlan, check_gates, plan_cases, run_cases
-from mavnav.comparison.document import COMPARISON_FILE, RELATIVE_COSTS, comparison_document, write_comparison
+from mavnav.comparison.document import COMPARISON_FILE, RELATIVE_COSTS, write_comparison
 from mavnav.config.named_files import read_json
-from mavnav.config.options import reference_files
+from mavnav.config.options import ReplayOptions, reference_files
 from mavnav.errors import UsageError
-from mavnav.jobs.run_cache import RUNS_FOLDER, check_cache_directory
+from mavnav.jobs.run_cache import RUNS_FOLDER, PlannedRun, check_cache_directory
 from mavnav.logs.formats.detect import log_name
 from mavnav.outputs.documents.provenance import Typed
-from mavnav.outputs.files.document import plain
 from mavnav.outputs.writers import REPORT_FILE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Sequence
 
-    from mavnav.batch.cases import Case, CaseResult
     from mavnav.batch.request import Setting
     from mavnav.config.models import Config
-    from mavnav.config.options import ReplayOptions
-    from mavnav.jobs.run_cache import PlannedRun
     from mavnav.jobs.worker import Event
     from mavnav.metrics.gates import Gate
     from mavnav.profiling import Progress
@@ -188,6 +184,4 @@ def run_comparison(plan: BatchPlan, on_event: Callable[[Event], None]) -> dict[s
 
 def write_results(plan: BatchPlan, results: Sequence[CaseResult]) -> dict[str, Any]:
     """Write all files of a comparison except report.html, and return comparison.json; raises OutputError."""
-    document: dict[str, Any] = plain(comparison_document(results, plan.request.directory, plan.request.rules.gates))
-    write_comparison(document, plan.request.directory)
-    return document
+    return write_comparison(results, plan.request.directory, plan.request.rules.gates)

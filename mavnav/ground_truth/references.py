@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from mavnav.errors import UsageError
 from mavnav.metrics.fields import ABSENT
 from mavnav.metrics.reference import TOLERANCE_NS, Reference, TrueMap, map_distance, pose_errors, relation_errors
-from mavnav.pose import Pose, correct_path, transform_points
+from mavnav.pose import Pose, Trajectory, correct_path, transform_points
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from mavnav.ground_truth.map_file import MapFile
     from mavnav.metrics.reference import Relations
-    from mavnav.pose import Trajectory
     from mavnav.simulation.world import Scenario, World
 
 START_POSE: Final = "start pose"

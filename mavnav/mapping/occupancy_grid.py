@@ -13,18 +13,7 @@ from mavnav.kernels.maps import hits as hits_kernel
 from mavnav.kernels.maps.dynamic_cells import dynamic_cells
 from mavnav.kernels.maps.layout import MOST, MOST_SHIELDED, WIDE
 from mavnav.kernels.scans.points import extent
-from mavnav.mapping.tiled_arrays import (
-    NO_EXTENT,
-    bands,
-    blank_strips,
-    check_size,
-    covered_extent,
-    covering,
-    enlarge,
-    in_strips,
-    plain,
-    within,
-)
+from mavnav.mapping import tiled_arrays
 from mavnav.profiling import timed
 
 if TYPE_CHECKING:
@@ -88,11 +77,11 @@ class GridBuilder(Struct):
 
     cell_m: float
     origin_xy_m: tuple[float, float] = (0.0, 0.0)
-    hits: NDArray[np.uint16] = field(default_factory=lambda: blank_strips((0, 0), np.uint16))
+    hits: NDArray[np.uint16] = field(default_factory=lambda: tiled_arrays.blank_strips((0, 0), np.uint16))
     passes: NDArray[np.uint16] = field(default_factory=lambda: np.zeros((0, 0), np.uint16))
-    shielded: NDArray[np.int16] = field(default_factory=lambda: blank_strips((0, 0), np.int16))
+    shielded: NDArray[np.int16] = field(default_factory=lambda: tiled_arrays.blank_strips((0, 0), np.int16))
 
-    _covered_m: Extent = NO_EXTENT
+    _covered_m: Extent = tiled_arrays.NO_EXTENT
     _room: int = 0
     """Number of crossings that cannot fill a cell; negative where that is not known."""
 
@@ -104,12 +93,12 @@ class GridBuilder(Struct):
     @classmethod
     def of(cls, grid: Grid) -> GridBuilder:
         """Copy a grid into strips for look-ups; all its crossings count as shielded."""
-        shielded = in_strips(np.minimum(grid.passes, MOST_SHIELDED).astype(np.int16))
-        return cls(grid.cell_m, grid.origin_xy_m, in_strips(grid.hits), grid.passes.copy(), shielded)
+        shielded = tiled_arrays.in_strips(np.minimum(grid.passes, MOST_SHIELDED).astype(np.int16))
+        return cls(grid.cell_m, grid.origin_xy_m, tiled_arrays.in_strips(grid.hits), grid.passes.copy(), shielded)
 
     def by_rows(self) -> Grid:
         """Return the counts by rows and columns; the crossings are shared, not copied."""
-        return Grid(self.cell_m, self.origin_xy_m, plain(self.hits), self.passes)
+        return Grid(self.cell_m, self.origin_xy_m, tiled_arrays.plain(self.hits), self.passes)
 
     @timed("insert")
     def insert(self, laser: Pose, xy_map_m: Array, extent_m: Extent | None = None) -> None:
@@ -120,12 +109,12 @@ class GridBuilder(Struct):
         if len(xy_map_m) == 0:
             return
         extent_m, (x, y, _) = extent_m or extent(np.ascontiguousarray(xy_map_m)), laser
-        if not (within(extent_m, self._covered_m) and within((x, y, x, y), self._covered_m)):
+        if not (tiled_arrays.within(extent_m, self._covered_m) and tiled_arrays.within((x, y, x, y), self._covered_m)):
             x0, y0, x1, y1 = extent_m
             low = (floor(min(x0, x) / self.cell_m) - 1, floor(min(y0, y) / self.cell_m) - 1)
             high = (floor(max(x1, x) / self.cell_m) + 1, floor(max(y1, y) / self.cell_m) + 1)
             self._cover(low, high)
-            self._covered_m = covered_extent(self.origin_xy_m, self.passes.shape, self.cell_m, 1)
+            self._covered_m = tiled_arrays.covered_extent(self.origin_xy_m, self.passes.shape, self.cell_m, 1)
         room = self._has_room(2 * len(xy_map_m))
         hits_kernel.add_scan(xy_map_m, np.array([x, y]), self.lattice, self.hits, self.passes, self.shielded, room)
 
@@ -166,14 +155,14 @@ class GridBuilder(Struct):
     def _cover(self, low: tuple[int, int], high: tuple[int, int]) -> None:
         """Enlarge the arrays until they include cells ``low`` to ``high`` (col, row)."""
         origin = _corner(self)
-        grown = covering(low, high, self.passes.shape, origin, BLOCK_CELLS)
+        grown = tiled_arrays.covering(low, high, self.passes.shape, origin, BLOCK_CELLS)
         if grown is None:
             return
         new_origin, shape = grown
-        check_size(shape, self.cell_m, MAX_CELLS)
+        tiled_arrays.check_size(shape, self.cell_m, MAX_CELLS)
         dc, dr = origin[0] - new_origin[0], origin[1] - new_origin[1]
         for name in ("hits", "passes", "shielded"):  # one by one: each old array is freed before the next is copied
-            setattr(self, name, enlarge(getattr(self, name), shape, dr, dc))
+            setattr(self, name, tiled_arrays.enlarge(getattr(self, name), shape, dr, dc))
         self.origin_xy_m = (float(new_origin[0] * self.cell_m), float(new_origin[1] * self.cell_m))
 
 
@@ -201,7 +190,7 @@ def occupancy(grid: Grid) -> NDArray[np.int8]:
     cell that a beam reached.
     """
     out = np.empty(grid.hits.shape, np.int8)
-    for _, _, band in bands(out.shape):
+    for _, _, band in tiled_arrays.bands(out.shape):
         hits, seen = grid.hits[band], grid.hits[band].astype(np.int64) + grid.passes[band]
         out[band] = np.where(seen > 0, FREE, UNKNOWN)
         out[band][(hits > 0) & (hits >= OCCUPIED_SHARE * seen)] = OCCUPIED
@@ -222,7 +211,7 @@ def occupied_xy_m(grid: Grid) -> Array:
 def occupied_cells(grid: Grid) -> NDArray[np.int64]:
     """Return row and column of the occupied cells, (n, 2), without a copy of the whole map."""
     by_band = [np.zeros((0, 2), np.int64)]
-    for _, _, band in bands(grid.hits.shape):
+    for _, _, band in tiled_arrays.bands(grid.hits.shape):
         part = Grid(grid.cell_m, grid.origin_xy_m, grid.hits[band], grid.passes[band])
         by_band.append(np.argwhere(occupancy(part) == OCCUPIED) + np.array([band.start, 0]))
     return np.concatenate(by_band)

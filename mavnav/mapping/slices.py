@@ -9,14 +9,13 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.mapping.occupancy_grid import Grid
-from mavnav.pose import transform_points
+from mavnav.pose import Trajectory, transform_points
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from numpy.typing import NDArray
 
-    from mavnav.pose import Trajectory
     from mavnav.scan import Scan
 
 LEAST_SHARE: Final = 0.01

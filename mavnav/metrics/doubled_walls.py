@@ -16,14 +16,13 @@ from msgspec import Struct
 
 from mavnav.kernels.walls.scan_pairs import best_alignments, wall_gaps, wall_normals
 from mavnav.metrics.ghost_walls import GhostWall, GhostWalls, as_ghost_walls
-from mavnav.metrics.journey import spread, used_beams
+from mavnav.metrics.journey import PlacedScans, spread, used_beams
 from mavnav.metrics.walls import fit_line, link, members
 from mavnav.units import DEG, MM, NS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.metrics.journey import PlacedScans
     from mavnav.pose import Trajectory
     from mavnav.scan import LaserSpec
 

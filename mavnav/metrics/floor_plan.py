@@ -11,17 +11,15 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from msgspec import Struct
 
-from mavnav.mapping.occupancy_grid import FREE, occupancy, occupied_xy_m
+from mavnav.mapping.occupancy_grid import FREE, Grid, occupancy, occupied_xy_m
 from mavnav.metrics.map_quality import only_occupied
-from mavnav.metrics.wall_thickness import wall_sections
-from mavnav.metrics.walls import straight_walls
+from mavnav.metrics.walls import straight_walls, wall_sections
 from mavnav.pose import Pose, transform_points
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.mapping.occupancy_grid import Grid
     from mavnav.metrics.wall_spread import WallCuts
 
     Array = NDArray[np.float64]

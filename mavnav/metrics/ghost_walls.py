@@ -13,18 +13,15 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.kernels.walls.profiles import wall_profiles
-from mavnav.mapping.occupancy_grid import cell_centres
+from mavnav.mapping.occupancy_grid import Grid, cell_centres
 from mavnav.metrics.fields import Measured, number
-from mavnav.metrics.walls import fit_line, link, members
+from mavnav.metrics.walls import Sections, fit_line, link, members
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from numpy.typing import NDArray
-
-    from mavnav.mapping.occupancy_grid import Grid
-    from mavnav.metrics.wall_thickness import Sections
 
     Array = NDArray[np.float64]
 
@@ -105,13 +102,8 @@ def as_ghost_walls(walls: Iterable[GhostWall], cell_m: float) -> GhostWalls:
     """Return the summary of ghost walls of a map with cells of ``cell_m``."""
     places = tuple(sorted(walls, key=lambda p: (-p.length_m, p.x_m, p.y_m)))
     worst_mm = max((p.offset_mm for p in places), default=np.nan)
-    return GhostWalls(
-        count=len(places),
-        length_m=float(sum(p.length_m for p in places)),
-        worst_offset_mm=worst_mm,
-        worst_offset_cells=worst_mm * MM / cell_m,
-        places=places,
-    )
+    length_m = float(sum(p.length_m for p in places))
+    return GhostWalls(len(places), length_m, worst_mm, worst_mm * MM / cell_m, places)
 
 
 def _stations(all_sections: Iterable[Sections]) -> Array:

@@ -11,15 +11,13 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 
 from mavnav.pose import Trajectory
-from mavnav.scan import SAME_RAD
+from mavnav.scan import SAME_RAD, LaserSpec, Scan
 from mavnav.units import NS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
-
-    from mavnav.scan import LaserSpec, Scan
 
     Floats = NDArray[np.float64]
     Scans = Callable[[], Iterable[Scan]]

@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, cell_centres, known_area, occupancy
+from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, Grid, cell_centres, known_area, occupancy
 from mavnav.mapping.tiled_arrays import bands, farther
 from mavnav.pose import Pose, transform_points
 
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.mapping.occupancy_grid import Grid
 
 TOLERANCE_M = 0.15
 """Largest distance to a wall of the other map at which a wall is no change."""

@@ -13,25 +13,20 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.kernels.maps.hits import show_ends
-from mavnav.mapping.occupancy_grid import OCCUPIED, UNKNOWN, occupancy, occupied_cells
+from mavnav.mapping.occupancy_grid import OCCUPIED, UNKNOWN, Grid, occupancy, occupied_cells
 from mavnav.mapping.tiled_arrays import bands, max_pool
 from mavnav.metrics.doubled_walls import doubled_walls, key_rows
 from mavnav.metrics.fields import Measured, number
 from mavnav.metrics.ghost_walls import GhostWalls, ghost_walls
-from mavnav.metrics.journey import placed_scans, spread
+from mavnav.metrics.journey import Journey, PlacedScans, placed_scans, spread
 from mavnav.metrics.revisits import Revisits, pairs_of, revisits
 from mavnav.metrics.shape import Crispness, EnclosedAreas, corners, crispness, dilate, enclosed_areas, occupied_share
-from mavnav.metrics.wall_spread import WALL_SCANS, cut_walls, wall_spread
-from mavnav.metrics.wall_thickness import THRESHOLDS, wall_sections
-from mavnav.metrics.walls import StraightWall, straight_walls
+from mavnav.metrics.wall_spread import WALL_SCANS, WallCuts, cut_walls, wall_spread
+from mavnav.metrics.walls import THRESHOLDS, Sections, StraightWall, straight_walls, wall_sections
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.mapping.occupancy_grid import Grid
-    from mavnav.metrics.journey import Journey, PlacedScans
-    from mavnav.metrics.wall_spread import WallCuts
-    from mavnav.metrics.wall_thickness import Sections
 
 PROFILE: Final = "map-quality/2"
 

@@ -188,13 +188,8 @@ def relative_error(estimate: Trajectory, truth: Trajectory) -> RelativeError:
     yaw_rad = truth.xyyaw[:, 2]
     turned = (yaw_rad - yaw_rad[0] + np.pi) % (2.0 * np.pi) - np.pi
     headed = bool(np.ptp(turned) > NO_TURN_RAD)
-    return RelativeError(
-        pairs=len(stretches),
-        delta_m=DELTA_M,
-        translation_rmse_m=_rms(np.hypot(error[:, 0], error[:, 1])) if headed else np.nan,
-        rotation_rmse_deg=_rms(error[:, 2]) / DEG if headed else np.nan,
-        distance_rmse_m=_rms(apart),
-    )
+    errors = (_rms(np.hypot(*error[:, :2].T)), _rms(error[:, 2]) / DEG) if headed else (np.nan, np.nan)
+    return RelativeError(len(stretches), DELTA_M, *errors, _rms(apart))
 
 
 def associate(estimate: Trajectory, truth: Trajectory) -> tuple[Trajectory, Trajectory]:
@@ -279,12 +274,7 @@ def map_distance(occupied_xy_m: Array, truth: TrueMap) -> MapDistance:
         return MapDistance(truth.alignment, 0, np.nan, np.nan, np.nan, np.nan, 0.0)
     distance_mm = truth.distance_m(occupied_xy_m) / MM
     gap_m, _ = cKDTree(occupied_xy_m).query(truth.xy_m)
-    return MapDistance(
-        alignment=truth.alignment,
-        cells=n,
-        mean_mm=float(distance_mm.mean()),
-        median_mm=float(np.quantile(distance_mm, 0.5)),
-        p95_mm=float(np.quantile(distance_mm, 0.95)),
-        max_mm=float(distance_mm.max()),
-        covered_share=float((gap_m <= COVERED_M).mean()) if len(gap_m) else np.nan,
-    )
+    median_mm, p95_mm = np.quantile(distance_mm, (0.5, 0.95)).tolist()
+    mean_mm, max_mm = float(distance_mm.mean()), float(distance_mm.max())
+    covered_share = float((gap_m <= COVERED_M).mean()) if len(gap_m) else np.nan
+    return MapDistance(truth.alignment, n, mean_mm, median_mm, p95_mm, max_mm, covered_share)

@@ -12,13 +12,12 @@ from msgspec import Struct
 
 from mavnav.kernels.walls.overlap import scan_distances
 from mavnav.metrics.fields import Measured, number
-from mavnav.metrics.journey import spread, used_beams
+from mavnav.metrics.journey import PlacedScans, spread, used_beams
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.metrics.journey import PlacedScans
     from mavnav.pose import Trajectory
 
 CAP_M: Final = 0.15
@@ -75,14 +74,9 @@ def revisits(trajectory: Trajectory, pairs: Pairs, scans: PlacedScans | None) ->
     """Return the self-consistency of a run; ``scans`` include those of the pairs' rows."""
     if scans is None:
         return Revisits(np.nan, np.nan, 0, np.nan)
-    near = _distances(scans, trajectory, pairs.short)
-    far = _distances(scans, trajectory, pairs.long)
-    return Revisits(
-        nn_s_mm=_mean_mm(near[:, 0], near[:, 1]),
-        nn_l_mm=_mean_mm(far[:, 2], far[:, 3]),
-        pairs=len(far),
-        visible_share=float(far[:, 2].sum() / far[:, 4].sum()) if len(far) else np.nan,
-    )
+    near, far = _distances(scans, trajectory, pairs.short), _distances(scans, trajectory, pairs.long)
+    visible_share = float(far[:, 2].sum() / far[:, 4].sum()) if len(far) else np.nan
+    return Revisits(_mean_mm(near[:, 0], near[:, 1]), _mean_mm(far[:, 2], far[:, 3]), len(far), visible_share)
 
 
 def short_pairs(stamps_ns: NDArray[np.int64]) -> NDArray[np.intp]:

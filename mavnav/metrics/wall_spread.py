@@ -12,12 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Final
 import numpy as np
 from msgspec import Struct, field
 
-from mavnav.kernels.walls.profiles import wall_profiles
-from mavnav.kernels.walls.straight_beams import straight_beams
+from mavnav.kernels.walls.profiles import straight_beams, wall_profiles
 from mavnav.metrics.fields import Measured, absent, number, text
-from mavnav.metrics.journey import spread
-from mavnav.metrics.wall_thickness import Sections, WallThickness, quantiles, summary
-from mavnav.metrics.walls import link
+from mavnav.metrics.journey import PlacedScans, spread
+from mavnav.metrics.walls import Sections, WallThickness, link, quantiles, summary
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
@@ -26,7 +24,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.mapping.occupancy_grid import Grid
-    from mavnav.metrics.journey import PlacedScans
 
     Array = NDArray[np.float64]
 
@@ -141,14 +138,8 @@ def wall_spread(cuts: WallCuts, cell_m: float) -> WallSpread:
     measured = np.isfinite(cuts.width_m)
     _, p95_m, median_m = quantiles(cuts.width_m[measured], cuts.length_m[measured])
     length_m, wanted_m = float(cuts.length_m[measured].sum()), float(cuts.length_m.sum())
-    return WallSpread(
-        median_mm=median_m / MM,
-        p95_mm=p95_m / MM,
-        median_cells=median_m / cell_m,
-        p95_cells=p95_m / cell_m,
-        length_m=length_m,
-        measured_share=length_m / wanted_m if wanted_m else np.nan,
-    )
+    share = length_m / wanted_m if wanted_m else np.nan
+    return WallSpread(median_m / MM, p95_m / MM, median_m / cell_m, p95_m / cell_m, length_m, share)
 
 
 def cut_walls(grid: Grid, scans: PlacedScans | None, tracked: int) -> WallCuts:

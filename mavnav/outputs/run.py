@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 from msgspec import Struct, field
 
 from mavnav.errors import ExitCode
-from mavnav.mapping.occupancy_grid import known_area, occupancy
+from mavnav.mapping.occupancy_grid import Grid, known_area, occupancy
 from mavnav.metrics.floor_plan import turn_to_cuts
-from mavnav.metrics.wall_spread import wall_report
+from mavnav.metrics.wall_spread import WallCuts, WallThicknessReport, wall_report
 from mavnav.outputs.documents.verdict import EXTERNAL
 
 if TYPE_CHECKING:
@@ -22,11 +22,9 @@ if TYPE_CHECKING:
 
     from mavnav.config.models import Config, MethodName
     from mavnav.logs import Log
-    from mavnav.mapping.occupancy_grid import Grid
     from mavnav.mapping.slices import Slices
     from mavnav.metrics.map_quality import MeasuredMap
     from mavnav.metrics.reference import Reference, TrueMap
-    from mavnav.metrics.wall_spread import WallCuts, WallThicknessReport
     from mavnav.outputs.documents.run_json import External, Localisation, MissionResult, Provenance, TruthErrors
     from mavnav.outputs.documents.sections import Continued
     from mavnav.pose import Trajectory

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.errors import UsageError
 from mavnav.outputs.directory import RUN_FILE, atomic_directory, file_sha256
-from mavnav.outputs.files import trajectory
+from mavnav.outputs.files import gridmap, trajectory
 from mavnav.outputs.files.document import plain, plain_json, run_document, with_picture, write_metrics
-from mavnav.outputs.files.gridmap import slice_files, write_npz, write_pgm, write_slice, write_yaml
 from mavnav.profiling import Stage
 
 if TYPE_CHECKING:
@@ -27,9 +26,9 @@ if TYPE_CHECKING:
 REPORT_FILE: Final = "report.html"
 
 
-def _late(module: str, run: RunResult, path: Path) -> None:
-    """Call the ``write`` of a module that imports a heavy library, so that nobody waits for it before."""
-    import_module(f"mavnav.outputs.{module}").write(run, path)
+def _late(module: str, run: RunResult, path: Path, writer: str = "write") -> None:
+    """Call the writer of a module that imports a heavy library, so that nobody waits for it before."""
+    getattr(import_module(f"mavnav.outputs.{module}"), writer)(run, path)
 
 
 GROUPS: Final[dict[str, dict[str, Writer]]] = {
@@ -40,18 +39,21 @@ GROUPS: Final[dict[str, dict[str, Writer]]] = {
         "truth.tum": trajectory.write_truth_tum,
         trajectory.TRUE_WALLS_FILE: trajectory.write_true_walls,
     },
-    "map": {"map.pgm": write_pgm, "map.yaml": write_yaml, "hits.npz": write_npz},
-    "metrics": {"walls.csv": partial(_late, "files.wall_table"), "metrics.json": write_metrics},
+    "map": {"map.pgm": gridmap.write_pgm, "map.yaml": gridmap.write_yaml, "hits.npz": gridmap.write_npz},
+    "metrics": {"walls.csv": gridmap.write_walls, "metrics.json": write_metrics},
     "pictures": {
         "wall_thickness.png": partial(_late, "pictures.wall_picture"),  # first: smaller pictures reuse its memory
         "map.png": partial(_late, "pictures.map_picture"),
-        "true_map.png": partial(_late, "pictures.mission_picture"),
+        "true_map.png": partial(_late, "pictures.map_picture", writer="write_true_map"),
     },
-    "mcap": {"result.mcap": partial(_late, "files.replay_log"), "foxglove_layout.json": partial(_late, "files.extras")},
+    "mcap": {
+        "result.mcap": partial(_late, "files.replay_log"),
+        "foxglove_layout.json": partial(_late, "files.replay_log", writer="write_layout"),
+    },
     "report": {},
     "slices": {"map_3d.png": partial(_late, "pictures.slices_picture")},
     "svg": {"map.svg": partial(_late, "pictures.vector_map")},
-    "scale": dict.fromkeys(("map_scale.png", "map_scale.yaml"), partial(_late, "pictures.scale_map")),
+    "scale": {"map_scale.png": gridmap.write_scale, "map_scale.yaml": gridmap.write_scale},
     "graph": {"pose_graph.g2o": trajectory.write_graph},
 }
 """The files of a run and their writers, in groups by the names of ``--outputs``; run.json is always written.
@@ -130,7 +132,7 @@ def _writers(run: RunResult, groups: Collection[str] | None) -> dict[str, Callab
         name: partial(write, run) for name, write in WRITERS.items() if name in names
     }
     if run.slices and "slices" in chosen:
-        writers |= dict.fromkeys(slice_files(run.slices.layers), partial(write_slice, run))
+        writers |= dict.fromkeys(gridmap.slice_files(run.slices.layers), partial(gridmap.write_slice, run))
     for session in run.earlier:
         poses, recording = trajectory.session_files(session.name)
         if "trajectory.tum" in names:

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct, ValidationError, convert
 
-from mavnav.config.layers import by_dotted_key
+from mavnav.config.layers import Layer, by_dotted_key
 from mavnav.config.loading import key_now, load_config, read_model, to_scalar
 from mavnav.config.named_files import read_json
-from mavnav.config.options import restore_options, words_of
+from mavnav.config.options import ReplayOptions, restore_options, words_of
 from mavnav.errors import ConfigError, UsageError
 from mavnav.logs import content_sha256
 from mavnav.outputs.directory import RUN_FILE
@@ -26,9 +26,7 @@ from mavnav.version import __version__, installed_version
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mavnav.config.layers import Layer
     from mavnav.config.models import Config
-    from mavnav.config.options import ReplayOptions
 
 
 class EarlierRun(Struct, frozen=True):

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec import Struct, field
 from msgspec.structs import replace
 
-from mavnav.config.models import OdometryConfig
+from mavnav.config.models import Config, OdometryConfig
 from mavnav.config.options import ReplayOptions
 from mavnav.errors import ExitCode, TopicError, UsageError, worst
-from mavnav.logs import check_log, open_log
+from mavnav.logs import Log, check_log, open_log
 from mavnav.logs.formats.detect import log_name
-from mavnav.metrics.calibration.motion import motions_of
+from mavnav.metrics.calibration.motion import Motions, motions_of
 from mavnav.metrics.calibration.quantities import LEAST_TURN_RAD, Calibration, calibration_of, motion_of, refusal
 from mavnav.outputs.directory import check_apart, check_file, write_file
 from mavnav.outputs.files.document import plain, to_json, track_verdict
@@ -33,9 +33,6 @@ from mavnav.units import DEG
 from mavnav.version import __version__
 
 if TYPE_CHECKING:
-    from mavnav.config.models import Config
-    from mavnav.logs import Log
-    from mavnav.metrics.calibration.motion import Motions
     from mavnav.metrics.calibration.quantities import QuantityKind, QuantityValue
     from mavnav.profiling import Progress
     from mavnav.slam.result import SlamResult

@@ -14,16 +14,16 @@ from mavnav.errors import ExitCode, UsageError, missing
 from mavnav.ground_truth.map_file import map_files, read_map
 from mavnav.kernels.machine.building import prepare
 from mavnav.kernels.maps import raycast  # noqa: F401  it is compiled with the others
-from mavnav.mapping.occupancy_grid import known_area, occupied_xy_m
+from mavnav.mapping.occupancy_grid import Grid, known_area, occupied_xy_m
 from mavnav.metrics.gates import stored_verdict
-from mavnav.metrics.map_difference import View, difference
+from mavnav.metrics.map_difference import Difference, View, difference
 from mavnav.outputs.directory import check_apart, check_file, checked_file, digests_of, document_of, write_file
 from mavnav.outputs.files.gridmap import HITS_FILE, read_npz
 from mavnav.outputs.pictures import difference_picture
 from mavnav.outputs.report.summary_page import diff_summary, draw_png, write_summary
 from mavnav.pipelines.maps import rounded_pose
 from mavnav.pose import Pose
-from mavnav.sessions.map_alignment import align
+from mavnav.sessions.map_alignment import Alignment, align
 from mavnav.slam.matching.prior_map import PriorMap, prior_map_of
 from mavnav.units import MM, pluralize
 from mavnav.version import __version__
@@ -32,10 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from pathlib import Path
 
-    from mavnav.mapping.occupancy_grid import Grid
-    from mavnav.metrics.map_difference import Difference
     from mavnav.profiling import Progress
-    from mavnav.sessions.map_alignment import Alignment
 
 
 NUMBERS: Final = ("compared_m2", "same_share", "gone_m2", "new_m2", "changed_m2", "gone", "new", "moved")

@@ -15,7 +15,7 @@ from mavnav.ground_truth.references import References, check_times, compare_to, 
 from mavnav.kernels.machine.building import prepare
 from mavnav.logs import open_log
 from mavnav.logs.formats.detect import is_named_like_a_log
-from mavnav.mapping.occupancy_grid import occupied_xy_m
+from mavnav.mapping.occupancy_grid import Grid, occupied_xy_m
 from mavnav.metrics.fields import ABSENT
 from mavnav.metrics.gates import stored_verdict
 from mavnav.metrics.ghost_walls import GhostWall
@@ -25,7 +25,7 @@ from mavnav.metrics.wall_spread import wall_report
 from mavnav.metrics.walls import StraightWall, half_turn
 from mavnav.outputs.directory import MERGE_FILE, RUN_FILE
 from mavnav.outputs.files.document import plain
-from mavnav.outputs.files.finished_run import RunRecord, finished_run
+from mavnav.outputs.files.finished_run import FinishedRun, RunRecord, finished_run
 from mavnav.outputs.files.gridmap import HITS_FILE, read_npz
 from mavnav.pipelines.maps import with_true_map_placed, with_walls_moved
 from mavnav.pipelines.sessions import mapped_share, poses_of
@@ -38,8 +38,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from mavnav.mapping.occupancy_grid import Grid
-    from mavnav.outputs.files.finished_run import FinishedRun
     from mavnav.profiling import Progress
 
 NEEDED_FILES: Final = (HITS_FILE, "trajectory.tum", "result.mcap")

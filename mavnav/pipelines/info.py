@@ -12,7 +12,7 @@ from msgspec.structs import asdict
 
 from mavnav.config.models import RobustConfig
 from mavnav.errors import ExitCode, MavnavError
-from mavnav.logs import choose, survey
+from mavnav.logs import Log, Survey, choose, survey
 from mavnav.logs.health import sensor_health
 from mavnav.units import NS
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from mavnav.logs import Log, Survey
     from mavnav.logs.levelling import RecordedAttitude
     from mavnav.logs.records import Imu, Odometry
     from mavnav.pose import Pose

@@ -9,12 +9,12 @@ from msgspec.structs import replace
 
 from mavnav.config.option_kinds import NOWHERE, WALLS
 from mavnav.errors import UsageError
-from mavnav.ground_truth.references import check_times, of_map, place_walls
-from mavnav.mapping.occupancy_grid import known_area, measured_area, occupied_xy_m
-from mavnav.mapping.slices import scans_with_heights, slice_map
+from mavnav.ground_truth.references import References, check_times, of_map, place_walls
+from mavnav.mapping.occupancy_grid import Grid, known_area, measured_area, occupied_xy_m
+from mavnav.mapping.slices import PlacedScan, Slices, scans_with_heights, slice_map
 from mavnav.metrics.floor_plan import turn_to_walls
 from mavnav.metrics.journey import Journey
-from mavnav.metrics.map_quality import measure_map
+from mavnav.metrics.map_quality import MeasuredMap, measure_map
 from mavnav.metrics.reference import COVERED_M
 from mavnav.outputs.directory import checked_file, digests_of
 from mavnav.outputs.documents.run_json import FoundPose, Localisation, StartPose
@@ -28,11 +28,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from mavnav.config.models import Config
-    from mavnav.ground_truth.references import References
     from mavnav.logs import Log
-    from mavnav.mapping.occupancy_grid import Grid
-    from mavnav.mapping.slices import PlacedScan, Slices
-    from mavnav.metrics.map_quality import MeasuredMap
     from mavnav.slam.matching.prior_map import PriorMap
     from mavnav.slam.result import SlamResult
     from mavnav.slam.track import Placement

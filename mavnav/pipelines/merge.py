@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import platform
 from contextlib import suppress
 from itertools import count
 from typing import TYPE_CHECKING, Any, Final
@@ -12,28 +13,28 @@ from mavnav.atomic_files import temporary_folder
 from mavnav.errors import ExitCode, NoScansError, SeveralTopicsError, TopicError, UsageError, reason_of, worst
 from mavnav.logs import check_log
 from mavnav.logs.formats.detect import log_name
-from mavnav.mapping.occupancy_grid import known_area, measured_area
+from mavnav.mapping.occupancy_grid import Grid, known_area, measured_area
 from mavnav.metrics.floor_plan import turn_to_cuts
 from mavnav.metrics.gates import stored_verdict
 from mavnav.metrics.journey import one_after_another
-from mavnav.metrics.map_quality import measure_map
+from mavnav.metrics.map_quality import MeasuredMap, measure_map
+from mavnav.metrics.wall_spread import wall_report
 from mavnav.outputs.directory import MERGE_FILE, RUN_FILE, atomic_directory, check_directory, document_of, file_sha256
+from mavnav.outputs.documents.provenance import versions
 from mavnav.outputs.documents.run_json import RunDocument
 from mavnav.outputs.documents.sections import evidence
 from mavnav.outputs.documents.verdict import Verdict, joining_advice, worst_verdict
 from mavnav.outputs.files.document import plain, to_json
-from mavnav.outputs.files.finished_run import MergeRecord, finished_run, of_document
-from mavnav.outputs.files.gridmap import GridMap, write_npz, write_pgm, write_yaml
-from mavnav.outputs.files.map_document import map_document
+from mavnav.outputs.files.finished_run import FinishedRun, MergeRecord, finished_run, of_document
+from mavnav.outputs.files.gridmap import WALLS_FILE, GridMap, map_section, write_cuts, write_npz, write_pgm, write_yaml
 from mavnav.outputs.files.trajectory import session_files, write_poses, write_scans
-from mavnav.outputs.files.wall_table import WALLS_FILE, write_cuts
 from mavnav.outputs.pictures.map_picture import write_merged
 from mavnav.outputs.report.summary_page import merge_summary, write_summary
 from mavnav.outputs.writers import REPORT_FILE
 from mavnav.pipelines.maps import rounded_pose
 from mavnav.pipelines.replay import ReplayRequest, replay_log
 from mavnav.pipelines.sessions import UNREADABLE, mapped_share, read_session
-from mavnav.sessions.group import Join, frame_of, merged_map
+from mavnav.sessions.group import Join, Session, SessionGroup, frame_of, merged_map
 from mavnav.sessions.growth import join_sessions
 from mavnav.slam.methods.registry import load_kernels
 from mavnav.units import pluralize
@@ -43,12 +44,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from mavnav.config.models import Config
-    from mavnav.mapping.occupancy_grid import Grid
-    from mavnav.metrics.map_quality import MeasuredMap
-    from mavnav.outputs.files.finished_run import FinishedRun
     from mavnav.pose import Trajectory
     from mavnav.profiling import Progress
-    from mavnav.sessions.group import Session, SessionGroup
 
 TRACKING: Final = ("lost", "tracked_share", "intervals", "doubt")
 """What merge.json repeats of the tracking of each session."""
@@ -199,13 +196,31 @@ def _write(
             write_summary(merge_summary(document, (folder / "map.png").read_bytes()), folder / REPORT_FILE)
         digests = {file.name: file_sha256(file) for file in sorted(folder.iterdir())}
         document = document | {"outputs": digests}
-        own = map_document(grid, measured, request.config, mapped_share(document["sessions"]))
+        own = _map_document(grid, measured, request.config, mapped_share(document["sessions"]))
         own |= {key: document[key] for key in ("verdict", "outputs", "exit_code")}
         own |= {"damage": [damage for each in document["sessions"] for damage in each["damage"]], "warnings": []}
         ordered = {key: own[key] for key in RunDocument.__struct_fields__ if key in own}
         (folder / RUN_FILE).write_text(to_json(ordered), encoding="utf-8")
         (folder / MERGE_FILE).write_text(to_json(document), encoding="utf-8")
     return document
+
+
+def _map_document(grid: Grid, measured: MeasuredMap, config: Config, accepted_share: float) -> dict[str, Any]:
+    """Return the keys of run.json for a map alone: what it was made with, and how good it is."""
+    return {
+        "schema_version": 1,
+        "mavnav_version": __version__,
+        "python": platform.python_version(),
+        "libraries": versions(),
+        "config": config,
+        "method": config.method,
+        "grid": str(config.grid),
+        "azimuth": config.azimuth,
+        "wall_thickness": wall_report(measured.sections, measured.published, measured.cuts, grid.cell_m),
+        "map_quality": measured.quality,
+        "map": map_section(grid, accepted_share),
+        "partial": False,
+    }
 
 
 def _document(request: MergeRequest, inputs: list[Input], joins: list[Join], members: list[Session]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from mavnav.ground_truth.map_file import map_files
 from mavnav.kernels.machine.building import prepare
 from mavnav.metrics.floor_plan import floor_plan
 from mavnav.outputs.directory import check_apart, check_file, write_file
-from mavnav.outputs.pictures.plan_drawing import write_dxf, write_svg
+from mavnav.outputs.pictures.vector_map import write_dxf, write_svg
 from mavnav.pipelines.diff import read_grid, run_verdict_at
 from mavnav.units import DEG
 from mavnav.version import __version__

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from msgspec.structs import replace
 
-from mavnav.config.models import RobustConfig
+from mavnav.config.models import Config, RobustConfig
 from mavnav.logs.preprocessing import FARTHEST_M
 from mavnav.units import MM
 
 if TYPE_CHECKING:
-    from mavnav.config.models import Config
     from mavnav.logs import Log
 
 LOOKED_AT: Final = 200

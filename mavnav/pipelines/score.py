@@ -15,38 +15,34 @@ from mavnav.config.models import Config
 from mavnav.config.option_kinds import recorded_topic
 from mavnav.config.options import REFERENCES, ReplayOptions, paths_of, reference_files, words_of
 from mavnav.errors import ProgramError, UsageError
-from mavnav.ground_truth.references import SWEEPS, compare_to, in_time_of_truth, load_references
+from mavnav.ground_truth.references import SWEEPS, References, compare_to, in_time_of_truth, load_references
 from mavnav.ground_truth.tables import read_trajectory
-from mavnav.logs import open_log
+from mavnav.logs import Log, open_log
 from mavnav.logs.formats.detect import log_name
 from mavnav.mapping.occupancy_grid import occupied_xy_m
 from mavnav.metrics.reference import position_errors
 from mavnav.outputs.directory import check_directory
 from mavnav.outputs.documents.provenance import Typed, provenance, utc_now
 from mavnav.outputs.documents.run_json import External, StartPose
+from mavnav.outputs.documents.sections import PoseJump
 from mavnav.outputs.run import RunResult, Timing, half_sweep_s
 from mavnav.outputs.writers import write_run
 from mavnav.pipelines.again import changed_values
 from mavnav.pipelines.maps import check_references, measured_map, references_in_map, with_true_map_placed
-from mavnav.pipelines.own_track import difference_section, own_path
-from mavnav.pipelines.programs import Program, run_program
 from mavnav.pipelines.reach import with_reach
 from mavnav.pipelines.replay import ReplayRequest
-from mavnav.pipelines.trajectory_source import LASER, WHOLE, TrajectorySource
-from mavnav.pose import Pose
-from mavnav.profiling import new_profile
+from mavnav.pipelines.trajectory_source import LASER, WHOLE, Program, ProgramCost, TrajectorySource, run_program
+from mavnav.pose import Pose, Trajectory
+from mavnav.profiling import Progress, new_profile
 from mavnav.slam.given_poses import draw_at_poses
+from mavnav.slam.matching.differences import differences
 from mavnav.slam.methods.registry import load_kernels
+from mavnav.slam.pipeline import run_slam
 from mavnav.units import DEG, MM, NS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from mavnav.ground_truth.references import References
-    from mavnav.logs import Log
-    from mavnav.pipelines.programs import ProgramCost
-    from mavnav.pose import Trajectory
-    from mavnav.profiling import Progress
 
 BASE: Final = "base"
 PROGRAMS: Final = "programs"
@@ -305,3 +301,21 @@ def _again(request: ScoreRequest, source: TrajectorySource) -> Iterator[str]:
     yield from words_of(request.options)
     changed = changed_values(request.config, Config())
     yield from (f"--set={key}={to_scalar(value)}" for key, value in changed.items() if key != "method")
+
+
+def own_path(log: Log, config: Config, progress: Progress, *, whole: bool) -> Trajectory | None:
+    """Return mavnav's own poses of the scans as recorded, or of the laser at mid-sweep; None if they are doubtful."""
+    config = replace(config, method="robust", final_pass=whole)
+    own = run_slam(
+        log.scans, config, log.period_s, on_step=lambda phase, done: progress(phase, done, log.counts.usable), last=()
+    )
+    return own.trajectory if own.doubt and not own.doubt.high and not own.lost_for_good else None
+
+
+def difference_section(path: Trajectory, own: Trajectory | None, log: Log) -> dict[str, Any]:
+    """Return how given poses differ from mavnav's own, as `External` has it; nothing without those."""
+    if own is None:
+        return {}
+    late_s, scale, jumps = differences(path, own)
+    seen = [PoseJump((jump.stamp_ns - log.first_ns) * NS, jump.moved_m, jump.turned_rad / DEG) for jump in jumps]
+    return {"late_s": late_s, "distance_scale": scale, "jumps": seen}

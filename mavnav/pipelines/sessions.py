@@ -10,13 +10,13 @@ from msgspec.structs import replace
 
 from mavnav.errors import NoScansError, UsageError
 from mavnav.ground_truth.tables import read_tum
-from mavnav.logs import open_log
+from mavnav.logs import Log, open_log
 from mavnav.logs.formats.detect import log_name
 from mavnav.outputs.documents.sections import Continued, EarlierSession, evidence
-from mavnav.outputs.files.finished_run import MergeRecord, finished_run
+from mavnav.outputs.files.finished_run import FinishedRun, MergeRecord, Stored, finished_run
 from mavnav.outputs.files.trajectory import session_files
 from mavnav.pose import Trajectory
-from mavnav.sessions.group import Join, group_in_frame, make_session, merged_map
+from mavnav.sessions.group import Join, Session, SessionGroup, group_in_frame, make_session, merged_map
 from mavnav.sessions.growth import alike, extend_group
 from mavnav.slam.matching.observability import rotate_covariances
 from mavnav.units import NS
@@ -27,12 +27,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from mavnav.config.models import Config
-    from mavnav.logs import Log
     from mavnav.mapping.occupancy_grid import Grid
-    from mavnav.outputs.files.finished_run import FinishedRun, Stored
     from mavnav.profiling import Progress
     from mavnav.scan import Scan
-    from mavnav.sessions.group import Session, SessionGroup
     from mavnav.slam.result import SlamResult
 
 

@@ -16,7 +16,7 @@ from msgspec.structs import asdict, replace
 from mavnav.atomic_files import short_name, temporary_folder
 from mavnav.errors import NoScansError, UsageError
 from mavnav.ground_truth.references import References, compare_to, of_scenario
-from mavnav.logs import open_log
+from mavnav.logs import Log, open_log
 from mavnav.logs.writing.recorder import Recording, check_recording, record
 from mavnav.mapping.occupancy_grid import GridBuilder, occupied_xy_m
 from mavnav.metrics.reference import LEAST_POSES, absolute_error, position_errors
@@ -36,7 +36,6 @@ from mavnav.slam.methods.registry import load_kernels
 from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
-    from mavnav.logs import Log
     from mavnav.simulation.world import Scenario
 
 
@@ -211,14 +210,9 @@ def truth_errors(flight: Flight) -> TruthErrors:
     last, true = estimate[len(estimate) - 1], Pose(*map(float, truth[-1]))
     error = true.between(last)
     wall, true_wall = wall_distances_m(flight, last, true)
+    errors = {f"ate_{name}": value for name, value in asdict(aligned).items()}
+    errors |= {f"unaligned_{name}": value for name, value in asdict(plain).items() if name != "poses"}
     return TruthErrors(
-        ate_poses=aligned.poses,
-        ate_rmse_m=aligned.rmse_m,
-        ate_median_m=aligned.median_m,
-        ate_max_m=aligned.max_m,
-        unaligned_rmse_m=plain.rmse_m,
-        unaligned_median_m=plain.median_m,
-        unaligned_max_m=plain.max_m,
         final_error_m=error.distance_m,
         final_yaw_error_rad=error.yaw_rad,
         final_aligned_error_m=true.between(motion @ last).distance_m,
@@ -226,6 +220,7 @@ def truth_errors(flight: Flight) -> TruthErrors:
         wall_distance_m=wall,
         true_wall_distance_m=true_wall,
         wall_distance_error_share=abs(wall - true_wall) / true_wall,
+        **errors,
     )
 
 

@@ -10,7 +10,7 @@ import webbrowser
 
 import pytest
 
-from mavnav.outputs.report.finished import finished_page
+from mavnav.outputs.report.page import finished_page
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from mavnav.metrics.calibration.motion import motions_of
-from mavnav.metrics.calibration.noise import Noise
+from mavnav.metrics.calibration.motion import Noise, motions_of
 from mavnav.metrics.calibration.quantities import (
     BETTER,
     DRIVE_MORE,

@@ -10,7 +10,7 @@ from scipy import ndimage
 from mavnav.mapping.occupancy_grid import Grid, GridBuilder
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import MapQuality, measure_map
-from mavnav.metrics.wall_thickness import summary, wall_sections
+from mavnav.metrics.walls import summary, wall_sections
 from mavnav.pose import Pose, Trajectory, transform_points
 from support.marks import slow
 from support.synthetic import TOUR, along, furnished_rooms, record

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from mavnav.mapping import tiled_arrays
-from mavnav.metrics import wall_thickness as module
-from mavnav.metrics.wall_thickness import summary, wall_sections
+from mavnav.metrics import walls as module
+from mavnav.metrics.walls import summary, wall_sections
 from support.marks import slow
 
 CELL_M = 0.02

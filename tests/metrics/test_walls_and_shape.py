@@ -9,8 +9,7 @@ from mavnav.mapping import tiled_arrays
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, Grid, occupancy, occupied_xy_m
 from mavnav.metrics.map_quality import near_walls, only_occupied
 from mavnav.metrics.shape import corners, enclosed_areas, occupied_share
-from mavnav.metrics.wall_thickness import wall_sections
-from mavnav.metrics.walls import straight_walls
+from mavnav.metrics.walls import straight_walls, wall_sections
 
 CELL_M = 0.02
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mavnav.pipelines.programs import Program, run_program
+from mavnav.pipelines.trajectory_source import Program, run_program
 
 if TYPE_CHECKING:
     from pathlib import Path

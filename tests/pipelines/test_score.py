@@ -15,8 +15,7 @@ from mavnav.metrics.wall_spread import wall_report
 from mavnav.outputs.documents.sections import PoseJump
 from mavnav.outputs.files.document import track_verdict
 from mavnav.pipelines.maps import measured_map
-from mavnav.pipelines.own_track import difference_section, own_path
-from mavnav.pipelines.score import ScoreRequest, score_log
+from mavnav.pipelines.score import ScoreRequest, difference_section, own_path, score_log
 from mavnav.pipelines.trajectory_source import TrajectorySource, read_source
 from mavnav.pose import Pose, Trajectory
 from mavnav.profiling import silent

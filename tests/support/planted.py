@@ -6,7 +6,7 @@ import numpy as np
 
 from mavnav.mapping.occupancy_grid import Grid, GridBuilder, occupancy
 from mavnav.metrics.ghost_walls import GhostWalls, ghost_walls
-from mavnav.metrics.wall_thickness import wall_sections
+from mavnav.metrics.walls import wall_sections
 from mavnav.pose import Pose
 
 CELL_M = 0.02

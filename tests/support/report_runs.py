@@ -9,7 +9,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from mavnav.mapping.occupancy_grid import Grid
-from mavnav.outputs.files import replay_log, wall_table
+from mavnav.outputs.files import gridmap, replay_log
 from mavnav.outputs.files.document import run_document, to_json
 from mavnav.outputs.files.gridmap import write_npz
 from mavnav.outputs.files.trajectory import write_csv
@@ -21,7 +21,7 @@ def leave(run, folder: Path, *, recording: bool = False, **changes) -> dict:
     folder.mkdir(parents=True)
     write_npz(run, folder / "hits.npz")
     write_csv(run, folder / "trajectory.csv")
-    wall_table.write(run, folder / wall_table.WALLS_FILE)
+    gridmap.write_walls(run, folder / gridmap.WALLS_FILE)
     if recording:
         replay_log.write(run, folder / "result.mcap")
     document = json.loads(to_json(run_document(run, {}))) | changes

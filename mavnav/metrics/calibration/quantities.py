@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.metrics.calibration.motion import DISTANCE, LONGEST_OFFSET_S, STEP_S
-from mavnav.metrics.calibration.solve import LEAST_STEPS, estimate, start_of
+from mavnav.metrics.calibration.solve import LEAST_STEPS, Estimate, FirstEstimate, estimate, start_of
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.metrics.calibration.motion import Array, Complex, Motions
-    from mavnav.metrics.calibration.solve import Estimate, FirstEstimate
 
 LEAST_TURN_RAD, LEAST_PATH_M = 90 * DEG, 1.0
 """Motion that a log must have for what turns show, and for what straight motion shows."""

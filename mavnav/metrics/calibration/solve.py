@@ -18,13 +18,11 @@ import numpy as np
 from msgspec import Struct
 from scipy.special import stdtrit
 
-from mavnav.metrics.calibration.motion import LONGEST_OFFSET_S, OFFSET, YAW, PlaneSteps
-from mavnav.metrics.calibration.noise import NoiseModel
+from mavnav.metrics.calibration.motion import LONGEST_OFFSET_S, OFFSET, YAW, NoiseModel, PlaneSteps
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
-    from mavnav.metrics.calibration.motion import Array, Motions
-    from mavnav.metrics.calibration.noise import Noise
+    from mavnav.metrics.calibration.motion import Array, Motions, Noise
 
 ROUNDS, LIKELIEST, CLOSE = 20, (0, 2, 5), 1e-5
 """Rounds at most; those in which the noise is estimated anew; changes below this end them."""

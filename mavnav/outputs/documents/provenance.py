@@ -8,17 +8,20 @@ import shlex
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct, field
 
 from mavnav.outputs.documents.addresses import public_word
 from mavnav.outputs.documents.run_json import Host, Provenance
+from mavnav.version import installed_version
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mavnav.outputs.documents.sections import Options
+
+LIBRARIES: Final = ("numpy", "numba", "scipy", "mcap", "rosbags", "pillow", "msgspec", "pyyaml")
 
 
 def _folder() -> str | None:
@@ -45,14 +48,8 @@ def utc_now() -> str:
 
 def provenance(started: str, typed: Typed, again: Sequence[str], options: Options | None = None) -> Provenance:
     """Describe a run that was ``started`` at a time; ``again`` are the words of a command line that repeats it."""
-    return Provenance(
-        started=started,
-        command=shell_line(typed.words) if typed.words else None,
-        again=shell_line(again),
-        folder=typed.folder,
-        options=options,
-        host=host(),
-    )
+    command = shell_line(typed.words) if typed.words else None
+    return Provenance(started, command, shell_line(again), typed.folder, options, host())
 
 
 def shell_line(words: Sequence[str]) -> str:
@@ -63,11 +60,14 @@ def shell_line(words: Sequence[str]) -> str:
 @cache
 def host() -> Host:
     """Describe this machine, but not by a name of its own."""
-    return Host(
-        processor=_processor(),
-        cores=os.cpu_count() or 1,
-        system=f"{platform.system()} {platform.release()} {platform.machine()}",
-    )
+    system = f"{platform.system()} {platform.release()} {platform.machine()}"
+    return Host(_processor(), os.cpu_count() or 1, system)
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Return the version of each library."""
+    return {name: installed_version(name) for name in LIBRARIES}
 
 
 def _processor() -> str:

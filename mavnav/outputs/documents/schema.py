@@ -22,18 +22,11 @@ UNITS: Final = {
     "_per_s": "1/s",
     "_m_s": "m/s",
     "_deg_s": "deg/s",
-    "_mm2": "mm2",
-    "_m2": "m2",
-    "_mm": "mm",
-    "_m": "m",
-    "_s": "s",
-    "_deg": "deg",
     "_hz": "Hz",
-    "_rad": "rad",
-    "_cells": "cells",
     "_bits": "bit",
     "_bytes": "byte",
     "_share": "1",
+    **{f"_{unit}": unit for unit in ("mm2", "m2", "mm", "m", "s", "deg", "rad", "cells")},
 }
 """Suffix of a name -> unit; what has none of them is a count or a ratio: 1."""
 

@@ -8,22 +8,20 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import numpy as np
 from msgspec import Struct, defstruct, field
 
-from mavnav.config.option_kinds import NUMBER, POSE, SWITCH
-from mavnav.config.options import OPTIONS
+from mavnav.config.option_kinds import NUMBER, POSE, SWITCH, Option
+from mavnav.config.options import OPTIONS, ReplayOptions
 from mavnav.logs.levelling import RecordedAttitude
 from mavnav.mapping.occupancy_grid import OCCUPIED, occupancy
 from mavnav.mapping.slices import Slice, slice_name
 from mavnav.metrics.fields import Measured, absent, number, text
 from mavnav.metrics.wall_spread import PAPER_MIN_HITS, WallThicknessReport, wall_report
-from mavnav.metrics.wall_thickness import wall_sections
+from mavnav.metrics.walls import wall_sections
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mavnav.config.models import Config
-    from mavnav.config.option_kinds import Option
-    from mavnav.config.options import ReplayOptions
     from mavnav.sessions.group import Join
 
 OPTIONAL: Final[Any] = field(default_factory=absent)
@@ -176,15 +174,10 @@ class Continued(Struct, frozen=True):
 
 def evidence(join: Join) -> PlacementEvidence:
     """Describe what a session was joined by; of the one that others joined there is none."""
-    known = bool(join.closures)
+    known, names = bool(join.closures), ("searched", "found", "agreeing", "tested", "closures", "contradicting")
     return PlacementEvidence(
         after=join.after or None,
-        searched=join.searched,
-        found=join.found,
-        agreeing=join.agreeing,
-        tested=join.tested,
-        closures=join.closures,
-        contradicting=join.contradicting,
+        **{name: getattr(join, name) for name in names},
         overlap=round(join.closures / join.tested, 3) if join.tested else np.nan,
         residual_mm=round(join.residual_m / MM, 1) if known else np.nan,
         residual_deg=round(join.residual_rad / DEG, 3) if known else np.nan,

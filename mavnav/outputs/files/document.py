@@ -11,17 +11,18 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import astuple, replace
 
-from mavnav.config.models import Config
+from mavnav.config.models import Config, OdometryConfig
 from mavnav.metrics.fields import ABSENT
 from mavnav.outputs.documents import run_json as model
 from mavnav.outputs.documents import sections
 from mavnav.outputs.documents.addresses import public_address
-from mavnav.outputs.documents.verdict import verdict_of
-from mavnav.outputs.files.map_document import map_section, versions
-from mavnav.outputs.run import base_frame, half_sweep_s
+from mavnav.outputs.documents.provenance import versions
+from mavnav.outputs.documents.verdict import Verdict, verdict_of
+from mavnav.outputs.files.gridmap import map_section
+from mavnav.outputs.run import RunResult, base_frame, half_sweep_s
 from mavnav.profiling import peak_memory_mb
-from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY
-from mavnav.slam.matching.steps import refused_by
+from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, OdometryFit
+from mavnav.slam.matching.steps import LostInterval, Steps, refused_by
 from mavnav.units import DEG, NS
 from mavnav.version import __version__
 
@@ -31,14 +32,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.config.models import OdometryConfig
     from mavnav.logs import Log
     from mavnav.logs.records import Odometry
-    from mavnav.outputs.documents.verdict import Verdict
-    from mavnav.outputs.run import RunResult
     from mavnav.slam.findings import Doubt, Reason
-    from mavnav.slam.matching.odometry_fit import OdometryFit
-    from mavnav.slam.matching.steps import LostInterval, Steps
     from mavnav.slam.recovery.parts import Part
     from mavnav.slam.result import SlamResult
 
@@ -100,35 +96,22 @@ def document_without_cost(run: RunResult) -> model.RunDocument:
 
 def run_verdict(run: RunResult) -> Verdict:
     """Judge a run by the sections of its run.json."""
-    return track_verdict(
-        run.slam,
-        run.log,
-        run.config,
-        map_quality=run.measured.quality,
-        localisation=run.localisation,
-        continued=run.continued,
-        partial=run.stopped is not None,
-        mission=run.mission is not None,
-        method=run.method,
-        external=run.external,
-    )
+    more = {name: getattr(run, name) for name in ("localisation", "continued", "method", "external")}
+    more |= {"partial": run.stopped is not None, "mission": run.mission is not None}
+    return track_verdict(run.slam, run.log, run.config, map_quality=run.measured.quality, **more)
 
 
 def track_verdict(slam: SlamResult, log: Log, config: Config, **more: object) -> Verdict:
     """Judge a track; ``more`` are further sections of a run.json."""
-    return verdict_of(
-        plain(
-            {
-                "method": config.method,
-                "config": config,
-                "input": {"duration_s": log.duration_s, "odometry": log.odometry is not None},
-                "scans": _scans(slam, log, config),
-                "tracking": _tracking(slam, log, config),
-                "search": _search(slam),
-                **more,
-            }
-        )
-    )
+    sections = {
+        "method": config.method,
+        "config": config,
+        "input": {"duration_s": log.duration_s, "odometry": log.odometry is not None},
+        "scans": _scans(slam, log, config),
+        "tracking": _tracking(slam, log, config),
+        "search": _search(slam),
+    }
+    return verdict_of(plain(sections | more))
 
 
 def write_metrics(run: RunResult, path: Path) -> None:

@@ -1,20 +1,26 @@
-"""Map files: the picture and YAML of map_server, also of slices by height, and the raw counts."""
+"""Map files: the picture and YAML of map_server, also of slices by height and in scale mode, and the raw counts.
+
+walls.csv has the cuts across the walls of a map, one a line.
+"""
 
 from __future__ import annotations
 
+import csv
 import zipfile
 from errno import ENOENT
 from functools import cached_property
-from math import prod
+from math import isfinite, prod
 from typing import IO, TYPE_CHECKING, Any, Final
 
 import numpy as np
 from msgspec import Struct
 
-from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, Grid, counts, occupancy
-from mavnav.mapping.slices import slice_name
+from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, OCCUPIED_SHARE, UNKNOWN, Grid, counts, occupancy
+from mavnav.mapping.slices import Slice, slice_name
 from mavnav.mapping.tiled_arrays import bands
-from mavnav.units import LARGEST_COORDINATE_M
+from mavnav.metrics.wall_spread import WallCuts
+from mavnav.outputs.documents import run_json
+from mavnav.units import DEG, LARGEST_COORDINATE_M, MM
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -22,8 +28,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.mapping.slices import Slice
     from mavnav.outputs.run import RunResult
+
 
 _PIXELS: Final = {FREE: 254, OCCUPIED: 0, UNKNOWN: 205}
 
@@ -44,13 +50,16 @@ _PACKED: Final = 1
 
 _YAML = """\
 image: {image}
-mode: trinary
+mode: {mode}
 resolution: {cell_m!r}
 origin: [{x_m!r}, {y_m!r}, {yaw_rad!r}]
 negate: 0
-occupied_thresh: 0.65
-free_thresh: 0.196
+occupied_thresh: {occupied}
+free_thresh: {free}
 """
+
+THRESHOLDS: Final = ("0.65", "0.196")
+"""Thresholds of map_server's own map saver, for an occupied and for a free cell."""
 
 
 class GridMap(Struct, frozen=True, dict=True):
@@ -62,6 +71,21 @@ class GridMap(Struct, frozen=True, dict=True):
     def cells(self) -> NDArray[np.int8]:
         """What is free, occupied and unknown, (rows, cols)."""
         return occupancy(self.known)
+
+
+def map_section(grid: Grid, accepted_share: float) -> run_json.Map:
+    """Describe the known part of a map, which has the scans of a share of 0 to 1."""
+    rows, cols = grid.hits.shape
+    return run_json.Map(
+        cell_mm=grid.cell_m / MM,
+        rows=rows,
+        cols=cols,
+        cells=int(np.count_nonzero(grid.hits)),
+        hits=int(grid.hits.sum(dtype=np.int64)),
+        size_m=[cols * grid.cell_m, rows * grid.cell_m],
+        origin_xy_m=list(grid.origin_xy_m),
+        accepted_share=accepted_share,
+    )
 
 
 def write_pgm(run: GridMap | RunResult, path: Path) -> None:
@@ -86,11 +110,18 @@ def write_yaml(run: GridMap | RunResult, path: Path) -> None:
     path.write_text(yaml_text(run), encoding="ascii")
 
 
-def yaml_text(run: GridMap | RunResult, image: str = "map.pgm", yaw_rad: float = 0.0) -> str:
-    """Return the description of `write_yaml`; ``image`` is the file of the picture, turned by ``yaw_rad``."""
-    grid = run.known
-    x_m, y_m = (float(v) for v in grid.origin_xy_m)
-    return _YAML.format(image=image, cell_m=float(grid.cell_m), x_m=x_m, y_m=y_m, yaw_rad=yaw_rad)
+def yaml_text(
+    run: GridMap | RunResult, image: str = "map.pgm", yaw_rad: float = 0.0, mode: str = "trinary", *thresholds: str
+) -> str:
+    """Return the description of `write_yaml`; ``image`` is the file of the picture, turned by ``yaw_rad``.
+
+    ``thresholds`` are the least share of an occupied cell and the greatest of a free one, if not the usual ones.
+    """
+    (x_m, y_m), (occupied, free) = map(float, run.known.origin_xy_m), thresholds or THRESHOLDS
+    cell_m = float(run.known.cell_m)
+    return _YAML.format(
+        image=image, mode=mode, cell_m=cell_m, x_m=x_m, y_m=y_m, yaw_rad=yaw_rad, occupied=occupied, free=free
+    )
 
 
 def read_npz(path: Path) -> Grid:
@@ -180,3 +211,60 @@ def write_slice(run: RunResult, path: Path) -> None:
         write_pgm(drawn, path)
     else:
         path.write_text(yaml_text(drawn, f"{path.stem}.pgm"), encoding="ascii")
+
+
+SCALE_PICTURE: Final = "map_scale.png"
+FREE_SHARE: Final = 0.002
+"""Below one step of the 255 shades: a cell that no beam ended in is free."""
+
+HALF_A_SHADE: Final = 0.5 / 255.0
+
+
+def write_scale(run: RunResult, path: Path) -> None:
+    """Write the picture or its description, by the name of the file.
+
+    A pixel is darker the larger the share of the beams that ended in the cell, of those that reached it; black for all.
+    Unknown cells are transparent, as map_server has it. From `OCCUPIED_SHARE` on a cell is occupied, as in map.pgm.
+    """
+    if path.suffix == ".yaml":
+        least = f"{OCCUPIED_SHARE - HALF_A_SHADE:.4f}"
+        path.write_text(yaml_text(run, SCALE_PICTURE, 0.0, "scale", least, str(FREE_SHARE)), encoding="ascii")
+        return
+    from PIL import Image  # noqa: PLC0415  few runs need it
+
+    hits, pixels = run.known.hits, np.empty((*run.known.hits.shape, 2), np.uint8)
+    for _, _, band in bands(hits.shape):
+        seen = hits[band].astype(np.float64) + run.known.passes[band]
+        share = hits[band] / np.maximum(seen, 1.0)
+        pixels[band] = np.dstack((np.round(255.0 * (1.0 - share)), np.where(seen > 0, 255, 0)))
+    Image.fromarray(pixels[::-1]).save(path, format="PNG")
+
+
+WALLS_FILE: Final = "walls.csv"
+WALL_COLUMNS: Final = ("x_m", "y_m", "direction_deg", "width_mm", "length_m")
+
+
+def write_walls(run: RunResult, path: Path) -> None:
+    """Write the cuts of a run."""
+    write_cuts(run.measured.cuts, path)
+
+
+def write_cuts(cuts: WallCuts | None, path: Path) -> None:
+    """Write a row for each place where the scans saw a wall; the width is empty where the map has none to measure."""
+    columns = () if cuts is None else (cuts.xy_m, cuts.direction_rad, cuts.width_m, cuts.length_m)
+    with path.open("w", encoding="ascii", newline="") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(WALL_COLUMNS)
+        for x, y, direction, width, length in np.column_stack(columns).tolist() if columns else ():
+            wide = f"{width / MM:.2f}" if isfinite(width) else ""
+            rows.writerow((f"{x:.4f}", f"{y:.4f}", f"{direction / DEG % 180.0:.2f}", wide, f"{length:.4f}"))
+
+
+def read_cuts(path: Path) -> WallCuts:
+    """Read the cuts of a run; raises OSError where there is no such file, ValueError where it is another."""
+    with path.open(encoding="ascii", newline="") as file:
+        rows = list(csv.reader(file))
+    if not rows or tuple(rows[0]) != WALL_COLUMNS:
+        raise ValueError(f"{path.name} has other columns")
+    table = np.array([[float(value or "nan") for value in row] for row in rows[1:]], np.float64).reshape(-1, 5)
+    return WallCuts(table[:, :2], table[:, 2] * DEG, table[:, 3] * MM, table[:, 4])

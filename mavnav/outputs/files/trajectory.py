@@ -11,7 +11,7 @@ import numpy as np
 
 from mavnav.logs.messages import cdr, definitions
 from mavnav.logs.writing.mcap_writer import OutputChannel, write_serialized
-from mavnav.pose import correct_path
+from mavnav.pose import Trajectory, correct_path
 from mavnav.slam.matching.steps import refused_by
 from mavnav.units import NS
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from mavnav.outputs.run import RunResult, Walls
-    from mavnav.pose import Trajectory
     from mavnav.scan import Scan
     from mavnav.slam.findings import Edge
 

@@ -17,7 +17,7 @@ from mavnav.outputs.directory import check_file, write_file
 from mavnav.outputs.files.replay_log import placed_scans
 from mavnav.outputs.pictures.map_picture import points_to_show
 from mavnav.outputs.pictures.viewport import GOAL_RED, POSE_MAGENTA, START_BLUE, Viewport, wall_lines, window_of
-from mavnav.pose import transform_points
+from mavnav.pose import Pose, transform_points
 from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.outputs.run import RunResult, Truth
-    from mavnav.pose import Pose
 
 MAX_FRAMES: Final = 150
 FRAME_MS: Final = 80

@@ -13,9 +13,9 @@ import numpy as np
 from mavnav.mapping.occupancy_grid import Grid
 from mavnav.outputs.pictures import map_axes
 from mavnav.outputs.pictures.canvas import rgb_of
-from mavnav.outputs.pictures.plot import Area, Mark, circle, cross
+from mavnav.outputs.pictures.plot import Area, Axes, Mark, circle, cross
 from mavnav.outputs.pictures.viewport import FREE_GREY, INK, window_around
-from mavnav.pose import transform_points
+from mavnav.pose import Pose, transform_points
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.metrics.map_difference import Change, Difference, View
-    from mavnav.outputs.pictures.plot import Axes
-    from mavnav.pose import Pose
 
 WALL, GONE, NEW = "#8a929a", "#d55e00", "#0072b2"
 FREE_CELL, WALL_CELL, GONE_CELL, NEW_CELL = 1, 2, 3, 4

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from PIL import Image
 
-from mavnav.mapping.occupancy_grid import FREE
+from mavnav.mapping.occupancy_grid import FREE, Grid
 from mavnav.mapping.tiled_arrays import identity, max_pool, where
 from mavnav.outputs.pictures import plot, viewport
 from mavnav.outputs.pictures.canvas import Canvas, draw_dashes, ramp, rgb_of, stroke
-from mavnav.outputs.pictures.plot import Area, Axes, Mark, Style
+from mavnav.outputs.pictures.plot import Area, Axes, Mark, Sign, Style
 from mavnav.outputs.pictures.viewport import FREE_GREY, LEAST_IN, Viewport
 from mavnav.pose import Pose, transform_points
 from mavnav.units import DEG
@@ -25,11 +25,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.mapping.occupancy_grid import Grid
     from mavnav.mapping.tiled_arrays import CellFunction
     from mavnav.outputs.documents.verdict import Verdict
     from mavnav.outputs.pictures.canvas import Box
-    from mavnav.outputs.pictures.plot import Sign
 
 HIT_COLOURS: Final = ramp(("#35b779", "#1f9e89", "#26828e", "#31688e", "#3e4989", "#482878", "#440154"))
 """Viridis without its light end, on which a wall that was hit once would be hard to see."""
@@ -178,32 +176,30 @@ def _draw_graticule(axes: Axes, steps: tuple[float, float]) -> None:
 
 
 def finish(
-    axes: Axes, named: Sequence[Sign], title: str, about: str, path: Path, *, title_pt: float = 12.0, about_y: int = 74
+    axes: Axes,
+    named: Sequence[Sign],
+    title: str,
+    about: str,
+    path: Path,
+    *,
+    title_pt: float = 12.0,
+    about_y: int = 74,
+    colour: str = viewport.INK,
 ) -> None:
-    """Draw axes, legend and heading of a picture of a map, and write it."""
-    _finish(axes, named)
-    plot.heading(axes.canvas, title, _wrapped(axes, about), title_pt, about_y)
+    """Draw axes, legend and heading of a picture of a map, and write it; lines that are too long are broken."""
+    draw_axes(axes)
+    name_axes(axes)
+    plot.centred_legend(axes.canvas, named)
+    width = axes.canvas.width // CHARACTER
+    lines = [part for line in about.split("\n") for part in wrap(line, width)]
+    plot.heading(axes.canvas, title, "\n".join(lines), title_pt, about_y, colour)
     axes.canvas.save(path)
 
 
 def finish_judged(axes: Axes, named: Sequence[Sign], name: str, verdict: Verdict, about: str, path: Path) -> None:
     """Do the same with the verdict in the title and its reason below, for a picture with `JUDGED_MARGINS`."""
-    _finish(axes, named)
-    lines = _wrapped(axes, f"{verdict.reason}\n{about}")
-    plot.heading(axes.canvas, f"{name}: {verdict.word}", lines, about_y=94, colour=VERDICT_COLOURS[verdict.word])
-    axes.canvas.save(path)
-
-
-def _wrapped(axes: Axes, text: str) -> str:
-    """Break the lines of a text that are longer than the picture is wide."""
-    width = axes.canvas.width // CHARACTER
-    return "\n".join(part for line in text.split("\n") for part in wrap(line, width))
-
-
-def _finish(axes: Axes, named: Sequence[Sign]) -> None:
-    draw_axes(axes)
-    name_axes(axes)
-    plot.centred_legend(axes.canvas, named)
+    title, colour = f"{name}: {verdict.word}", VERDICT_COLOURS[verdict.word]
+    finish(axes, named, title, f"{verdict.reason}\n{about}", path, about_y=94, colour=colour)
 
 
 def name_axes(axes: Axes) -> None:

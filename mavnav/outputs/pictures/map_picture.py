@@ -2,6 +2,8 @@
 
 Where the true walls are known they lie on top (Figure 7); of a mission the true poses too, and its goal takes the place
 of the end. The map of several sessions has the path of each.
+
+true_map.png: the true walls, start, goal and the path that was really taken (Figures 2 and 4).
 """
 
 from __future__ import annotations
@@ -13,10 +15,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from mavnav.outputs.files.document import run_verdict
-from mavnav.outputs.pictures import map_axes
+from mavnav.outputs.pictures import map_axes, viewport
 from mavnav.outputs.pictures.canvas import stroke
-from mavnav.outputs.pictures.plot import Style, legend_room
-from mavnav.outputs.pictures.viewport import wall_lines, window_of
+from mavnav.outputs.pictures.plot import Axes, Mark, Sign, Style, arrow, circle, legend_room
+from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.slam.result import doubtful_parts, parts_of_path
 from mavnav.units import MM, pluralize
 
@@ -28,9 +30,8 @@ if TYPE_CHECKING:
     from mavnav.metrics.wall_spread import WallSpread
     from mavnav.outputs.documents.verdict import Verdict
     from mavnav.outputs.files.gridmap import GridMap
-    from mavnav.outputs.pictures.plot import Axes, Mark, Sign
     from mavnav.outputs.run import RunResult, Truth
-    from mavnav.pose import Trajectory
+
 
 CIRCLE_SPACING: Final = 0.018
 """Between two circles along the path, of the picture's longer side: so that they touch at most."""
@@ -48,7 +49,7 @@ LONG_PATH: Final = Style(map_axes.POSE.colour, "estimated path", partial(stroke,
 def write(run: RunResult, path: Path) -> None:
     """Draw the map of a run."""
     trajectory = run.slam.trajectory
-    window = window_of(run.known, points_to_show(run), run.turn_rad)
+    window = viewport.window_of(run.known, points_to_show(run), run.turn_rad)
     some = thin_path(trajectory.xyyaw[:, :2], CIRCLE_SPACING * max(window.size_m))
     line, circles = (PATH, some) if len(some) <= MOST_CIRCLES else (LONG_PATH, some[:0])
     ends = _ends(run, trajectory.stamps_ns[some].tolist())
@@ -68,7 +69,7 @@ def write(run: RunResult, path: Path) -> None:
 def points_to_show(run: RunResult) -> NDArray[np.float64]:
     """Return the points (n, 2) that the picture has to show besides the map."""
     xy_m, truth = run.slam.trajectory.xyyaw[:, :2], run.truth
-    walls = wall_lines(run.true_walls) if run.true_walls else []
+    walls = viewport.wall_lines(run.true_walls) if run.true_walls else []
     mission = () if truth is None else (truth.map_T_laser.xyyaw[:, :2], [truth.goal_xy_map_m])
     return np.vstack((xy_m, *mission, *walls))
 
@@ -79,7 +80,7 @@ def _draw_lines(axes: Axes, run: RunResult, path: Style) -> None:
     axes.lines(path, parts_of_path(run.slam))
     axes.lines(map_axes.LOOP, [xy_m[[loop.start, loop.end]] for loop in run.slam.loops.closed])
     if run.true_walls:
-        axes.lines(map_axes.TRUE_WALL, wall_lines(run.true_walls))
+        axes.lines(map_axes.TRUE_WALL, viewport.wall_lines(run.true_walls))
 
 
 def _ends(run: RunResult, stamps_ns: list[int]) -> list[tuple[Mark, NDArray[np.float64]]]:
@@ -131,7 +132,7 @@ def write_merged(
     drawn: GridMap, paths: dict[str, Trajectory], verdict: Verdict, path: Path, turn_rad: float = 0.0
 ) -> None:
     """Draw the map of several sessions, turned, with its verdict, and map_T_laser of each by its name."""
-    window = window_of(drawn.known, np.concatenate([poses.xyyaw[:, :2] for poses in paths.values()]), turn_rad)
+    window = viewport.window_of(drawn.known, np.concatenate([poses.xyyaw[:, :2] for poses in paths.values()]), turn_rad)
     axes = map_axes.framed_map(window, 7.5, map_axes.JUDGED_MARGINS, least=(960, 420))
     map_axes.draw_counts(axes, drawn.known, drawn.cells)
     pen, colours = partial(stroke, width_pt=1.2), cycle(SESSION_COLOURS)
@@ -142,3 +143,63 @@ def write_merged(
     named: list[Sign] = [*lines[: len(SESSION_COLOURS)], map_axes.START]
     title, about = pluralize(len(paths), "session"), f"{sum(map(len, paths.values()))} scans"
     map_axes.finish_judged(axes, named, title, verdict, about, path)
+
+
+TRUTH_MARGINS: Final = (100, 90, 50, 120)
+"""Left, top, right and bottom of the map in the picture, in pixels."""
+LEAST_SHARE: Final = 0.4
+"""Of the shorter side of the map to the longer."""
+ARROW_SHARE: Final = 0.07
+"""Length of the heading's arrow, of the picture's longer side."""
+
+WALL: Final = Style(viewport.INK, "wall", partial(stroke, width_pt=1.8))
+TRUE_PATH: Final = Style(viewport.PATH_GREY, "", partial(stroke, width_pt=0.9))
+HEADING: Final = Style(viewport.POSE_MAGENTA, "", partial(stroke, width_pt=1.8))
+FIRST_HEADING: Final = Mark(viewport.POSE_MAGENTA, "heading at the start", partial(arrow, size_pt=15.0, width_pt=1.8))
+ON_PATH: Final = Mark(viewport.PATH_GREY, "true path", partial(circle, size_pt=2.4, width_pt=1.2))
+
+
+def write_true_map(run: RunResult, path: Path) -> None:
+    """Draw the truth of a mission; the run must have one."""
+    if run.truth is None:
+        raise ValueError("the truth is not known")
+    measured = [map_axes.MEASURED_WALL] if run.truth.measured_by_hand else []
+    named: list[Sign] = [WALL, *measured, ON_PATH, map_axes.START, FIRST_HEADING, map_axes.GOAL]
+    axes = map_axes.framed_map(
+        _truth_window(run.truth, run.turn_rad), 7.0, TRUTH_MARGINS, least=(legend_room(named), 0)
+    )
+    _draw_truth(axes, run.truth)
+    map_axes.finish(axes, named, f"{run.name}: the true map", _truth_subtitle(run.truth), path, about_y=62)
+
+
+def _truth_window(truth: Truth, turn_rad: float) -> viewport.Viewport:
+    points = np.vstack((truth.map_T_laser.xyyaw[:, :2], [truth.goal_xy_map_m], *viewport.wall_lines(truth)))
+    return viewport.window_around(transform_points(Pose(yaw_rad=turn_rad), points), 0.1, turn_rad).widen(LEAST_SHARE)
+
+
+def _draw_truth(axes: Axes, truth: Truth) -> None:
+    xy_m = truth.map_T_laser.xyyaw[:, :2]
+    axes.lines(WALL, viewport.wall_lines(truth))
+    if truth.measured_by_hand:
+        axes.lines(map_axes.MEASURED_WALL, viewport.wall_lines(truth.measured_by_hand))
+    axes.lines(TRUE_PATH, [xy_m])
+    axes.mark(ON_PATH, xy_m)
+    _draw_heading(axes, truth)
+    axes.mark(map_axes.START, xy_m[:1])
+    axes.mark(map_axes.GOAL, np.array([truth.goal_xy_map_m]))
+
+
+def _draw_heading(axes: Axes, truth: Truth) -> None:
+    """Point a magenta arrow where the laser looks at the start."""
+    arrow = np.array([[0.0, 0.0], [0.75, 0.0], [1.0, 0.0], [0.75, 0.12], [0.75, -0.12]])
+    xy_m = transform_points(truth.map_T_laser[0], arrow * ARROW_SHARE * max(axes.size))
+    axes.lines(HEADING, [xy_m[:2]])
+    axes.canvas.smooth(axes.box, HEADING.colour, lambda on: on.polygon(axes.to_mask(xy_m[2:], axes.box), fill=255))
+
+
+def _truth_subtitle(truth: Truth) -> str:
+    path, goal = truth.map_T_laser, np.array(truth.goal_xy_map_m)
+    left_m = float(np.hypot(*(goal - path.xyyaw[-1, :2])))
+    ends = f"path {path.length_m:.2f} m in {len(path)} scans, ends {left_m:.2f} m from the goal"
+    heights = "" if truth.slice_m is None else "; walls between {:g} and {:g} m".format(*truth.slice_m)
+    return f"{ends}; frame: the laser's first pose{heights}"

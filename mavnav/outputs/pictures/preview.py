@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
-from mavnav.mapping.occupancy_grid import OCCUPIED, occupancy
+from mavnav.mapping.occupancy_grid import OCCUPIED, Grid, occupancy
 from mavnav.mapping.tiled_arrays import crop, max_pool
-
-if TYPE_CHECKING:
-    from mavnav.mapping.occupancy_grid import Grid
 
 DOTS: Final = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]], np.uint32)
 """Bit of each dot in a character of Unicode's block U+2800: four rows of two."""

@@ -1,22 +1,28 @@
-"""map.svg: the occupied cells as areas, the path, and a bar that shows the scale."""
+"""Drawings of lines: map.svg, and floor plans.
+
+map.svg has the occupied cells as areas, the path, and a bar that shows the scale. A floor plan is an SVG, true to scale
+on paper, or a DXF in meters.
+"""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 from xml.sax.saxutils import escape
 
 import numpy as np
 
+from mavnav.errors import UsageError
 from mavnav.mapping.occupancy_grid import OCCUPIED
-from mavnav.outputs.pictures.viewport import GOAL_RED, INK, POSE_MAGENTA, START_BLUE
+from mavnav.outputs.pictures.viewport import GOAL_RED, INK, MUTED, POSE_MAGENTA, START_BLUE
 from mavnav.slam.result import parts_of_path
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from numpy.typing import NDArray
 
+    from mavnav.metrics.floor_plan import FloorPlan
     from mavnav.outputs.run import RunResult
+
 
 BAR_SHARE: Final = 0.25
 """The scale bar is at most so long, of the picture's width."""
@@ -26,22 +32,13 @@ LETTERS_SHARE: Final = 0.025
 LEAST_LETTERS: Final = 4.0
 NICE: Final = (1.0, 2.0, 5.0)
 
-_SVG: Final = """\
-<svg xmlns="http://www.w3.org/2000/svg" viewBox="{x:g} {y:g} {width:g} {height:g}" width="{width_mm:.1f}mm" \
-height="{height_mm:.1f}mm">
-<title>{title}</title>
-<desc>One unit is a cell of {cell_m:g} m; drawn at 1:{ratio:g}.</desc>
-<rect x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}" fill="#fff"/>
-<path fill="{ink}" d="{walls}"/>
-<g fill="none" stroke-linejoin="round" stroke-linecap="round" stroke-width="{stroke:.2f}">
-<path stroke="{path_colour}" d="{path}"/>
-{ends}</g>
-<path fill="none" stroke="{ink}" stroke-width="{stroke:.2f}" d="{bar}"/>
-<text x="{text_x:.1f}" y="{text_y:.1f}" font-family="sans-serif" font-size="{letters:.1f}" fill="{ink}">{label}</text>
-</svg>
-"""
 RATIO: Final = 100.0
 """A metre of the map is a centimetre of the picture."""
+
+
+def _template(name: str) -> str:
+    """Return the text of a drawing, with names in braces for what is filled in."""
+    return (Path(__file__).parent / "templates" / name).read_text(encoding="utf-8")
 
 
 def write(run: RunResult, path: Path) -> None:
@@ -59,7 +56,7 @@ def svg(run: RunResult) -> str:
     xy = [_on_picture(part, run) for part in parts_of_path(run.slam) if len(part)]
     bar_cells, label = scale_bar(BAR_SHARE * width, grid.cell_m)
     bar_y, mm = rows + margin + letters, grid.cell_m * 1000.0 / RATIO
-    return _SVG.format(
+    return _template("map.svg").format(
         x=-margin, y=-margin, width=width, height=height, width_mm=width * mm, height_mm=height * mm,
         title=escape(run.name), cell_m=grid.cell_m, ratio=RATIO, ink=INK, walls=outlines(cells), stroke=letters / 6.0,
         path_colour=POSE_MAGENTA, path="".join(map(_line, xy)), ends=_ends(xy, letters / 2.0), letters=letters,
@@ -117,3 +114,57 @@ def _ends(parts: list[NDArray[np.float64]], radius: float) -> str:
         f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius:.1f}" stroke="{colour}"><title>{name}</title></circle>\n'
         for (x, y), colour, name in ends
     )
+
+
+MARGIN_MM: Final = 12.0
+LAYERS: Final = {"WALLS": 7, "OPENINGS": 8}
+"""Layers of a DXF and their colours: black or white, and grey."""
+
+
+def write_svg(plan: FloorPlan, title: str, ratio: float, path: Path) -> None:
+    """Write a floor plan at 1:``ratio``, with the length of the scale bar and the size of the place below."""
+    mm = 1000.0 / ratio
+    low, high = _extent(plan)
+    size = (high - low) * mm
+    bar_m, label = scale_bar(max(float(size[0]) / 2.0, 10.0) / mm, 1.0)
+    base = MARGIN_MM + float(size[1]) + 4.0
+    text = _template("plan.svg").format(
+        width=max(float(size[0]), bar_m * mm + 60.0) + 2 * MARGIN_MM, height=base + 12.0, title=escape(title),
+        ratio=ratio, yaw_deg=np.degrees(plan.plan_T_map.yaw_rad), ink=INK, muted=MUTED,
+        walls=_strokes(plan.walls, low, high, mm), openings=_strokes(plan.openings, low, high, mm), bar=bar_m * mm,
+        bar_x=MARGIN_MM, bar_y=base, text_x=MARGIN_MM + bar_m * mm + 2.0, text_y=base + 2.0,
+        label=f"{label}, 1:{ratio:g}; {high[0] - low[0]:.2f} m x {high[1] - low[1]:.2f} m",
+    )  # fmt: skip
+    path.write_text(text, encoding="utf-8", errors="backslashreplace")
+
+
+def _extent(plan: FloorPlan) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the lower left and the upper right corner, (2,) in m."""
+    ends = plan.walls.reshape(-1, 2)
+    return ends.min(axis=0), ends.max(axis=0)
+
+
+def _strokes(lines: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64], mm: float) -> str:
+    """Return lines (n, 4) as a path, with y downwards."""
+    x, y = (lines[:, ::2] - low[0]) * mm + MARGIN_MM, (high[1] - lines[:, 1::2]) * mm + MARGIN_MM
+    rows = np.column_stack((x[:, 0], y[:, 0], x[:, 1], y[:, 1])).tolist()
+    return "".join(f"M{x0:.2f} {y0:.2f}L{x1:.2f} {y1:.2f}" for x0, y0, x1, y1 in rows)
+
+
+def write_dxf(plan: FloorPlan, path: Path) -> None:
+    """Write a floor plan as lines in m on two layers; the same plan gives the same bytes.
+
+    Raises UsageError where ezdxf is missing.
+    """
+    try:
+        from ezdxf import options, units  # noqa: PLC0415  an optional extra
+        from ezdxf.filemanagement import new  # noqa: PLC0415
+    except ImportError as error:
+        raise UsageError("a DXF needs ezdxf; install it with pip install 'mavnav[dxf]', or write an .svg") from error
+    options.write_fixed_meta_data_for_testing = True  # no time and no random names
+    drawing = new("R2000", units=units.M)
+    for (layer, colour), lines in zip(LAYERS.items(), (plan.walls, plan.openings), strict=True):
+        drawing.layers.add(layer, color=colour)
+        for x0, y0, x1, y1 in lines.round(4).tolist():
+            drawing.modelspace().add_line((x0, y0), (x1, y1), {"layer": layer})
+    drawing.saveas(path)

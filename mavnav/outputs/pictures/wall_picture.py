@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.metrics.wall_spread import WallCuts, WallSpread
-    from mavnav.metrics.wall_thickness import Sections, WallThickness
+    from mavnav.metrics.walls import Sections, WallThickness
     from mavnav.outputs.pictures.canvas import Box
     from mavnav.outputs.run import RunResult
 

@@ -1,8 +1,12 @@
-"""The data of a run for the report: its document, map, scans, and the true walls if they are known."""
+"""The data of a run for the report: its document, map, scans, and the true walls if they are known.
+
+Of a merge: one map, and the sessions' scans one after the other.
+"""
 
 from __future__ import annotations
 
 from csv import DictReader
+from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -12,19 +16,19 @@ from PIL import Image
 
 from mavnav.config.named_files import read_json
 from mavnav.errors import UsageError
+from mavnav.metrics.wall_spread import WallCuts
 from mavnav.outputs.directory import RUN_FILE, checked_file
-from mavnav.outputs.files import wall_table
+from mavnav.outputs.files import gridmap
 from mavnav.outputs.files.gridmap import read_npz
 from mavnav.outputs.files.trajectory import ATTITUDE_COLUMNS, TRUE_WALLS_FILE
 from mavnav.outputs.pictures.viewport import wall_lines
-from mavnav.outputs.run import WallShapes
+from mavnav.outputs.run import RunResult, WallShapes
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.mapping.occupancy_grid import Grid
-    from mavnav.metrics.wall_spread import WallCuts
-    from mavnav.outputs.run import RunResult
+
 
 FAILED: Final = "failed"
 
@@ -125,7 +129,7 @@ def load(cell: dict[str, Any], base: Path, run: RunResult | None = None) -> Entr
             document=document,
             grid=read_npz(folder / "hits.npz"),
             scans=_scans(checked_file(folder, "trajectory.csv", {})),
-            cuts=wall_table.read(checked_file(folder, wall_table.WALLS_FILE, {})),
+            cuts=gridmap.read_cuts(checked_file(folder, gridmap.WALLS_FILE, {})),
             true_walls=true_walls,
             goal_xy_m=goal_xy_m,
             view_3d=_view_3d(folder / "map_3d.png"),
@@ -174,3 +178,59 @@ def _truth(document: dict[str, Any], folder: Path) -> tuple[list[NDArray[np.floa
     segments, arcs = (np.array(walls[key], np.float64).reshape(-1, n) for key, n in (("segments", 4), ("arcs", 5)))
     goal = [walls["goal"]] if document.get("mission") and walls.get("goal") else []
     return wall_lines(WallShapes(segments, arcs)), np.array(goal, np.float64).reshape(-1, 2)
+
+
+PAUSE_S: Final = 2.0
+"""Time on the page between the last scan of a session and the first of the next one, s."""
+
+
+def load_merge(document: dict[str, Any], folder: Path) -> Entry:
+    """Read a merge; raises OSError, ValueError and LookupError where its files are not those of one."""
+    joined = [each for each in document["sessions"] if each["joined"]]
+    poses = [_read_tum(file_in(folder, each["trajectory"])) for each in joined]
+    walls = folder / gridmap.WALLS_FILE
+    firsts = [0, *accumulate(map(len, poses))]
+    return Entry(
+        log=", ".join(each["name"] for each in joined),
+        name="merge",
+        folder=folder,
+        document=document,
+        grid=read_npz(folder / "hits.npz"),
+        scans=_columns(poses),
+        cuts=gridmap.read_cuts(walls) if walls.is_file() else WallCuts(np.zeros((0, 2)), *np.zeros((3, 0))),
+        true_walls=[],
+        goal_xy_m=np.zeros((0, 2)),
+        sessions=tuple(
+            SessionPart(each["name"], each["recording"], first) for each, first in zip(joined, firsts, strict=False)
+        ),
+    )
+
+
+def _read_tum(path: Path) -> NDArray[np.float64]:
+    """Return stamp, x, y and yaw of each pose, (n, 4)."""
+    table = np.loadtxt(path, np.float64, ndmin=2).reshape(-1, 8)
+    return np.column_stack((table[:, :3], 2.0 * np.arctan2(table[:, 6], table[:, 7])))
+
+
+def _columns(sessions: list[NDArray[np.float64]]) -> ScanColumns:
+    poses = np.concatenate(sessions)
+    unknown = np.full(len(poses), np.nan)
+    return ScanColumns(
+        stamp_s=poses[:, 0],
+        time_s=_one_after_the_other([session[:, 0] for session in sessions]),
+        xy_m=poses[:, 1:3],
+        tracked=np.ones(len(poses), np.bool_),
+        doubtful=np.zeros(len(poses), np.bool_),
+        yaw_rad=poses[:, 3],
+        roll_pitch_height=np.full((len(poses), 3), np.nan),
+        **dict.fromkeys(("cost_mm2", "threshold_mm2", "error_m"), unknown),
+    )
+
+
+def _one_after_the_other(stamps_s: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Return times that count on from session to session, as if one followed the other after `PAUSE_S`."""
+    begin_s, times_s = 0.0, []
+    for session in stamps_s:
+        times_s.append(begin_s + session - session[0])
+        begin_s = times_s[-1][-1] + PAUSE_S
+    return np.concatenate(times_s)

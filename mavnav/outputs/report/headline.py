@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from mavnav.outputs.documents import quantities
-from mavnav.outputs.documents.quantities import number
+from mavnav.outputs.documents.quantities import Quantity, number
 from mavnav.outputs.documents.verdict import EXTERNAL
 from mavnav.outputs.report import tables
 from mavnav.units import pluralize
@@ -13,7 +13,6 @@ from mavnav.units import pluralize
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mavnav.outputs.documents.quantities import Quantity
     from mavnav.outputs.report.tables import NamedRun
 
 QUALITY: Final = tuple(q for q in quantities.QUANTITIES if not q.cost)

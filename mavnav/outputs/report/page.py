@@ -1,28 +1,38 @@
-"""The page of a report, and its pictures as separate files."""
+"""The page of a report, and its pictures as separate files; the page of whatever a directory holds.
+
+That is a run, a comparison, a batch, a merge. The interactive map is moved by Leaflet, whose script comes from the
+package ``xstatic-leaflet``.
+"""
 
 from __future__ import annotations
 
+import re
 from functools import partial
+from importlib.resources import files
 from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 
 from mavnav.atomic_files import beside, writing
+from mavnav.config.named_files import read_json
+from mavnav.errors import UsageError
+from mavnav.outputs.directory import MERGE_FILE, RUN_FILE
 from mavnav.outputs.documents.quantities import verdict_texts
 from mavnav.outputs.report import panels, tables
-from mavnav.outputs.report.entry import Entry, Failure, load
+from mavnav.outputs.report.entry import Entry, Failure, load, load_merge
 from mavnav.outputs.report.headline import headline
 from mavnav.outputs.report.html import environment, facts, inline
 from mavnav.outputs.report.pictures import Pictures, draw
-from mavnav.outputs.report.view import library
-from mavnav.outputs.report.view.page_data import view_data
+from mavnav.outputs.report.view_data import view_data
+from mavnav.units import pluralize
 from mavnav.version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from mavnav.outputs.run import RunResult
+
 
 SCRIPTS: Final = ("data", "map", "plots", "viewer")
 """The scripts of the interactive map, each of which needs those before it."""
@@ -75,16 +85,14 @@ def _sections(comparison: dict[str, Any], directory: Path, run: RunResult | None
 
 
 def _section(log: str, loaded: list[Entry | Failure]) -> LogSection:
-    entries = [e for e in loaded if isinstance(e, Entry)]
-    return LogSection(
-        log=log,
-        headline=headline(entries),
-        facts=facts([e.document for e in entries]),
-        entries=entries,
-        failures=[e for e in loaded if isinstance(e, Failure)],
-        table=tables.table(entries),
-        pictures=draw(entries) if entries else None,
-    )
+    entries, failures = _by_kind(loaded)
+    texts, pictures = (headline(entries), facts([e.document for e in entries])), draw(entries) if entries else None
+    return LogSection(log, *texts, entries, failures, tables.table(entries), pictures)
+
+
+def _by_kind(loaded: Sequence[Entry | Failure]) -> tuple[list[Entry], list[Failure]]:
+    """Divide what was loaded."""
+    return [e for e in loaded if isinstance(e, Entry)], [e for e in loaded if isinstance(e, Failure)]
 
 
 def _write_pictures(section: LogSection, folder: Path, number: str) -> None:
@@ -101,8 +109,7 @@ def page_text(comparison: dict[str, Any], directory: Path, run: RunResult | None
 
 def list_text(loaded: Sequence[Entry | Failure], title: str) -> str:
     """Return a page of many runs: a list of them, and the interactive map of the one that is chosen."""
-    entries = [each for each in loaded if isinstance(each, Entry)]
-    failures = [each for each in loaded if isinstance(each, Failure)]
+    entries, failures = _by_kind(loaded)
     return _render("list.html", {}, view_data(entries, {}), title=title, failures=failures)
 
 
@@ -125,8 +132,8 @@ def _page(comparison: dict[str, Any], sections: list[LogSection]) -> str:
 def _render(template: str, comparison: dict[str, Any], view: list[dict[str, Any]], **more: object) -> str:
     """Fill a template; the interactive map and its scripts are on the page if there is any run to show."""
     templates = environment("mavnav.outputs.report")
-    style = inline(templates, "report.css", *(["view/view.css"] if view else []), before=library.style())
-    script = inline(templates, *(f"view/{name}.js" for name in SCRIPTS), before=library.script()) if view else None
+    style = inline(templates, "report.css", *(["view/view.css"] if view else []), before=leaflet_style())
+    script = inline(templates, *(f"view/{name}.js" for name in SCRIPTS), before=leaflet_script()) if view else None
     return templates.get_template(template).render(
         style=style,
         script=script,
@@ -142,3 +149,51 @@ def _title(sections: list[LogSection]) -> str:
     words = [verdict_texts(entry.document)[0] for section in sections for entry in section.entries]
     title = ", ".join(names) if len(names) <= 3 else f"{len(names)} logs"
     return f"{title}: {words[0]}" if len(words) == 1 and words[0] else title
+
+
+def _of_batch(document: dict[str, Any], directory: Path) -> str:
+    runs = [load(cell, directory) for cell in document["cells"]]
+    return list_text(runs, f"Batch of {pluralize(len(runs), 'run')}")
+
+
+def _of_merge(document: dict[str, Any], directory: Path) -> str:
+    return list_text([load_merge(document, directory)], document["headline"])
+
+
+def _of_run(document: dict[str, Any], directory: Path) -> str:
+    return page_text(single(document), directory)
+
+
+PAGES: Final[dict[str, tuple[str, Callable[[dict[str, Any], Path], str]]]] = {
+    "comparison.json": ("report.html", page_text),
+    "batch.json": ("view.html", _of_batch),
+    MERGE_FILE: ("view.html", _of_merge),
+    RUN_FILE: ("report.html", _of_run),
+}
+"""The document of a directory -> the name and the text of its page; report.html of a merge is another one."""
+
+
+def finished_page(directory: Path) -> tuple[str, str]:
+    """Return name and text of the page of a directory; raises UsageError where it holds nothing that has one."""
+    for name, (file, page) in PAGES.items():
+        if (directory / name).is_file():
+            try:
+                return file, page(read_json(directory / name), directory)
+            except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
+                reason = f"{name} lacks what is needed, as of an earlier version or altered"
+                raise UsageError(f"{directory} cannot be shown: {reason}; make it again") from error
+    raise UsageError(f"{directory} holds no run, comparison, batch or merge; name the directory of a finished one")
+
+
+def leaflet_script() -> str:
+    """Return the script of Leaflet, which begins with its license."""
+    return _leaflet("leaflet.js").replace("//# sourceMappingURL=leaflet.js.map", "")
+
+
+def leaflet_style() -> str:
+    """Return the style sheet of Leaflet; the pictures that it names are of controls that the page does not have."""
+    return re.sub(r"url\([^)]*\)", "none", _leaflet("leaflet.css"))
+
+
+def _leaflet(name: str) -> str:
+    return (files("xstatic.pkg.leaflet") / "data" / name).read_text(encoding="utf-8")

@@ -64,38 +64,29 @@ def write_summary(summary: Summary, path: Path) -> None:
 def merge_summary(document: dict[str, Any], picture: bytes) -> Summary:
     """Return the page of merge.json and the picture of the map."""
     sessions = document["sessions"]
-    head = (
-        "session",
-        "input",
-        "verdict",
-        "scans",
-        "joined to",
-        "key frames that agree",
-        "residual",
-        "tracked",
-        "damage",
-    )
-    table = PageTable("Sessions", head, tuple(_session_row(each) for each in sessions))
+    rows = [_session_row(each) for each in sessions]
+    table = PageTable("Sessions", tuple(rows[0]), tuple(tuple(row.values()) for row in rows))
     refused = tuple((each["name"], each["input"], each["why"]) for each in sessions if not each["joined"])
     others = _unless_empty("Not joined", ("session", "input", "reason"), refused, prose=True)
     title, verdicts = ", ".join(each["name"] for each in sessions), (("", document["verdict"]),)
     return Summary(title, document["headline"], (table, *others), picture, verdicts=verdicts)
 
 
-def _session_row(session: dict[str, Any]) -> tuple[str, ...]:
+def _session_row(session: dict[str, Any]) -> dict[str, str]:
+    """Return the texts of a session by their headings."""
     tracking, damage = session["tracking"] or {}, len(session["damage"])
     to = ", ".join(f"{other['name']} ({other['closures']})" for other in session["joined_to"])
-    return (
-        session["name"],
-        session["input"],
-        (session["verdict"] or {"word": ""})["word"],
-        str(session["scans"]),
-        to or ("the first of the group" if session["joined"] else "not joined"),
-        f"{session['closures']} of {session['tested']}" if session["tested"] else "",
-        f"{session['residual_mm']:.0f} mm" if to else "",
-        f"{100 * tracking['tracked_share']:.1f} %" if tracking.get("tracked_share") is not None else "",
-        pluralize(damage, "place") if damage else "none",
-    )
+    return {
+        "session": session["name"],
+        "input": session["input"],
+        "verdict": (session["verdict"] or {"word": ""})["word"],
+        "scans": str(session["scans"]),
+        "joined to": to or ("the first of the group" if session["joined"] else "not joined"),
+        "key frames that agree": f"{session['closures']} of {session['tested']}" if session["tested"] else "",
+        "residual": f"{session['residual_mm']:.0f} mm" if to else "",
+        "tracked": f"{100 * tracking['tracked_share']:.1f} %" if tracking.get("tracked_share") is not None else "",
+        "damage": pluralize(damage, "place") if damage else "none",
+    }
 
 
 def diff_summary(document: dict[str, Any], picture: bytes | None) -> Summary:

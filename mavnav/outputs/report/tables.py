@@ -9,7 +9,7 @@ from msgspec import Struct
 from mavnav.config.layers import by_dotted_key
 from mavnav.outputs.documents import quantities
 from mavnav.outputs.documents.quantities import number
-from mavnav.outputs.report.map_panel import ghosts
+from mavnav.outputs.report.panels import ghosts
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

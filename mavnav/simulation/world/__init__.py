@@ -2,18 +2,8 @@
 
 from mavnav.simulation.world.flight import Body
 from mavnav.simulation.world.geometry import World
-from mavnav.simulation.world.laser import LASERS, LaserModel, take_scan
+from mavnav.simulation.world.laser import LaserModel, take_scan
 from mavnav.simulation.world.scenario import Scenario, laser_model
 from mavnav.simulation.world.scenario_file import load_scenario, scenario_schema
 
-__all__ = [
-    "LASERS",
-    "Body",
-    "LaserModel",
-    "Scenario",
-    "World",
-    "laser_model",
-    "load_scenario",
-    "scenario_schema",
-    "take_scan",
-]
+__all__ = ["Body", "LaserModel", "Scenario", "World", "laser_model", "load_scenario", "scenario_schema", "take_scan"]

@@ -17,8 +17,7 @@ from mavnav.config.models import Config, InSI, PlannerConfig, Strict, in_si, set
 from mavnav.pose import Pose
 from mavnav.simulation.world.flight import FlightConfig
 from mavnav.simulation.world.laser import LASERS, LaserModel
-from mavnav.simulation.world.shapes import XY, Degrees, Metre
-from mavnav.simulation.world.walls import WallEntry, world_of
+from mavnav.simulation.world.shapes import XY, Degrees, Metre, WallEntry, world_of
 from mavnav.units import DEG, MM, MS
 
 if TYPE_CHECKING:

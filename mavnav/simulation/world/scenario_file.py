@@ -8,17 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from msgspec.structs import asdict
 
+from mavnav.config import loading
 from mavnav.config.layers import Key, Layer
-from mavnav.config.loading import (
-    file_layer,
-    method_layer,
-    origin,
-    overlay,
-    package_folder,
-    read_model,
-    scenarios,
-    schema_of,
-)
 from mavnav.config.models import Config, OdometryConfig
 from mavnav.config.yaml_layers import read_yaml
 from mavnav.errors import ConfigError, missing
@@ -29,8 +20,7 @@ from mavnav.units import MM
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
-    from mavnav.simulation.world.shapes import XY, Shape
-    from mavnav.simulation.world.walls import WallEntry
+    from mavnav.simulation.world.shapes import XY, Shape, WallEntry
 
 LASER_BY_NAME = (("laser",), "preset")
 """The section that may be written as a word, and the key that the word is."""
@@ -64,13 +54,13 @@ def load_scenario(
         One line: file and line, key, what is wrong, what to do.
     """
     path = scenario_path(file)
-    given = read_yaml(path, f"the YAML file of a scenario, or a shipped one: {', '.join(scenarios())}")
-    layer = overlay(file_layer(config).within("slam").over(given), sets, overrides or {}, LASER_BY_NAME)
-    layer = layer.over(method_layer(layer.values.get(("slam", "method"))).within("slam"))
+    given = read_yaml(path, f"the YAML file of a scenario, or a shipped one: {', '.join(loading.scenarios())}")
+    layer = loading.overlay(loading.file_layer(config).within("slam").over(given), sets, overrides or {}, LASER_BY_NAME)
+    layer = layer.over(loading.method_layer(layer.values.get(("slam", "method"))).within("slam"))
     layer = layer.over(Layer({("name",): path.stem}))
-    scenario = read_model(Scenario, layer, str(path))
+    scenario = loading.read_model(Scenario, layer, str(path))
     for key, problem in _problems(scenario):
-        raise ConfigError(f"{origin(layer, key, str(path))}: {'.'.join(key)} {problem}")
+        raise ConfigError(f"{loading.origin(layer, key, str(path))}: {'.'.join(key)} {problem}")
     return scenario
 
 
@@ -79,16 +69,16 @@ def scenario_path(file: str | Path) -> Path:
     path = Path(file)
     if path.is_file():
         return path
-    if path.parent == Path() and path.name.removesuffix(".yaml") in scenarios():
-        return package_folder("configs") / f"{path.name.removesuffix('.yaml')}.yaml"
+    if path.parent == Path() and path.name.removesuffix(".yaml") in loading.scenarios():
+        return loading.package_folder("configs") / f"{path.name.removesuffix('.yaml')}.yaml"
     if path.exists():
         return path
-    raise ConfigError(missing(path, f"name a YAML file, or a scenario: {', '.join(scenarios())}"))
+    raise ConfigError(missing(path, f"name a YAML file, or a scenario: {', '.join(loading.scenarios())}"))
 
 
 def scenario_schema() -> dict[str, Any]:
     """Return the JSON Schema of scenario files, for editors that check while one types."""
-    schema = schema_of(Scenario)
+    schema = loading.schema_of(Scenario)
     schema["$defs"]["WallEntry"] |= {"minProperties": 1, "maxProperties": 1}
     laser = schema["properties"]["laser"]
     laser["anyOf"] = [{"$ref": laser.pop("$ref")}, {"enum": list(LASERS)}]

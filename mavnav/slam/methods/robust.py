@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.kernels.scans.points import place_points, scan_points
-from mavnav.kernels.scans.sweep_shift import sweep_shift
+from mavnav.kernels.scans.points import place_points, scan_points, sweep_shift
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose
 from mavnav.profiling import timed
@@ -95,7 +94,7 @@ class Robust:
     builds_map = True
     own_kernels = (
         *("line_search.search", "maps.conflicts", "maps.linemap"),
-        *("scans.correlative_search", "scans.observability", "scans.rts_smoother"),
+        *("scans.correlative_search", "scans.rts_smoother"),
     )
     """The modules of kernels that no other method needs."""
     found_conflicts = FOUND_CONFLICTS

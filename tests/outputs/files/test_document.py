@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from mavnav.logs import Damage
 from mavnav.metrics.gates import judge, parse_gate
-from mavnav.metrics.wall_thickness import wall_sections
+from mavnav.metrics.walls import wall_sections
 from mavnav.outputs.files.document import plain, run_document, to_json, write_metrics
 from mavnav.outputs.report.markdown import inert
 from mavnav.pose import Pose, Trajectory

@@ -11,9 +11,10 @@ from PIL import Image
 from mavnav.errors import UsageError
 from mavnav.ground_truth.map_file import read_map
 from mavnav.mapping.occupancy_grid import OCCUPIED
+from mavnav.outputs.files import gridmap
 from mavnav.outputs.files.gridmap import write_pgm, write_yaml
 from mavnav.outputs.files.trajectory import write_graph
-from mavnav.outputs.pictures import scale_map, vector_map
+from mavnav.outputs.pictures import vector_map
 from mavnav.outputs.writers import GROUPS, check_groups, write_run
 from mavnav.pose import Pose
 from mavnav.slam.findings import Edge, Loops, PoseGraph
@@ -59,7 +60,7 @@ def test_the_svg_shows_walls_path_and_scale(run, tmp_path):
 
 def test_the_scale_map_is_graded_and_occupied_as_the_map_is(run, tmp_path):
     for name in GROUPS["scale"]:
-        scale_map.write(run, tmp_path / name)
+        gridmap.write_scale(run, tmp_path / name)
     write_pgm(run, tmp_path / "map.pgm")
     write_yaml(run, tmp_path / "map.yaml")
     scaled, plain = (read_map(tmp_path / name).grid for name in ("map_scale.yaml", "map.yaml"))

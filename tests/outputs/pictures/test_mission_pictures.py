@@ -10,7 +10,7 @@ from PIL import Image
 from mavnav.errors import OutputError, UsageError
 from mavnav.outputs.documents.schema import number_schema
 from mavnav.outputs.files.trajectory import write_true_walls, write_truth_tum
-from mavnav.outputs.pictures import animation, map_picture, mission_picture, viewport
+from mavnav.outputs.pictures import animation, map_picture, viewport
 from mavnav.outputs.pictures.animation import animate
 from mavnav.outputs.pictures.canvas import Canvas
 from mavnav.outputs.run import Truth
@@ -56,7 +56,7 @@ def test_the_truth_is_written_for_every_scan_tracked_or_not(mission, tmp_path):
     np.testing.assert_allclose(rows[:, 1:3], mission.truth.map_T_laser.xyyaw[:, :2], atol=1e-9)
 
 
-@pytest.mark.parametrize("write", [write_truth_tum, write_true_walls, mission_picture.write])
+@pytest.mark.parametrize("write", [write_truth_tum, write_true_walls, map_picture.write_true_map])
 def test_without_a_truth_there_is_nothing_to_write(run, write, tmp_path):
     with pytest.raises(ValueError, match="truth"):
         write(run, tmp_path / "x")
@@ -73,7 +73,7 @@ def test_arcs_are_drawn_where_they_are():
 
 
 def test_the_true_map_shows_walls_start_heading_and_goal(mission, tmp_path):
-    mission_picture.write(mission, tmp_path / "t.png")
+    map_picture.write_true_map(mission, tmp_path / "t.png")
     picture = pixels(tmp_path / "t.png")
     assert count(picture, viewport.INK) > 5000
     for colour in (viewport.START_BLUE, viewport.GOAL_RED, viewport.POSE_MAGENTA):
@@ -83,14 +83,14 @@ def test_the_true_map_shows_walls_start_heading_and_goal(mission, tmp_path):
 def test_the_legend_of_the_true_map_names_the_arrow(mission, tmp_path, monkeypatch):
     drawn = []
     monkeypatch.setattr(Canvas, "text", lambda _, xy, text, *args, **options: drawn.append(text))
-    mission_picture.write(mission, tmp_path / "t.png")
+    map_picture.write_true_map(mission, tmp_path / "t.png")
     assert {"start", "heading at the start", "goal"} <= set(drawn)
 
 
 def test_the_true_map_counts_the_scans_as_run_json_does(mission, tmp_path, monkeypatch):
     drawn = []
     monkeypatch.setattr(Canvas, "text", lambda _, xy, text, *args, **options: drawn.append(text))
-    mission_picture.write(mission, tmp_path / "t.png")
+    map_picture.write_true_map(mission, tmp_path / "t.png")
     assert any(f" in {len(mission.truth.map_T_laser)} scans, ends " in text for text in drawn)
     assert "scans taken" in number_schema("mission.steps")["description"]
 

@@ -17,11 +17,10 @@ from mavnav.outputs.pictures import map_axes
 from mavnav.outputs.pictures.canvas import rgb_of
 from mavnav.outputs.pictures.viewport import MUTED, Viewport
 from mavnav.outputs.report import charts, panels, tables, write_report
-from mavnav.outputs.report.closeups import differing_places
 from mavnav.outputs.report.entry import Entry, load
 from mavnav.outputs.report.headline import headline
-from mavnav.outputs.report.pictures import draw
-from mavnav.outputs.report.view import library
+from mavnav.outputs.report.page import leaflet_script, leaflet_style
+from mavnav.outputs.report.pictures import differing_places, draw
 from mavnav.outputs.run import Truth
 from mavnav.pose import Trajectory
 from support.html_page import Page
@@ -75,7 +74,7 @@ def test_the_page_names_date_log_and_sensor(report, run):
 def test_the_page_asks_for_nothing_from_outside(report, page):
     links = [v for _, attrs in page.tags for k, v in attrs.items() if k in {"src", "href", "srcset", "action", "data"}]
     assert links and all(link.startswith("data:") for link in links)
-    assert not re.search(r"https?://|@import|url\(", report.replace(library.script(), "").replace(library.style(), ""))
+    assert not re.search(r"https?://|@import|url\(", report.replace(leaflet_script(), "").replace(leaflet_style(), ""))
     assert not {"iframe", "object", "form"} & {name for name, _ in page.tags}
     assert all("src" not in attrs for attrs in page.all("script"))
     policy = next(a["content"] for a in page.all("meta") if a.get("http-equiv") == "Content-Security-Policy")

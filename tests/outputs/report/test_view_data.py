@@ -19,13 +19,10 @@ from mavnav.mapping.slices import Slice, Slices
 from mavnav.outputs.files import replay_log
 from mavnav.outputs.files.gridmap import slice_files, write_npz, write_slice
 from mavnav.outputs.files.trajectory import write_poses, write_scans
-from mavnav.outputs.report.entry import Entry, file_in, load
-from mavnav.outputs.report.merged import load_merge
-from mavnav.outputs.report.view import library
-from mavnav.outputs.report.view.images import SHADES, map_images, slice_images
-from mavnav.outputs.report.view.packing import pack
-from mavnav.outputs.report.view.page_data import view_data
-from mavnav.outputs.report.view.recording import Recording, beams, odometry_path, read_recording, recording_of
+from mavnav.outputs.report import page
+from mavnav.outputs.report.entry import Entry, file_in, load, load_merge
+from mavnav.outputs.report.recording import Recording, beams, odometry_path, read_recording, recording_of
+from mavnav.outputs.report.view_data import SHADES, map_images, pack, slice_images, view_data
 from mavnav.pose import Pose, Trajectory
 from support.report_runs import leave
 
@@ -178,6 +175,6 @@ def test_slices_are_drawn_where_they_lie(run, tmp_path):
 
 
 def test_the_library_names_its_license_and_no_file():
-    assert library.script().startswith("/* @preserve\n * Leaflet 1.9")
-    assert "sourceMappingURL" not in library.script() and "</script" not in library.script().lower()
-    assert "url(" not in library.style()
+    assert page.leaflet_script().startswith("/* @preserve\n * Leaflet 1.9")
+    assert "sourceMappingURL" not in page.leaflet_script() and "</script" not in page.leaflet_script().lower()
+    assert "url(" not in page.leaflet_style()

@@ -10,7 +10,7 @@ import pytest
 from msgspec.structs import replace
 
 from mavnav.mapping.slices import Slice, Slices
-from mavnav.outputs.files import wall_table
+from mavnav.outputs.files import gridmap
 from mavnav.outputs.files.gridmap import slice_files, write_slice
 from mavnav.outputs.report import list_text, write_report
 from mavnav.outputs.report.entry import load
@@ -223,7 +223,7 @@ def test_a_ghost_wall_leads_to_its_place(page):
 
 
 def test_the_mouse_reads_walls_and_poses(page, folder, run):
-    cuts = wall_table.read(folder / "fine" / wall_table.WALLS_FILE)
+    cuts = gridmap.read_cuts(folder / "fine" / gridmap.WALLS_FILE)
     k = int(np.flatnonzero(np.isfinite(cuts.width_m))[20])
     page.script("viewer.map.setView([arguments[1], arguments[0]], 8, {animate: false})", *cuts.xy_m[k].tolist())
     page.mouse("#map", *page.on_map(*cuts.xy_m[k].tolist()))

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from mavnav.pose import Pose
-from mavnav.simulation.world import LASERS, LaserModel, World, take_scan
+from mavnav.simulation.world import LaserModel, World, take_scan
+from mavnav.simulation.world.laser import LASERS
 from mavnav.units import DEG
 
 NO_ARCS = np.empty((0, 5))

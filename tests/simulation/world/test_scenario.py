@@ -14,7 +14,8 @@ from scipy import ndimage
 from mavnav.config.loading import fields, presets, scenarios
 from mavnav.errors import ConfigError, ExitCode
 from mavnav.pose import Pose
-from mavnav.simulation.world import LASERS, Scenario, laser_model, load_scenario, scenario_schema, take_scan
+from mavnav.simulation.world import Scenario, laser_model, load_scenario, scenario_schema, take_scan
+from mavnav.simulation.world.laser import LASERS
 from mavnav.simulation.world.scenario import LaserConfig
 from mavnav.units import DEG, MM
 

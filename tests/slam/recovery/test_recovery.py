@@ -11,7 +11,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from mavnav.config.models import Config
-from mavnav.metrics.wall_thickness import summary, wall_sections
+from mavnav.metrics.walls import summary, wall_sections
 from mavnav.pose import Pose, Trajectory, rigid_fit, transform_points, wrap_angle
 from mavnav.scan import Scan
 from mavnav.simulation.mission import Flight, fly

@@ -10,7 +10,7 @@ import numpy as np
 from mavnav.errors import MavnavError
 from mavnav.logs import open_log
 from mavnav.outputs.files.replay_log import nearest_pose, placed_scans
-from mavnav.pose import Trajectory, transform_points
+from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.units import MM, NS
 
 if TYPE_CHECKING:
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.outputs.run import RunResult
-    from mavnav.pose import Pose
     from mavnav.scan import LaserSpec, Scan
 
 MAX_RANGES: Final = 2_000_000

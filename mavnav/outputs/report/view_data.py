@@ -1,0 +1,226 @@
+"""The data of the interactive map: runs with their pictures, lines, scans, and the places to look at.
+
+The scripts in ``templates/view`` show it; it stands in the page as JSON, its arrays compressed. A pixel of a
+picture is a cell, or a block of cells of a large map.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import zlib
+from base64 import b64encode
+from math import ceil, sqrt
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from PIL import Image
+
+from mavnav.mapping.occupancy_grid import FREE, Grid, known_area, occupancy
+from mavnav.mapping.tiled_arrays import max_pool
+from mavnav.outputs.documents.quantities import number, verdict_texts
+from mavnav.outputs.pictures.canvas import rgb_of
+from mavnav.outputs.pictures.map_axes import HIT_COLOURS, top_of_scale
+from mavnav.outputs.pictures.slices_picture import height_colours
+from mavnav.outputs.report.entry import Entry, ScanColumns, file_in
+from mavnav.outputs.report.panels import common_window, ghosts
+from mavnav.outputs.report.recording import MAX_RANGES, beams, odometry_path, read_recording, recording_of
+from mavnav.pose import Pose
+from mavnav.units import MM
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from mavnav.outputs.report.pictures import Closeup
+
+    Arrays = dict[str, NDArray[Any]]
+
+
+TRACKED, DOUBTFUL = 1, 2
+"""Bits of the state of a scan."""
+
+
+def view_data(entries: Sequence[Entry], closeups: Mapping[str, Sequence[Closeup]]) -> list[dict[str, Any]]:
+    """Return what the page shows of each run; ``closeups`` are those of the pictures, by log.
+
+    Runs of one log have one scale of hits. All runs share what a page holds of cells and ranges.
+    """
+    tops = {log: top_of_scale(e.grid for e in entries if e.log == log) for log in {e.log for e in entries}}
+    return [_run(e, tops[e.log], len(entries), closeups.get(e.log, ())) for e in entries]
+
+
+def _run(entry: Entry, top_hits: float, runs: int, closeups: Sequence[Closeup]) -> dict[str, Any]:
+    word, reason = verdict_texts(entry.document)
+    window = common_window([entry])
+    slices = slice_images(entry.folder, entry.document.get("slices") or [])
+    return {
+        "log": entry.log.rpartition("/")[2] or entry.log,
+        "name": entry.name,
+        "verdict": {"word": word, "reason": reason},
+        "doubt": number(entry.document, "tracking.doubt.probability"),
+        "sessions": [{"name": each.name, "first": each.first} for each in entry.sessions],
+        "cell_m": entry.grid.cell_m,
+        "window": [window.x0_m, window.y0_m, window.x1_m, window.y1_m],
+        "images": map_images(entry.grid, top_hits, MAX_PIXELS // runs) + slices,
+        "places": [*_places(entry), *map(_closeup, closeups)],
+        **pack(_scan_arrays(entry.scans) | _walls(entry) | _recordings(entry, MAX_RANGES // runs)),
+    }
+
+
+def _scan_arrays(scans: ScanColumns) -> Arrays:
+    """Return of each scan ``time`` s, ``xy`` m, ``yaw`` rad, ``cost`` mm2, ``error`` mm, and the bits of ``state``."""
+    return {
+        "time": scans.time_s,
+        "xy": scans.xy_m.astype(np.float32),
+        "yaw": scans.yaw_rad.astype(np.float32),
+        "cost": scans.cost_mm2.astype(np.float32),
+        "error": (scans.error_m / MM).astype(np.float32),
+        "state": (TRACKED * scans.tracked + DOUBTFUL * scans.doubtful).astype(np.uint8),
+    }
+
+
+def _walls(entry: Entry) -> Arrays:
+    """Return the cuts across walls: ``walls`` (n, 5) as x, y in m, direction in rad, width in mm, length in m.
+
+    ``truth`` are the true walls, points (n, 2) in m, with NaN between two walls.
+    """
+    cuts = entry.cuts
+    walls = np.column_stack((cuts.xy_m, cuts.direction_rad, cuts.width_m / MM, cuts.length_m))
+    gap = np.full((1, 2), np.nan)
+    truth = [part for wall in entry.true_walls for part in (wall, gap)]
+    return {
+        "walls": walls[np.isfinite(cuts.width_m)].astype(np.float32),
+        "truth": np.vstack([np.zeros((0, 2)), *truth]).astype(np.float32),
+    }
+
+
+def _recordings(entry: Entry, max_ranges: int) -> Arrays:
+    """Return what the recordings add: the beams, and ``odometry``, the path by odometry alone, (n, 2) m."""
+    files = [file_in(entry.folder, session.recording) for session in entry.sessions]
+    logs = [recording_of(entry.run)] if entry.run else list(map(read_recording, files))
+    arrays = beams(logs, entry.scans.stamp_s, [session.first for session in entry.sessions], max_ranges)
+    tracked = np.flatnonzero(entry.scans.tracked)
+    if len(logs) > 1 or logs[0] is None or not len(tracked):
+        return arrays
+    scans, first = entry.scans, tracked[0]
+    (x_m, y_m), yaw_rad = scans.xy_m[first].tolist(), float(scans.yaw_rad[first])
+    path = odometry_path(logs[0], float(scans.stamp_s[first]), Pose(x_m, y_m, yaw_rad))
+    return arrays | {"odometry": path.astype(np.float32)}
+
+
+def _places(entry: Entry) -> Iterator[dict[str, Any]]:
+    """Yield what is worth a look, the worst first: its kind, a text, and from when to when (s), or where (m)."""
+    tracking = entry.document.get("tracking") or {}
+    for lost in tracking.get("intervals") or []:
+        yield _stretch("lost", f"track lost, {lost['scans']} scans", lost["start_s"], lost["end_s"])
+    for reason in (tracking.get("doubt") or {}).get("reasons") or []:
+        text = f"{reason['reason']}, strength {reason['value']:.2f}"
+        yield _stretch("doubt", text, reason["from_s"], reason["to_s"])
+    for ghost in ghosts(entry):
+        text = f"ghost wall, {ghost['length_m']:.1f} m long, {ghost['offset_mm']:.0f} mm apart"
+        place = {key: ghost[key] for key in ("x_m", "y_m", "length_m", "direction_deg", "offset_mm")}
+        yield {"kind": "ghost", "text": text, **place}
+    for loop in (entry.document.get("loop_closure") or {}).get("closures") or []:
+        text = f"loop closed, moved by {loop['correction_m'] / MM:.0f} mm"
+        yield _stretch("loop", text, loop["from_s"], loop["to_s"])
+
+
+def _closeup(closeup: Closeup) -> dict[str, Any]:
+    text = f"{closeup.letter}, {closeup.side_m:.1f} m wide at x {closeup.x_m:z.1f}, y {closeup.y_m:z.1f} m"
+    return {"kind": "differs", "text": text, "x_m": closeup.x_m, "y_m": closeup.y_m, "side_m": closeup.side_m}
+
+
+def _stretch(kind: str, text: str, from_s: float, to_s: float) -> dict[str, Any]:
+    return {"kind": kind, "text": text, "from_s": from_s, "to_s": to_s}
+
+
+ALIGNED_BYTES: Final = 8
+"""A typed array of a script begins at a multiple of its item's size."""
+
+_LEVEL: Final = 1
+"""Of zlib's levels: a fifth of the time of 6, a tenth larger."""
+
+
+def pack(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+    """Return arrays as ``bytes`` (zlib, base64), and in ``arrays`` the type, offset and length of each by name.
+
+    Types are those of numpy in little-endian order without its mark, such as ``u2``.
+    """
+    table, parts, offset = {}, [], 0
+    for name, array in arrays.items():
+        content = np.ascontiguousarray(array, array.dtype.newbyteorder("<")).tobytes()
+        table[name] = [array.dtype.str[1:], offset, array.size]
+        content += bytes(-len(content) % ALIGNED_BYTES)
+        parts.append(content)
+        offset += len(content)
+    return {"arrays": table, "bytes": b64encode(zlib.compress(b"".join(parts), _LEVEL)).decode("ascii")}
+
+
+def palette_png(pixels: NDArray[np.uint8], colours: NDArray[np.uint8]) -> str:
+    """Return a PNG file as a data URI; a pixel (rows, cols) is the number of one of ``colours`` (n, 3), 0 is clear."""
+    buffer = io.BytesIO()
+    image = Image.fromarray(pixels)
+    image.putpalette(colours.tobytes())
+    image.save(buffer, format="PNG", transparency=0, compress_level=6)
+    return "data:image/png;base64," + b64encode(buffer.getvalue()).decode("ascii")
+
+
+MAX_PIXELS: Final = 4_000_000
+"""Maximum size of a picture; cells of a larger map are pooled, as few as that takes."""
+
+PLACED: Final = re.compile(r"resolution: (\S+)\norigin: \[(\S+), (\S+), ")
+"""Cell and origin in a description of a map that `mavnav.outputs.files.gridmap` wrote."""
+
+SHADES: Final = 32
+FREE_COLOUR: Final = "#dde5ee"
+
+
+def map_images(grid: Grid, top_hits: float, max_pixels: int = MAX_PIXELS) -> list[dict[str, Any]]:
+    """Return free space and laser hits of a map, the hits on a logarithmic scale from 1 to ``top_hits``."""
+    known = known_area(grid)
+    factor = max(1, ceil(sqrt(known.hits.size / max_pixels)))
+    free = max_pool(occupancy(known), factor, value_of=lambda cells: (cells == FREE).astype(np.uint8))
+    hits = _shades(max_pool(known.hits, factor), top_hits)
+    box = _box(known.origin_xy_m, hits.shape, known.cell_m * factor)
+    picked = HIT_COLOURS[np.linspace(0, len(HIT_COLOURS) - 1, SHADES).astype(np.intp)]
+    return [
+        {"id": "free", "title": "Free space", "box": box, "src": _png(free, np.array([rgb_of(FREE_COLOUR)], np.uint8))},
+        {"id": "hits", "title": "Laser hits", "box": box, "src": _png(hits, picked)},
+    ]
+
+
+def slice_images(folder: Path, slices: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the occupied cells of the maps by height that a run directory has, each in the color of its height."""
+    colours = height_colours(max(len(slices), 2))
+    return [_slice_image(folder, layer, colour[None]) for layer, colour in zip(slices, colours, strict=False)]
+
+
+def _slice_image(folder: Path, layer: dict[str, Any], colour: NDArray[np.uint8]) -> dict[str, Any]:
+    path = file_in(folder, layer["map"])
+    cell_m, x_m, y_m = map(float, PLACED.findall(path.read_text(encoding="ascii"))[0])
+    with Image.open(path.with_suffix(".pgm"), formats=("PPM",)) as picture:
+        occupied = (np.asarray(picture) == 0).astype(np.uint8)[::-1]
+    box = _box((x_m, y_m), occupied.shape, cell_m)
+    title = f"Slice {layer['from_m']:z.2f} to {layer['to_m']:z.2f} m"
+    key = f"#{bytes(colour[0]).hex()}"
+    return {"id": layer["map"], "title": title, "box": box, "src": _png(occupied, colour), "colour": key}
+
+
+def _shades(hits: NDArray[Any], top_hits: float) -> NDArray[np.uint8]:
+    """Return the shade of each cell, 1 to `SHADES`, 0 for cells without a hit."""
+    share = np.log(np.maximum(hits, 1), dtype=np.float32) / np.float32(np.log(top_hits))
+    return np.where(hits > 0, 1 + np.minimum(share * SHADES, SHADES - 1).astype(np.uint8), 0).astype(np.uint8)
+
+
+def _png(pixels: NDArray[np.uint8], colours: NDArray[np.uint8]) -> str:
+    """Draw cells (rows, cols), row 0 at the minimum y, in ``colours`` (n, 3), of which pixel 1 is the first."""
+    return palette_png(pixels[::-1], np.vstack((np.zeros((1, 3), np.uint8), colours)))
+
+
+def _box(origin_xy_m: Sequence[float], shape: tuple[int, ...], cell_m: float) -> list[float]:
+    """Return minimum x and y, and maximum x and y of a picture, m."""
+    (x_m, y_m), (rows, cols) = origin_xy_m, shape
+    return [round(float(value), 6) for value in (x_m, y_m, x_m + cols * cell_m, y_m + rows * cell_m)]
