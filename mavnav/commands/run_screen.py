@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from itertools import chain
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from mavnav.commands import shared
 from mavnav.commands.terminal import Rows, emit_json, note, print_table, verdict_mark, verdict_rows
@@ -186,10 +186,6 @@ def note_warnings(warnings: Iterable[str], *, all_: bool = False) -> None:
         note(f"mavnav: warning: {first}" + (f" ({len(others)} more of this kind)" if others else ""))
     if (hidden := len(groups) - MOST_WARNINGS) > 0 and not all_:
         note(f"mavnav: {pluralize(hidden, 'more warning')} in run.json; -v prints them")
-
-
-if TYPE_CHECKING:
-    from mavnav.commands.terminal import Rows
 
 
 def wall_rows(document: dict[str, Any]) -> Rows:

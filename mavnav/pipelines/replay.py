@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from itertools import takewhile
 from pathlib import Path
@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 from msgspec import Struct, field
 from msgspec.structs import replace as changed
 
-from mavnav.config.models import OdometryConfig
+from mavnav.config.models import Config, OdometryConfig
 from mavnav.config.option_kinds import recorded_topic
 from mavnav.config.options import ReplayOptions, paths_of, reference_files
 from mavnav.errors import ExitCode, StoppedError, UsageError
-from mavnav.ground_truth.references import compare_to, in_time_of_truth, load_references
-from mavnav.logs import check_log, open_log
+from mavnav.ground_truth.references import References, compare_to, in_time_of_truth, load_references
+from mavnav.logs import Log, check_log, open_log
 from mavnav.logs.formats.detect import log_name
 from mavnav.mapping.occupancy_grid import occupied_xy_m
 from mavnav.metrics.reference import position_errors
@@ -47,11 +47,6 @@ from mavnav.slam.retries.levelling import AS_RECORDED
 from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mavnav.config.models import Config
-    from mavnav.ground_truth.references import References
-    from mavnav.logs import Log
     from mavnav.outputs.documents.run_json import Provenance
     from mavnav.outputs.files.finished_run import FinishedRun
     from mavnav.pipelines.sessions import Continuation

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from msgspec.structs import replace
 
-from mavnav.pose import MAX_GAP_NS, Pose
+from mavnav.pose import MAX_GAP_NS, Pose, Trajectory
 from mavnav.slam.doubt.judge import UNASKED, UNDECIDED, judge, match_again, redraw
 from mavnav.slam.findings import SECOND_LOST
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.scan_matching import first_match, no_match
 from mavnav.slam.matching.steps import Step, Steps
 from mavnav.slam.methods.robust import Robust
-from mavnav.slam.result import summarize
+from mavnav.slam.result import SlamResult, summarize
 from mavnav.slam.retries.beam_order import reverse_beams
 from mavnav.slam.retries.sweep_time import time_sweeps
 from mavnav.slam.track import Track
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.config.models import Config
-    from mavnav.pose import Trajectory
-    from mavnav.slam.result import SlamResult
     from mavnav.slam.track import LogScans, OnStep
 
 ROUNDED_NS: Final = 1_000_000

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec.structs import replace
 
-from mavnav.pose import Pose
+from mavnav.pose import Pose, Rotation, Trajectory
 from mavnav.slam.doubt.judge import judge_flown, judge_redrawn, judge_track
 from mavnav.slam.loop_closure.detection import close_loops
 from mavnav.slam.matching.motion_model import Motion
@@ -18,7 +18,7 @@ from mavnav.slam.recovery.rematch import rematch_beginning, rematch_rejected
 from mavnav.slam.refinement.contradicted import drop_contradicted
 from mavnav.slam.refinement.place import place_map
 from mavnav.slam.refinement.refine import draw_map, match_deskewed, refine_poses, remove_dynamic_cells, smooth_jitter
-from mavnav.slam.result import summarize
+from mavnav.slam.result import SlamResult, summarize
 from mavnav.slam.retries.attempt import COARSER_VOXELS, try_again
 from mavnav.slam.retries.beam_order import REVERSED_BEAMS
 from mavnav.slam.retries.beginning import track_from_good_beginning
@@ -32,9 +32,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.config.models import Config
-    from mavnav.pose import Rotation, Trajectory
     from mavnav.slam.matching.prior_map import PriorMap
-    from mavnav.slam.result import SlamResult
     from mavnav.slam.track import LogScans, OnStep, Pass, Placement
 
 SHORTEST_PERIOD_S = 1e-3

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec import Struct, field
 
-from mavnav.pose import Trajectory
-from mavnav.slam.findings import NOT_PLANAR, Loops
+from mavnav.pose import Pose, Trajectory
+from mavnav.slam.findings import NOT_PLANAR, Doubt, Loops, TrackedAgain
 from mavnav.slam.matching.observability import covariances_of
-from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, fit_odometry, with_noise
+from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, OdometryFit, fit_odometry, with_noise
 from mavnav.slam.matching.steps import NEARLY_ALL, LostInterval, Steps, jumps, lost_intervals, tracked_trajectory
 from mavnav.slam.methods.pauses import pause_warnings
 from mavnav.slam.recovery.bridges import Bridges, bridge_by_odometry
@@ -25,9 +25,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.mapping.occupancy_grid import Grid
-    from mavnav.pose import Pose
-    from mavnav.slam.findings import Doubt, TrackedAgain
-    from mavnav.slam.matching.odometry_fit import OdometryFit
     from mavnav.slam.track import Track
 
 MOST_SCATTERED = 0.2

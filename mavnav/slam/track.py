@@ -10,10 +10,10 @@ from msgspec.structs import replace
 
 from mavnav.pose import Pose
 from mavnav.slam.findings import Findings, TrackedAgain
-from mavnav.slam.matching.motion_model import motions_along
+from mavnav.slam.matching.motion_model import Motion, motions_along
 from mavnav.slam.matching.scan_matching import no_match
 from mavnav.slam.matching.steps import Step, Steps, tracked_trajectory
-from mavnav.slam.methods.registry import make_method
+from mavnav.slam.methods.registry import Method, Refiner, make_method
 from mavnav.slam.tracker import track
 
 if TYPE_CHECKING:
@@ -22,10 +22,8 @@ if TYPE_CHECKING:
     from mavnav.config.models import Config
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.scan import Scan
-    from mavnav.slam.matching.motion_model import Motion
     from mavnav.slam.matching.odometry_fit import LogOdometry
     from mavnav.slam.matching.prior_map import PriorMap
-    from mavnav.slam.methods.registry import Method, Refiner
 
     LogScans = Callable[[], Iterable[Scan]]
     """Return the scans of a log; every call starts at the first scan."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from mavnav.profiling import add_scan
 from mavnav.slam.matching.budget import DOUBTFUL_SCANS, LONG_LOST_SCANS, RARELY_SCANS
 from mavnav.slam.matching.relocalization import AGREEING_SCANS, apart
-from mavnav.slam.matching.scan_matching import MatchVerdict
+from mavnav.slam.matching.scan_matching import Match, MatchVerdict
 from mavnav.slam.matching.steps import Step
 
 if TYPE_CHECKING:
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from mavnav.pose import Pose
     from mavnav.scan import Scan
     from mavnav.slam.matching.motion_model import Motion
-    from mavnav.slam.matching.scan_matching import Match
     from mavnav.slam.methods.registry import Method, Refiner
 
 

@@ -23,7 +23,7 @@ from mavnav.slam.matching.relocalization import (
     unobservable_direction,
     with_conflicts,
 )
-from mavnav.slam.matching.scan_matching import Schedule, search_lines
+from mavnav.slam.matching.scan_matching import Match, Schedule, search_lines
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from mavnav.config.models import Config
     from mavnav.slam.loop_closure.key_frames import KeyFrame, Points, Visibility
     from mavnav.slam.matching.relocalization import Region
-    from mavnav.slam.matching.scan_matching import Match
 
 
 SIGMA_M = 0.015

@@ -32,8 +32,8 @@ from mavnav.slam.loop_closure.key_frames import (
 )
 from mavnav.slam.loop_closure.pose_graph import optimize, path_edges
 from mavnav.slam.matching.scan_matching import no_match
-from mavnav.slam.matching.steps import Steps, tracked_trajectory
-from mavnav.slam.methods.registry import make_method
+from mavnav.slam.matching.steps import Step, Steps, tracked_trajectory
+from mavnav.slam.methods.registry import Method, Refiner, make_method
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -44,8 +44,6 @@ if TYPE_CHECKING:
     from mavnav.scan import Scan
     from mavnav.slam.loop_closure.pose_graph import InformationOf
     from mavnav.slam.matching.motion_model import Motion
-    from mavnav.slam.matching.steps import Step
-    from mavnav.slam.methods.registry import Method, Refiner
     from mavnav.slam.track import LogScans, Track
 
     PointsOf = Callable[[list[int]], Iterable[NDArray[np.float64]]]

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mavnav.pose import Pose, motions, wrap_angle
+from mavnav.pose import Pose, Trajectory, motions, wrap_angle
 from mavnav.slam.findings import Edge
 from mavnav.slam.matching.relocalization import ACCELERATION_M_S2, SLACK_M
 from mavnav.units import DEG, NS
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from scipy.sparse import csr_matrix
 
-    from mavnav.pose import Trajectory
     from mavnav.slam.loop_closure.key_frames import KeyFrame
 
     Floats = NDArray[np.float64]

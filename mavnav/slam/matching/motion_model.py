@@ -7,17 +7,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mavnav.pose import Pose, wrap_angle
-from mavnav.slam.matching.steps import jumps
+from mavnav.pose import Pose, Rotation, Trajectory, wrap_angle
+from mavnav.slam.matching.steps import Step, jumps
 from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
-
-    from mavnav.pose import Rotation, Trajectory
-    from mavnav.slam.matching.steps import Step
 
     Odometry = Callable[[int], Pose | None]
     """Stamp (ns) -> odom_T_laser, None where odometry does not cover it."""

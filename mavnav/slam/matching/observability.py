@@ -11,13 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.slam.matching.steps import LOST_SCANS, runs_of
+from mavnav.slam.matching.steps import LOST_SCANS, Steps, runs_of
 from mavnav.units import MM, NS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-    from mavnav.slam.matching.steps import Steps
 
 
 LEAST_OBSERVABILITY = 0.01

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from math import pi
 from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
@@ -15,8 +15,6 @@ from mavnav.slam.matching.scan_matching import Match
 from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
     from numpy.typing import NDArray
 
 LOST_SCANS = 5

@@ -16,7 +16,7 @@ from mavnav.slam.matching.relocalization import (
     everywhere,
     unambiguous,
 )
-from mavnav.slam.matching.scan_matching import empty_line_map, no_match
+from mavnav.slam.matching.scan_matching import Match, empty_line_map, no_match
 from mavnav.slam.methods.robust import Robust
 
 if TYPE_CHECKING:
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from mavnav.slam.matching.motion_model import Motion
     from mavnav.slam.matching.prior_map import PriorMap
     from mavnav.slam.matching.relocalization import Region
-    from mavnav.slam.matching.scan_matching import Match
 
 
 class Localizer(Robust):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.kernels.maps.layout import SearchGrid
-from mavnav.mapping.occupancy_grid import GridBuilder
+from mavnav.mapping.occupancy_grid import Grid, GridBuilder
 from mavnav.pose import Pose, transform_points, wrap_angle
 from mavnav.profiling import timed
 from mavnav.slam.matching.scan_matching import Match, MatchVerdict, first_match, no_match, with_effort
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.config.models import Config
-    from mavnav.mapping.occupancy_grid import Grid
     from mavnav.scan import LaserSpec, Scan
     from mavnav.slam.matching.motion_model import Motion
 

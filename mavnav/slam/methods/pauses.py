@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.slam.matching.motion_model import GAP_S, MOST_ERROR
+from mavnav.slam.matching.motion_model import GAP_S, MOST_ERROR, Motion
 from mavnav.slam.matching.odometry_fit import WINDOW_S
 from mavnav.units import NS
 
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.pose import Pose
-    from mavnav.slam.matching.motion_model import Motion
     from mavnav.slam.matching.steps import Step, Steps
 
 PAUSE_S, PAUSE_PERIODS = 2.5, 2.5

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.kernels.scans.points import place_points, scan_points, sweep_shift
-from mavnav.mapping.occupancy_grid import GridBuilder
+from mavnav.mapping.occupancy_grid import Grid, GridBuilder
 from mavnav.pose import Pose
 from mavnav.profiling import timed
-from mavnav.scan import LONGEST_SWEEP
+from mavnav.scan import LONGEST_SWEEP, Scan
 from mavnav.slam.matching.budget import (
     DOUBTFUL_SCANS,
     RARELY_SCANS,
@@ -53,9 +53,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.config.models import Config
-    from mavnav.mapping.occupancy_grid import Grid
     from mavnav.mapping.tiled_arrays import Extent
-    from mavnav.scan import Scan
     from mavnav.slam.matching.motion_model import Motion
     from mavnav.slam.matching.relocalization import Region
 

@@ -15,7 +15,7 @@ import numpy as np
 from mavnav.slam.matching.motion_model import MOST_ERROR, motion_by, motions_along
 from mavnav.slam.matching.relocalization import apart, around, candidates
 from mavnav.slam.matching.scan_matching import no_match
-from mavnav.slam.matching.steps import Steps, evenly, tracked_trajectory
+from mavnav.slam.matching.steps import Step, Steps, evenly, tracked_trajectory
 from mavnav.slam.methods.pauses import FASTER, SLACK_M
 from mavnav.slam.methods.robust import Robust
 from mavnav.units import DEG, NS
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
     from mavnav.pose import Pose
     from mavnav.scan import Scan
-    from mavnav.slam.matching.steps import Step
     from mavnav.slam.track import Track
 
     Scans = dict[int, Scan]

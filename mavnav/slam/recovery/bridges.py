@@ -14,7 +14,7 @@ from msgspec import Struct, field
 from mavnav.pose import Pose, Trajectory
 from mavnav.slam.matching.motion_model import MOST_ERROR
 from mavnav.slam.matching.odometry_fit import with_noise
-from mavnav.slam.matching.steps import LOST_SCANS, runs_of, tracked_trajectory
+from mavnav.slam.matching.steps import LOST_SCANS, Step, runs_of, tracked_trajectory
 from mavnav.slam.recovery.across_gap import reach_across
 from mavnav.slam.recovery.part_by_odometry import size
 from mavnav.units import NS
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.slam.matching.steps import Step
     from mavnav.slam.track import Track
 
 

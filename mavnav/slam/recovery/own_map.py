@@ -16,7 +16,7 @@ from mavnav.slam.matching.placement import place_together
 from mavnav.slam.matching.scan_matching import empty_line_map
 from mavnav.slam.matching.steps import Steps, evenly, lost_intervals, tracked_trajectory
 from mavnav.slam.methods.acceptance import Acceptance
-from mavnav.slam.methods.registry import make_method
+from mavnav.slam.methods.registry import Refiner, make_method
 from mavnav.slam.recovery.parts import lost_for_good
 from mavnav.slam.retries.attempt import rank, try_again
 from mavnav.slam.retries.beginning import track_from_good_beginning
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
     from mavnav.pose import Pose
     from mavnav.slam.matching.placement import PosedScan
-    from mavnav.slam.methods.registry import Refiner
     from mavnav.slam.track import Track
 
 

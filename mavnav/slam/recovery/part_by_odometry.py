@@ -14,7 +14,7 @@ import numpy as np
 from mavnav.slam.loop_closure.key_frames import drift_bound
 from mavnav.slam.matching.odometry_fit import with_noise
 from mavnav.slam.matching.scan_matching import no_match
-from mavnav.slam.matching.steps import tracked_trajectory
+from mavnav.slam.matching.steps import Step, Steps, tracked_trajectory
 from mavnav.units import NS, pluralize
 
 if TYPE_CHECKING:
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from mavnav.pose import Pose
     from mavnav.scan import Scan
     from mavnav.slam.matching.motion_model import Odometry
-    from mavnav.slam.matching.steps import Step, Steps
     from mavnav.slam.track import Track
 
 SAMPLE_S = 0.25

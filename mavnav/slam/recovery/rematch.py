@@ -9,8 +9,8 @@ import numpy as np
 from msgspec.structs import replace
 
 from mavnav.slam.matching.budget import DOUBTFUL_SCANS
-from mavnav.slam.matching.motion_model import LONGEST_S, motion_at
-from mavnav.slam.matching.scan_matching import MatchVerdict, with_effort
+from mavnav.slam.matching.motion_model import LONGEST_S, Motion, motion_at
+from mavnav.slam.matching.scan_matching import Match, MatchVerdict, with_effort
 from mavnav.slam.matching.steps import LOST_SCANS, Step, Steps
 from mavnav.units import NS
 
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from mavnav.pose import Pose
     from mavnav.scan import Scan
-    from mavnav.slam.matching.motion_model import Motion
-    from mavnav.slam.matching.scan_matching import Match
     from mavnav.slam.methods.registry import Refiner
     from mavnav.slam.track import Track
 

@@ -14,13 +14,12 @@ from msgspec.structs import replace
 
 from mavnav.slam.matching.scan_matching import no_match
 from mavnav.slam.matching.steps import LOST_SCANS, Steps, jumps, lost_intervals, tracked_trajectory
-from mavnav.slam.methods.registry import make_method
+from mavnav.slam.methods.registry import Refiner, make_method
 from mavnav.units import NS, pluralize
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.slam.methods.registry import Refiner
     from mavnav.slam.track import Track
 
 CONTRADICTED, GIVEN_UP = 0.05, 0.1

@@ -14,9 +14,9 @@ from msgspec.structs import replace
 from mavnav.kernels.scans.rts_smoother import smooth
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.profiling import timed
-from mavnav.slam.matching.motion_model import LONGEST_S, motions_along
+from mavnav.slam.matching.motion_model import LONGEST_S, Motion, motions_along
 from mavnav.slam.matching.observability import UNMEASURED, degeneracy_warning
-from mavnav.slam.matching.steps import Steps, jumps, tracked_trajectory
+from mavnav.slam.matching.steps import Step, Steps, jumps, tracked_trajectory
 from mavnav.slam.retries.beam_order import WARNING, is_costlier, match_both, reversed_scans
 from mavnav.units import DEG, NS
 
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.scan import Scan
-    from mavnav.slam.matching.motion_model import Motion
-    from mavnav.slam.matching.steps import Step
     from mavnav.slam.methods.registry import Refiner
     from mavnav.slam.track import Track
 

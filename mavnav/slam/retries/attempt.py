@@ -11,12 +11,11 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from mavnav.slam.matching.steps import lost_intervals
+from mavnav.slam.matching.steps import Steps, lost_intervals
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from mavnav.slam.matching.steps import Steps
     from mavnav.slam.track import Track
 
 

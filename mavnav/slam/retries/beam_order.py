@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from msgspec.structs import replace
 
-from mavnav.slam.matching.motion_model import GAP_S, LONGEST_S, motion_at
+from mavnav.slam.matching.motion_model import GAP_S, LONGEST_S, Motion, motion_at
 from mavnav.slam.matching.steps import LOST_SCANS, tracked_trajectory
 from mavnav.slam.retries.attempt import Attempt
 from mavnav.slam.retries.beginning import until_missing
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.scan import Scan
-    from mavnav.slam.matching.motion_model import Motion
     from mavnav.slam.matching.scan_matching import Match
     from mavnav.slam.methods.registry import Refiner
     from mavnav.slam.track import LogScans, Track

@@ -16,7 +16,7 @@ from mavnav.slam.matching.odometry_fit import (
     share_of_turns,
     with_noise,
 )
-from mavnav.slam.matching.steps import NEARLY_ALL, Steps, tracked_trajectory
+from mavnav.slam.matching.steps import NEARLY_ALL, Step, Steps, tracked_trajectory
 from mavnav.slam.retries.attempt import Attempt
 from mavnav.units import DEG
 
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
     from mavnav.pose import Trajectory
     from mavnav.slam.matching.odometry_fit import LogOdometry
-    from mavnav.slam.matching.steps import Step
     from mavnav.slam.track import Track, Until
 
 IMPROVED: Final = 0.85
