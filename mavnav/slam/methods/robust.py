@@ -27,6 +27,7 @@ from mavnav.slam.matching.budget import (
 from mavnav.slam.matching.observability import LEAST_OBSERVABILITY
 from mavnav.slam.matching.relocalization import (
     CANDIDATES,
+    REFINED,
     around,
     best_of,
     candidates,
@@ -120,11 +121,12 @@ class Robust:
         return self
 
     @cached_property
-    def _near(self) -> tuple[Schedule, Schedule, Schedule]:
-        """Schedules of the search close to the prediction: without odometry, with it, and where walls leave it open."""
+    def _near(self) -> tuple[Schedule, Schedule, Schedule, Schedule]:
+        """Schedules near the prediction: without odometry, with it, where walls leave it open; and of a minimum."""
         expert = self.config.robust.expert
         schedule = partial(Schedule.of, self.config, self.lines, (expert.near_window_m, expert.near_window_rad))
-        return schedule(), schedule(prior=OBSERVED_SHARE * expert.prior), schedule(prior=expert.prior)
+        weakly, strongly = schedule(prior=OBSERVED_SHARE * expert.prior), schedule(prior=expert.prior)
+        return schedule(), weakly, strongly, Schedule.of(self.config, self.lines, REFINED)
 
     @cached_property
     def _final(self) -> Schedule:
@@ -226,15 +228,21 @@ class Robust:
     ) -> tuple[list[Match], bool]:
         """Search close to the prediction, unless the configuration disables that; also return whether it is enough.
 
-        The match is then acceptable, and well inside of the window; otherwise its conflicts may not be counted yet.
+        Without odometry, a match of many points and inliers near the edge of the window is refined like a minimum of
+        the second window. It is enough if acceptable and not moved far; else its conflicts may not be counted yet.
         """
-        if not self.config.robust.expert.near_window_mm:
+        expert = self.config.robust.expert
+        if not expert.near_window_mm:
             return [], False
-        blind, weakly, strongly = self._near
+        blind, weakly, strongly, again = self._near
         match = search_lines(points, self.lines, predicted, weakly if motion.odometry else blind)
         if motion.odometry and self.observability(points, match)[0] < LEAST_OBSERVABILITY:
             match = search_lines(points, self.lines, predicted, strongly, match)
-        if not self.acceptance.is_inside(match, predicted):
+        start = predicted
+        clear = len(points) >= expert.sparse_points and match.inliers >= expert.retry_below
+        if clear and not motion.odometry and not self.acceptance.is_inside(match, start):
+            start, match = match.map_T_laser, search_lines(points, self.lines, match.map_T_laser, again, match)
+        if not self.acceptance.is_inside(match, start):
             return [match], False
         match = self._with_conflicts(match, points)
         return [match], self.acceptance.is_acceptable(match, motion, elapsed_s)
