@@ -81,10 +81,6 @@ AT_REST = np.zeros(3)
 """Twist of a laser at rest, for scans that are not de-skewed."""
 
 
-def _is_lost(motion: Motion, elapsed_s: float) -> bool:
-    return elapsed_s > DOUBTFUL_SCANS * motion.period_s
-
-
 class Robust:
     """Point-to-line matching against the whole map; hit counts are kept in ``grid`` for the outputs.
 
@@ -158,7 +154,7 @@ class Robust:
         tried, good = self._search_near(points, predicted, motion, elapsed_s)
         if good:
             return tried[0]
-        expected, lost = motion.expected_poses(predicted, scan.stamp_ns), _is_lost(motion, elapsed_s)
+        expected, lost = motion.expected_poses(predicted, scan.stamp_ns), elapsed_s > DOUBTFUL_SCANS * motion.period_s
         regions = self._lost_region(points, expected, elapsed_s) if lost else []
         given_up = lost and not regions
         if given_up and tried and motion.odometry is None:
@@ -228,8 +224,7 @@ class Robust:
     ) -> tuple[list[Match], bool]:
         """Search close to the prediction, unless the configuration disables that; also return whether it is enough.
 
-        Without odometry, a match of many points and inliers near the edge of the window is refined like a minimum of
-        the second window. It is enough if acceptable and not moved far; else its conflicts may not be counted yet.
+        Without odometry a clear match near the edge is refined first. Conflicts may be uncounted if it is not enough.
         """
         expert = self.config.robust.expert
         if not expert.near_window_mm:
@@ -238,8 +233,7 @@ class Robust:
         match = search_lines(points, self.lines, predicted, weakly if motion.odometry else blind)
         if motion.odometry and self.observability(points, match)[0] < LEAST_OBSERVABILITY:
             match = search_lines(points, self.lines, predicted, strongly, match)
-        start = predicted
-        clear = len(points) >= expert.sparse_points and match.inliers >= expert.retry_below
+        start, clear = predicted, len(points) >= expert.sparse_points and match.inliers >= expert.retry_below
         if clear and not motion.odometry and not self.acceptance.is_inside(match, start):
             start, match = match.map_T_laser, search_lines(points, self.lines, match.map_T_laser, again, match)
         if not self.acceptance.is_inside(match, start):
@@ -280,7 +274,7 @@ class Robust:
             return None
         elapsed_s = motion.elapsed_s(scan.stamp_ns)
         self._free, self._bounded = self._free or everywhere(self.known), True
-        limit = FOUND_ANYWHERE_COST if _is_lost(motion, elapsed_s) else np.inf
+        limit = FOUND_ANYWHERE_COST if elapsed_s > DOUBTFUL_SCANS * motion.period_s else np.inf
         matches = [match, *candidates(points, self.lines, self.known, self._free, self.config, limit=limit)]
         expected = motion.expected_poses(motion.predict(scan.stamp_ns), scan.stamp_ns)
         best = best_of(matches, expected, elapsed_s, self.config)
