@@ -38,6 +38,9 @@ if TYPE_CHECKING:
 STEP_M, STEP_RAD = 0.1, 4 * DEG
 """Spacing of the search: the cost of a point depends on walls up to 0.15 m away."""
 
+REFINED = 1.5 * STEP_M, 1.5 * STEP_RAD
+"""Half-widths of the search that refines a minimum, m and rad."""
+
 SEPARATE_M, SEPARATE_RAD = 0.25, 12 * DEG
 SEPARATE = np.array((SEPARATE_M, SEPARATE_RAD))
 """Distance and rotation up to which two poses are the same minimum."""
@@ -186,7 +189,7 @@ def refined_minima(
     few, truncate_m = points[: config.robust.expert.first_level_points], config.robust.expert.truncate_m
     limit_m2, exhaustive = limit * truncate_m**2, config.search == "exhaustive"
     starts = lowest(few, line_map, region, truncate_m, most, limit_m2, credit, exhaustive=exhaustive)
-    schedule = Schedule.of(config, line_map, (1.5 * STEP_M, 1.5 * STEP_RAD))
+    schedule = Schedule.of(config, line_map, REFINED)
     return [search_lines(points, line_map, pose, schedule) for _, pose in starts]
 
 

@@ -26,6 +26,7 @@ from mavnav.slam.matching.budget import (
 from mavnav.slam.matching.observability import LEAST_OBSERVABILITY
 from mavnav.slam.matching.relocalization import (
     CANDIDATES,
+    REFINED,
     around,
     best_of,
     candidates,
@@ -77,10 +78,6 @@ AT_REST = np.zeros(3)
 """Twist of a laser at rest, for scans that are not de-skewed."""
 
 
-def _is_lost(motion: Motion, elapsed_s: float) -> bool:
-    return elapsed_s > DOUBTFUL_SCANS * motion.period_s
-
-
 class Robust:
     """Point-to-line matching against the whole map; hit counts are kept in ``grid`` for the outputs.
 
@@ -117,11 +114,12 @@ class Robust:
         return self
 
     @cached_property
-    def _near(self) -> tuple[Schedule, Schedule, Schedule]:
-        """Schedules of the search close to the prediction: without odometry, with it, and where walls leave it open."""
+    def _near(self) -> tuple[Schedule, Schedule, Schedule, Schedule]:
+        """Schedules near the prediction: without odometry, with it, where walls leave it open; and of a minimum."""
         expert = self.config.robust.expert
         schedule = partial(Schedule.of, self.config, self.lines, (expert.near_window_m, expert.near_window_rad))
-        return schedule(), schedule(prior=OBSERVED_SHARE * expert.prior), schedule(prior=expert.prior)
+        weakly, strongly = schedule(prior=OBSERVED_SHARE * expert.prior), schedule(prior=expert.prior)
+        return schedule(), weakly, strongly, Schedule.of(self.config, self.lines, REFINED)
 
     @cached_property
     def _final(self) -> Schedule:
@@ -153,7 +151,7 @@ class Robust:
         tried, good = self._search_near(points, predicted, motion, elapsed_s)
         if good:
             return tried[0]
-        expected, lost = motion.expected_poses(predicted, scan.stamp_ns), _is_lost(motion, elapsed_s)
+        expected, lost = motion.expected_poses(predicted, scan.stamp_ns), elapsed_s > DOUBTFUL_SCANS * motion.period_s
         regions = self._lost_region(points, expected, elapsed_s) if lost else []
         given_up = lost and not regions
         if given_up and tried and motion.odometry is None:
@@ -223,15 +221,19 @@ class Robust:
     ) -> tuple[list[Match], bool]:
         """Search close to the prediction, unless the configuration disables that; also return whether it is enough.
 
-        The match is then acceptable, and well inside of the window; otherwise its conflicts may not be counted yet.
+        Without odometry a clear match near the edge is refined first. Conflicts may be uncounted if it is not enough.
         """
-        if not self.config.robust.expert.near_window_mm:
+        expert = self.config.robust.expert
+        if not expert.near_window_mm:
             return [], False
-        blind, weakly, strongly = self._near
+        blind, weakly, strongly, again = self._near
         match = search_lines(points, self.lines, predicted, weakly if motion.odometry else blind)
         if motion.odometry and self.observability(points, match)[0] < LEAST_OBSERVABILITY:
             match = search_lines(points, self.lines, predicted, strongly, match)
-        if not self.acceptance.is_inside(match, predicted):
+        start, clear = predicted, len(points) >= expert.sparse_points and match.inliers >= expert.retry_below
+        if clear and not motion.odometry and not self.acceptance.is_inside(match, start):
+            start, match = match.map_T_laser, search_lines(points, self.lines, match.map_T_laser, again, match)
+        if not self.acceptance.is_inside(match, start):
             return [match], False
         match = self._with_conflicts(match, points)
         return [match], self.acceptance.is_acceptable(match, motion, elapsed_s)
@@ -269,7 +271,7 @@ class Robust:
             return None
         elapsed_s = motion.elapsed_s(scan.stamp_ns)
         self._free, self._bounded = self._free or everywhere(self.known), True
-        limit = FOUND_ANYWHERE_COST if _is_lost(motion, elapsed_s) else np.inf
+        limit = FOUND_ANYWHERE_COST if elapsed_s > DOUBTFUL_SCANS * motion.period_s else np.inf
         matches = [match, *candidates(points, self.lines, self.known, self._free, self.config, limit=limit)]
         expected = motion.expected_poses(motion.predict(scan.stamp_ns), scan.stamp_ns)
         best = best_of(matches, expected, elapsed_s, self.config)
