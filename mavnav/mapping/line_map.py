@@ -15,7 +15,8 @@ from msgspec import Struct, field
 from mavnav.kernels.maps import cost_floors
 from mavnav.kernels.maps.layout import FAR, LEVELS, NEAR, REACH_CELLS
 from mavnav.kernels.maps.linemap import WINDOW_CELLS, Geometry, insert_points, rebuild
-from mavnav.kernels.scans.correlative_search import observability, pose_costs
+from mavnav.kernels.scans.correlative_search import pose_costs
+from mavnav.kernels.scans.observability import observability
 from mavnav.kernels.scans.points import LONGEST_M, extent, place_points, points_between
 from mavnav.mapping.tiled_arrays import NO_EXTENT, check_size, covered_extent, covering, enlarge, within
 from mavnav.profiling import timed
@@ -110,7 +111,7 @@ class LineMap(Struct):
     def observability(self, points: Array, map_T_laser: Pose) -> tuple[float, Array]:
         """Return the observability of a pose by points (n, 2), m, laser frame, and its information (6,), in points.
 
-        Both are described in `kernels.scans.correlative_search`.
+        Both are described in `kernels.scans.observability`.
         """
         pose, information = map_T_laser.as_array(), np.empty(6)
         return observability(points, pose, self.nearest, self.lines, self.geometry, information), information

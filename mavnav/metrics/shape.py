@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.kernels.maps.regions import region_sizes
-from mavnav.kernels.walls.profiles import smooth_image
+from mavnav.kernels.walls.smoothing import smooth_image
 from mavnav.mapping.occupancy_grid import OCCUPIED, UNKNOWN, Grid
 from mavnav.mapping.tiled_arrays import bands, count, where
 from mavnav.metrics.fields import Measured, number

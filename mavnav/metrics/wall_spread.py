@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Final
 import numpy as np
 from msgspec import Struct, field
 
-from mavnav.kernels.walls.profiles import straight_beams, wall_profiles
+from mavnav.kernels.walls.profiles import wall_profiles
+from mavnav.kernels.walls.straight_beams import straight_beams
 from mavnav.metrics.fields import Measured, absent, number, text
 from mavnav.metrics.journey import PlacedScans, spread
 from mavnav.metrics.walls import Sections, WallThickness, link, quantiles, summary

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from mavnav.kernels.scans.points import BENT, BESIDE_M, JOINED_M, STILL
+from mavnav.kernels.scans.sweep_shift import BENT, BESIDE_M, JOINED_M, STILL
 from mavnav.pose import Pose, transform_points
 
 # ---- hits, raycast -------------------------------------------------------------------------------------------------

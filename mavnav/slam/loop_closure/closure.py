@@ -55,7 +55,7 @@ SMALL_M, SMALL_RAD = 0.06, 1 * DEG
 class KeyClosure(Struct, frozen=True):
     """Key frame ``end`` saw the same walls as key frame ``start`` (numbers of key frames); ``match`` is the evidence.
 
-    ``information`` (6,) is that of the points about the pose, a share of a point: `kernels.scans.correlative_search`.
+    ``information`` (6,) is that of the points about the pose, a share of a point: `kernels.scans.observability`.
     ``weak_rad`` is the direction, frame of ``start``, in which the pose is not observable (along a plain corridor);
     None if all directions are observable.
     """

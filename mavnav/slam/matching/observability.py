@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 LEAST_OBSERVABILITY = 0.01
-"""Minimum ``kernels.scans.correlative_search`` of a constrained scan.
+"""Minimum ``kernels.scans.observability`` of a constrained scan.
 
 It is at least 0.033 on the recordings, and at most 0.002 in plain corridors, before a wall and in round rooms.
 """

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.kernels.scans.points import place_points, scan_points, sweep_shift
+from mavnav.kernels.scans.points import place_points, scan_points
+from mavnav.kernels.scans.sweep_shift import sweep_shift
 from mavnav.mapping.occupancy_grid import Grid, GridBuilder
 from mavnav.pose import Pose
 from mavnav.profiling import timed
 from mavnav.scan import LONGEST_SWEEP, Scan
 from mavnav.slam.matching.budget import (
-    DOUBTFUL_SCANS,
     RARELY_SCANS,
     WHOLE_EACH,
     WHOLE_FIRST,
@@ -21,6 +21,7 @@ from mavnav.slam.matching.budget import (
     WIDE_FIRST,
     WIDE_MOST,
     Budget,
+    is_lost,
     search_work,
 )
 from mavnav.slam.matching.observability import LEAST_OBSERVABILITY
@@ -89,7 +90,7 @@ class Robust:
     builds_map = True
     own_kernels = (
         *("line_search.search", "maps.conflicts", "maps.linemap"),
-        *("scans.correlative_search", "scans.rts_smoother"),
+        *("scans.correlative_search", "scans.observability", "scans.rts_smoother"),
     )
     """The modules of kernels that no other method needs."""
     found_conflicts = FOUND_CONFLICTS
@@ -151,7 +152,7 @@ class Robust:
         tried, good = self._search_near(points, predicted, motion, elapsed_s)
         if good:
             return tried[0]
-        expected, lost = motion.expected_poses(predicted, scan.stamp_ns), elapsed_s > DOUBTFUL_SCANS * motion.period_s
+        expected, lost = motion.expected_poses(predicted, scan.stamp_ns), is_lost(elapsed_s, motion.period_s)
         regions = self._lost_region(points, expected, elapsed_s) if lost else []
         given_up = lost and not regions
         if given_up and tried and motion.odometry is None:
@@ -271,7 +272,7 @@ class Robust:
             return None
         elapsed_s = motion.elapsed_s(scan.stamp_ns)
         self._free, self._bounded = self._free or everywhere(self.known), True
-        limit = FOUND_ANYWHERE_COST if elapsed_s > DOUBTFUL_SCANS * motion.period_s else np.inf
+        limit = FOUND_ANYWHERE_COST if is_lost(elapsed_s, motion.period_s) else np.inf
         matches = [match, *candidates(points, self.lines, self.known, self._free, self.config, limit=limit)]
         expected = motion.expected_poses(motion.predict(scan.stamp_ns), scan.stamp_ns)
         best = best_of(matches, expected, elapsed_s, self.config)

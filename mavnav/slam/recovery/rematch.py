@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec.structs import replace
 
-from mavnav.slam.matching.budget import DOUBTFUL_SCANS
+from mavnav.slam.matching.budget import is_lost
 from mavnav.slam.matching.motion_model import LONGEST_S, Motion, motion_at
 from mavnav.slam.matching.scan_matching import Match, MatchVerdict, with_effort
 from mavnav.slam.matching.steps import LOST_SCANS, Step, Steps
@@ -57,7 +57,7 @@ def between_accepted(steps: Steps) -> dict[int, Step]:
 def rematch_between(scan: Scan, step: Step, before: Step, after: Step, track: Track, refiner: Refiner) -> Step:
     """Match a scan between two accepted ones; return its step, tracked if the match is accepted."""
     here = motion_at(track.motion, after, before)
-    short = here.elapsed_s(before.stamp_ns) <= DOUBTFUL_SCANS * here.period_s
+    short = not is_lost(here.elapsed_s(before.stamp_ns), here.period_s)
     return rematch(scan, step, here, track, track.method.match if short else refiner.match_between)
 
 

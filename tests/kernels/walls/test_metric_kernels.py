@@ -8,7 +8,9 @@ from scipy import ndimage
 
 from mavnav.kernels.maps.regions import region_sizes
 from mavnav.kernels.walls.overlap import scan_distances
-from mavnav.kernels.walls.profiles import smooth_image, straight_beams, wall_profiles
+from mavnav.kernels.walls.profiles import wall_profiles
+from mavnav.kernels.walls.smoothing import smooth_image
+from mavnav.kernels.walls.straight_beams import straight_beams
 from mavnav.metrics.shape import gaussian, highest
 from mavnav.metrics.walls import link
 from mavnav.pose import Pose

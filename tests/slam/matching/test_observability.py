@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mavnav.config.models import Config
-from mavnav.kernels.scans.correlative_search import observability
+from mavnav.kernels.scans.observability import observability
 from mavnav.mapping.line_map import LineMap
 from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.scan import LaserSpec

@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from mavnav.config.models import Config
-from mavnav.kernels.scans.points import sweep_shift
+from mavnav.kernels.scans.sweep_shift import sweep_shift
 from mavnav.mapping.occupancy_grid import Grid, occupied_xy_m
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import LaserSpec, Scan
