@@ -10,7 +10,7 @@ __version__ = "0.3.0"
 
 def installed_version(package: str) -> str:
     """Return the version of an installed package by the name of its folder; "none" if there is no such folder."""
-    return _installed_versions().get(package, "none")
+    return _installed_versions().get(package.lower(), "none")
 
 
 @cache
@@ -19,4 +19,4 @@ def _installed_versions() -> dict[str, str]:
     from pathlib import Path  # noqa: PLC0415  the package is imported before Ctrl-C ends it silently
 
     folders = (folder.stem for path in reversed(sys.path) for folder in Path(path).glob("*-*.*-info"))
-    return {name: version for name, _, version in (folder.partition("-") for folder in folders)}
+    return {name.lower(): version for name, _, version in (folder.partition("-") for folder in folders)}

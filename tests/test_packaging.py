@@ -17,6 +17,7 @@ import yaml
 
 from mavnav import __version__
 from mavnav.cli import LIBRARIES, run
+from mavnav.outputs.documents import provenance
 from mavnav.version import installed_version
 
 ROOT = Path(__file__).parent.parent
@@ -31,8 +32,8 @@ def test_the_version_is_the_same_everywhere() -> None:
     assert [author["name"] for author in citation["authors"]] == [author["name"] for author in PROJECT["authors"]]
 
 
-@pytest.mark.parametrize("name", LIBRARIES)
-def test_the_folder_of_a_library_tells_its_version(name: str) -> None:
+@pytest.mark.parametrize("name", sorted({*LIBRARIES, *provenance.LIBRARIES}))
+def test_the_folder_of_a_library_has_its_version(name: str) -> None:
     try:
         wanted = metadata.version(name)
     except metadata.PackageNotFoundError:

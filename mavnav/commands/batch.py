@@ -122,7 +122,7 @@ def batch(
     part
         Run part I of N (default all); all parts share --output.
     """
-    typed = locals()  # parameters have the names of the fields of BatchOptions
+    typed = dict(locals())  # parameters have the names of the fields of BatchOptions
     if schema:
         from mavnav.batch.manifest import Manifest
         from mavnav.config.loading import schema_of

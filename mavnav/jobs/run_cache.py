@@ -104,11 +104,12 @@ def references_sha256(references: References) -> str:
 
 @cache
 def source_sha256() -> str:
-    """Return the SHA-256 over all modules of this package."""
+    """Return the SHA-256 over all files of this package but bytecode."""
     package = Path(__file__).parents[1]
     digest = hashlib.sha256()
-    for module in sorted(package.rglob("*.py")):
-        digest.update(f"{module.relative_to(package).as_posix()}\n".encode() + module.read_bytes())
+    for file in sorted(package.rglob("*.*")):
+        if file.suffix != ".pyc":
+            digest.update(f"{file.relative_to(package).as_posix()}\n".encode() + file.read_bytes())
     return digest.hexdigest()
 
 

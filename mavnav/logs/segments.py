@@ -93,8 +93,9 @@ class SweepJoiner:
         if self._joins and self._waiting:
             yield self._sweep()
         if self._incomplete:
-            text = f"segments are missing in {self._incomplete} of {self._sweeps} sweeps, whose beams there have no"
-            self._warn(f"{self._topic}: {text} return: see whether the recorder or the network drops messages")
+            sweeps = f"{self._incomplete} of {self._sweeps} sweeps, whose beams there have no return"
+            advice = "see whether the recorder or the network drops messages"
+            self._warn(f"{self._topic}: segments are missing in {sweeps}: {advice}")
         elif self._elsewhere > max(FEWEST_SHARE * self._scans, LOOKED_AT // 2):
             text = "the angles of the scans change from one to the next, as of segments that do not follow each other"
             self._warn(f"{self._topic}: {text}; they are used one by one: record the full frame of the laser")

@@ -1,14 +1,11 @@
-"""The pipeline of ``mavnav edit``: a finished map, edited on purpose, written beside it with digests that hold.
-
-Obstacles are erased, areas made unknown, a part is kept.
-"""
+"""The pipeline of ``mavnav edit``: a finished map, edited on purpose, written beside it with digests that hold."""
 
 from __future__ import annotations
 
 import shutil
 from contextlib import suppress
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from msgspec import Struct
@@ -17,8 +14,8 @@ from msgspec.structs import replace
 from mavnav.config.named_files import read_json
 from mavnav.errors import UsageError
 from mavnav.ground_truth.map_file import map_files
-from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, Grid, counts, occupancy
-from mavnav.mapping.tiled_arrays import bands
+from mavnav.mapping.map_edits import MapEdits, Rectangle, edit_grid
+from mavnav.mapping.occupancy_grid import OCCUPIED, UNKNOWN, Grid, occupancy
 from mavnav.outputs import directory
 from mavnav.outputs.documents.provenance import shell_line
 from mavnav.outputs.documents.run_json import METRICS
@@ -38,11 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
     from mavnav.profiling import Progress
-
-    Mask = NDArray[np.bool_]
 
 
 KEPT: Final = (".tum", ".csv", ".mcap", ".json", ".g2o")
@@ -192,86 +185,3 @@ def _mark(document: dict[str, Any], digests: dict[str, str], command: str) -> di
         "warnings": [*document.get("warnings", ()), f"the map was edited: {command}"],
         "outputs": digests,
     }
-
-
-CORNERS_TOUCH: Final = np.ones((3, 3), np.bool_)
-"""Neighbours of a cell with those at its corners."""
-
-
-class Rectangle(NamedTuple):
-    """A rectangle along the axes of the map frame, m."""
-
-    x0_m: float
-    y0_m: float
-    x1_m: float
-    y1_m: float
-
-
-class MapEdits(Struct, frozen=True):
-    """What to change on a map, in the order in which it is done."""
-
-    erase: tuple[Rectangle, ...] = ()
-    unknown: tuple[Rectangle, ...] = ()
-    crop: Rectangle | None = None
-    keep_largest: bool = False
-
-
-def edit_grid(grid: Grid, edits: MapEdits, map_T_grid: Pose) -> Grid:
-    """Return an edited copy of a grid that lies at ``map_T_grid`` in the map frame.
-
-    The hits in an erased cell become crossings, so that it is free. An unknown cell has neither.
-    """
-    edited = Grid(grid.cell_m, grid.origin_xy_m, grid.hits.copy(), grid.passes.copy())
-    for rectangle in edits.erase:
-        inside = _inside(grid, rectangle, map_T_grid)
-        edited.passes[inside] = counts(edited.passes[inside].astype(np.int64) + edited.hits[inside])
-        edited.hits[inside] = 0
-    for rectangle in edits.unknown:
-        inside = _inside(grid, rectangle, map_T_grid)
-        edited.hits[inside] = edited.passes[inside] = 0
-    if edits.crop:
-        edited = _cut_out(edited, _inside(grid, edits.crop, map_T_grid))
-    return _masked(edited, largest_area(edited)) if edits.keep_largest else edited
-
-
-def _inside(grid: Grid, rectangle: Rectangle, map_T_grid: Pose) -> Mask:
-    """Return which cells have their centres in a rectangle, (rows, cols)."""
-    rows, cols = grid.hits.shape
-    inside = np.zeros((rows, cols), np.bool_)
-    (x0_m, y0_m, x1_m, y1_m), (c, s) = rectangle, (np.cos(map_T_grid.yaw_rad), np.sin(map_T_grid.yaw_rad))
-    u = (np.arange(cols) + 0.5) * grid.cell_m + grid.origin_xy_m[0]
-    v = (np.arange(rows) + 0.5) * grid.cell_m + grid.origin_xy_m[1]
-    for _, _, band in bands(inside.shape):
-        x, y = map_T_grid.x_m + c * u - s * v[band, None], map_T_grid.y_m + s * u + c * v[band, None]
-        inside[band] = (x >= x0_m) & (x <= x1_m) & (y >= y0_m) & (y <= y1_m)
-    return inside
-
-
-def _masked(grid: Grid, mask: Mask) -> Grid:
-    """Return a grid that is unknown outside of a mask (rows, cols)."""
-    return Grid(grid.cell_m, grid.origin_xy_m, np.where(mask, grid.hits, 0), np.where(mask, grid.passes, 0))
-
-
-def _cut_out(grid: Grid, mask: Mask) -> Grid:
-    """Return the part of a grid round a mask (rows, cols), unknown outside of that; one cell where it is empty."""
-    kept = _masked(grid, mask)
-    rows, cols = (np.flatnonzero(mask.any(axis=axis)) if mask.any() else np.zeros(1, np.int64) for axis in (1, 0))
-    part = slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1)
-    x_cells, y_cells = (round(v / grid.cell_m) for v in grid.origin_xy_m)
-    origin = float((x_cells + cols[0]) * grid.cell_m), float((y_cells + rows[0]) * grid.cell_m)
-    return Grid(grid.cell_m, origin, kept.hits[part], kept.passes[part])
-
-
-def largest_area(grid: Grid) -> Mask:
-    """Return the cells of the largest free area, whose cells touch at edges, and the walls that touch it."""
-    from scipy.ndimage import binary_dilation, label  # noqa: PLC0415  takes 0.1 s to load
-
-    cells = occupancy(grid)
-    areas, count = label(cells == FREE)
-    if not count:
-        return np.ones(cells.shape, np.bool_)
-    largest = areas == 1 + np.argmax(np.bincount(areas.ravel())[1:])
-    walls, _ = label(cells == OCCUPIED, CORNERS_TOUCH)
-    touching = np.unique(walls[binary_dilation(largest, CORNERS_TOUCH)])
-    kept: Mask = largest | np.isin(walls, touching[touching > 0])
-    return kept

@@ -18,8 +18,6 @@ from msgspec import Struct
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, OCCUPIED_SHARE, UNKNOWN, Grid, counts, occupancy
 from mavnav.mapping.slices import Slice, slice_name
 from mavnav.mapping.tiled_arrays import bands
-from mavnav.metrics.wall_spread import WallCuts
-from mavnav.outputs.documents import run_json
 from mavnav.units import DEG, LARGEST_COORDINATE_M, MM
 
 if TYPE_CHECKING:
@@ -28,6 +26,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from mavnav.metrics.wall_spread import WallCuts
+    from mavnav.outputs.documents.run_json import Map
     from mavnav.outputs.run import RunResult
 
 
@@ -73,10 +73,12 @@ class GridMap(Struct, frozen=True, dict=True):
         return occupancy(self.known)
 
 
-def map_section(grid: Grid, accepted_share: float) -> run_json.Map:
+def map_section(grid: Grid, accepted_share: float) -> Map:
     """Describe the known part of a map, which has the scans of a share of 0 to 1."""
+    from mavnav.outputs.documents.run_json import Map  # noqa: PLC0415  not for who only reads maps
+
     rows, cols = grid.hits.shape
-    return run_json.Map(
+    return Map(
         cell_mm=grid.cell_m / MM,
         rows=rows,
         cols=cols,
@@ -262,6 +264,8 @@ def write_cuts(cuts: WallCuts | None, path: Path) -> None:
 
 def read_cuts(path: Path) -> WallCuts:
     """Read the cuts of a run; raises OSError where there is no such file, ValueError where it is another."""
+    from mavnav.metrics.wall_spread import WallCuts  # noqa: PLC0415  not for who only reads maps
+
     with path.open(encoding="ascii", newline="") as file:
         rows = list(csv.reader(file))
     if not rows or tuple(rows[0]) != WALL_COLUMNS:

@@ -231,9 +231,10 @@ class Robust:
         match = search_lines(points, self.lines, predicted, weakly if motion.odometry else blind)
         if motion.odometry and self.observability(points, match)[0] < LEAST_OBSERVABILITY:
             match = search_lines(points, self.lines, predicted, strongly, match)
-        start, clear = predicted, len(points) >= expert.sparse_points and match.inliers >= expert.retry_below
-        if clear and not motion.odometry and not self.acceptance.is_inside(match, start):
-            start, match = match.map_T_laser, search_lines(points, self.lines, match.map_T_laser, again, match)
+        start, is_clear = predicted, len(points) >= expert.sparse_points and match.inliers >= expert.retry_below
+        if is_clear and not motion.odometry and not self.acceptance.is_inside(match, start):
+            start = match.map_T_laser
+            match = search_lines(points, self.lines, start, again, match)
         if not self.acceptance.is_inside(match, start):
             return [match], False
         match = self._with_conflicts(match, points)

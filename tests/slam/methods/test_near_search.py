@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from msgspec.structs import replace
 
 from mavnav.config.models import Config
 from mavnav.pose import Pose
@@ -19,9 +20,11 @@ MS = 1_000_000
 START = Pose(3.0, 2.2, 1.0)
 
 
-def match_after(step: Pose, motion: Motion, monkeypatch: pytest.MonkeyPatch) -> tuple[Pose, int]:
+def match_after(
+    step: Pose, motion: Motion, monkeypatch: pytest.MonkeyPatch, config: Config | None = None
+) -> tuple[Pose, int]:
     """Return the pose at which a scan is matched after a step, and how often the second window is searched."""
-    method, search, searches = Robust(Config()), Robust._search_around, list[Any]()
+    method, search, searches = Robust(config or Config()), Robust._search_around, list[Any]()
 
     def count(*args: Any) -> list[Match]:
         searches.append(args)
@@ -40,6 +43,15 @@ def test_without_odometry_a_good_match_off_the_prediction_is_searched_again_ther
     pose, searches = match_after(step, Motion(0.1), monkeypatch)
     assert max(pose.gap(step)) < 0.003
     assert searches == 0
+
+
+@pytest.mark.parametrize("limit", [{"sparse_points": 5000}, {"retry_below": 1.1}], ids=["few points", "poor match"])
+def test_what_is_not_clear_is_searched_in_the_second_window(
+    limit: dict[str, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robust = Config().robust
+    config = replace(Config(), robust=replace(robust, expert=replace(robust.expert, **limit)))
+    assert match_after(Pose(0.04, 0.01, 0.06), Motion(0.1), monkeypatch, config)[1] == 1
 
 
 def test_a_match_far_from_the_odometry_is_searched_in_the_second_window(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,8 +8,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mavnav.mapping.map_edits import MapEdits, Rectangle, edit_grid, largest_area
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, Grid, occupancy
-from mavnav.pipelines.edit import MapEdits, Rectangle, edit_grid, largest_area
 from mavnav.pose import Pose
 
 CELL_M = 0.5
