@@ -186,9 +186,8 @@ def calibration_headline(document: dict[str, Any]) -> str:
 
 
 def _difference_text(name: str, difference: float) -> str:
-    return MOST_TELLING[name].format(
-        abs(difference), *(("later", "too short") if difference > 0 else ("earlier", "too long"))
-    )
+    words = ("later", "too short") if difference > 0 else ("earlier", "too long")
+    return MOST_TELLING[name].format(abs(difference), *words).replace("%", " %")
 
 
 MOST_TELLING: Final = {
