@@ -102,13 +102,16 @@ def references_sha256(references: References) -> str:
     return digest.hexdigest()
 
 
+_ONLY_IN_WHEELS: Final = {"configs", "docs"}
+
+
 @cache
 def source_sha256() -> str:
-    """Return the SHA-256 over all files of this package but bytecode."""
+    """Return the SHA-256 over the modules and data of this package, the same for a checkout and a wheel of it."""
     package = Path(__file__).parents[1]
     digest = hashlib.sha256()
     for file in sorted(package.rglob("*.*")):
-        if file.suffix != ".pyc":
+        if file.suffix != ".pyc" and file.relative_to(package).parts[0] not in _ONLY_IN_WHEELS:
             digest.update(f"{file.relative_to(package).as_posix()}\n".encode() + file.read_bytes())
     return digest.hexdigest()
 
