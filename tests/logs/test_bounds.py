@@ -5,7 +5,6 @@ from __future__ import annotations
 import bz2
 import sqlite3
 import struct
-import time
 import zlib
 from contextlib import closing
 from pathlib import Path
@@ -24,6 +23,7 @@ from mavnav.logs.formats.mcap_records import HEAD
 from mavnav.logs.read_report import MAX_DAMAGE, MAX_TEXT, MAX_WARNINGS, ReadReport
 from mavnav.logs.writing.convert import convert_log
 from mavnav.pipelines.info import info_document
+from support.effort import at_most_calls
 from support.log_files import (
     ODOM,
     PERIOD_NS,
@@ -136,10 +136,8 @@ def test_json_that_is_deep_or_large_or_of_many_digits_is_no_scan(text: bytes, tm
         schema = writer.register_schema("foxglove.LaserScan", "jsonschema", b"{}")
         writer.add_message(writer.register_channel("/scan", "json", schema), START_NS, text, START_NS)
         writer.finish()
-    began_s = time.process_time()
-    with pytest.raises(NoScansError, match="1 undecodable"):
+    with at_most_calls(20_000), pytest.raises(NoScansError, match="1 undecodable"):
         open_log(path)
-    assert time.process_time() - began_s < 5.0
 
 
 def test_json_numbers_beyond_all_bounds_do_no_harm(tmp_path: Path) -> None:
@@ -168,10 +166,8 @@ def test_a_computed_column_is_refused(tmp_path: Path) -> None:
         "INSERT INTO messages (topic_id, timestamp) WITH RECURSIVE n(k) AS (SELECT 1 UNION ALL SELECT k + 1 FROM n"
         " WHERE k < 2000) SELECT 1, k FROM n",
     )
-    began_s = time.process_time()
     with pytest.raises(NoScansError, match="the column data of messages is computed"):
         open_log(path)
-    assert time.process_time() - began_s < 2.0
 
 
 def test_a_topic_without_a_name_is_the_logs_fault(tmp_path: Path) -> None:
@@ -203,14 +199,13 @@ def test_warnings_are_capped_and_short() -> None:
 def test_of_hundreds_of_topics_the_first_hundred_are_read(tmp_path: Path) -> None:
     scans = [laser(k % 50, topic=f"/scan{k}", angle_max=3.0) for k in range(400)]
     path = write_mcap(tmp_path / "a.mcap", scans, chunk_size=1 << 20)
-    began_s = time.process_time()
-    found = survey(path)
-    logs = [choose(found, topic=topic) for topic in found.scans]
-    assert len(logs) == 100
-    assert "more than 100 topics have scans; others are left out, name one by --topic" in found.warnings
-    assert sum(len(log.warnings) for log in logs) <= (MAX_WARNINGS + 3) * len(logs)
-    assert list(survey(path, topic="/scan399").scans) == ["/scan399"]
-    assert time.process_time() - began_s < 4.0
+    with at_most_calls(1_500_000):
+        found = survey(path)
+        logs = [choose(found, topic=topic) for topic in found.scans]
+        assert len(logs) == 100
+        assert "more than 100 topics have scans; others are left out, name one by --topic" in found.warnings
+        assert sum(len(log.warnings) for log in logs) <= (MAX_WARNINGS + 3) * len(logs)
+        assert list(survey(path, topic="/scan399").scans) == ["/scan399"]
 
 
 @pytest.mark.slow
@@ -272,22 +267,20 @@ def test_a_file_of_holes_is_refused_at_once(suffix: str, tmp_path: Path) -> None
         file.truncate(20 << 30)
     if path.stat().st_blocks * 512 > 1 << 30:
         pytest.skip("this file system keeps no holes")
-    began_s = time.process_time()
-    with pytest.raises(NoScansError, match="of the file are holes"):
-        survey(path)
-    with pytest.raises(NoScansError, match="of the file are holes"):
-        convert_log(path, tmp_path / "c.mcap")
-    assert time.process_time() - began_s < 1.0
+    with at_most_calls(5_000):
+        with pytest.raises(NoScansError, match="of the file are holes"):
+            survey(path)
+        with pytest.raises(NoScansError, match="of the file are holes"):
+            convert_log(path, tmp_path / "c.mcap")
 
 
-def test_many_tiny_records_are_passed_in_seconds(tmp_path: Path) -> None:
+def test_many_tiny_records_are_passed_in_one_pass(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a.mcap", [laser(k) for k in range(5)])
     data = path.read_bytes()
     end = data.rindex(b"\x0f" + (4).to_bytes(8, "little"))
-    path.write_bytes(data[:end] + (b"\x90" + bytes(8)) * 100_000 + data[end:])
-    began_s = time.process_time()
-    assert survey(path).scans["/scan"].total == 5
-    assert time.process_time() - began_s < 2.0
+    path.write_bytes(data[:end] + (b"\x90" + bytes(8)) * 10_000 + data[end:])
+    with at_most_calls(2_000_000):
+        assert survey(path).scans["/scan"].total == 5
 
 
 def with_chunks(log: bytes, content: bytes, count: int) -> bytes:
@@ -308,13 +301,12 @@ def test_blank_pictures_compress_ten_thousandfold_and_are_no_damage(tmp_path: Pa
 
 
 @pytest.mark.slow
-def test_bombs_cost_no_scan_and_little_time(tmp_path: Path) -> None:
+def test_bombs_cost_no_scan_and_little_work(tmp_path: Path) -> None:
     """A MB of 200 bombs took `info` 31 CPU-s and 0.94 GB: what was left was decompressed again for each."""
     path = write_mcap(tmp_path / "a.mcap", [laser(k) for k in range(5)])
     path.write_bytes(with_chunks(path.read_bytes(), bytes(100 << 20), 60))
-    began_s = time.process_time()
-    found = survey(path)
-    assert time.process_time() - began_s < 5.0
+    with at_most_calls(15_000_000):
+        found = survey(path)
     assert found.scans["/scan"].total == 5
     assert "decompress to more than" in found.damage[-1].what
 

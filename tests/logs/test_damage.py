@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import struct
-import time
 import zlib
 from functools import partial
 from typing import TYPE_CHECKING
@@ -19,6 +18,7 @@ from mavnav.logs.messages.decode import DECODERS, SINGLE_POSES
 from mavnav.logs.messages.other_scans import OTHER_TYPES
 from mavnav.logs.read_report import KNOWN_ENCODINGS, KNOWN_TYPES, MAX_DAMAGE, ReadReport
 from mavnav.logs.records import Channel
+from support.effort import at_most_calls
 from support.log_files import PERIOD_NS, START_NS, WRITERS, drive, laser, serialized, write_bag1, write_bag2, write_mcap
 
 if TYPE_CHECKING:
@@ -307,12 +307,11 @@ def test_bag_chunk_whose_length_lies_costs_no_scan(name: str, length: int, tmp_p
     assert not any(d.what.startswith("-") for d in found.damage)
 
 
-def test_bag_of_nothing_but_op_fields_is_read_in_a_moment(tmp_path: Path) -> None:
+def test_bag_of_nothing_but_op_fields_is_read_once(tmp_path: Path) -> None:
     path = WRITERS["bag1"][1](tmp_path / "a.bag", [laser(k) for k in range(30)])
     path.write_bytes(path.read_bytes()[:8000] + b"\x04\0\0\0op=" * 100_000)
-    began_s = time.process_time()
-    assert survey(path).damage
-    assert time.process_time() - began_s < 5.0
+    with at_most_calls(1_000_000):
+        assert survey(path).damage
 
 
 @pytest.mark.parametrize("name", ["mcap-unchunked", "bag1", "db3"])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import time
 import zlib
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +13,7 @@ from mcap.opcode import Opcode as Op
 from mavnav.errors import NoScansError
 from mavnav.logs import Log, open_log, survey
 from mavnav.logs.formats.mcap_records import HEAD, MAGIC, chunk_head, plain_records
+from support.effort import at_most_calls
 from support.log_files import START_NS, WRITERS, foxglove_json, foxglove_protobuf, laser, serialized, write_mcap
 
 if TYPE_CHECKING:
@@ -171,18 +171,17 @@ def test_no_sound_scan_makes_way_for_a_suspect_one_of_its_stamp(tmp_path: Path) 
 
 
 @pytest.mark.slow
-def test_losses_without_number_are_passed_in_a_moment(tmp_path: Path) -> None:
+def test_losses_without_number_are_passed_in_one_pass(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a.mcap", [laser(k) for k in range(5)], use_chunking=False)
     data = path.read_bytes()
     at, end = heads(data, Op.MESSAGE)[0], heads(data, Op.DATA_END)[0]
-    path.write_bytes(data[:at] + (data[at:end] + b"\0" * 5) * 4000 + data[end:])
-    began_s = time.process_time()
-    assert survey(path).damage
-    assert time.process_time() - began_s < 10.0
+    path.write_bytes(data[:at] + (data[at:end] + b"\0" * 5) * 800 + data[end:])
+    with at_most_calls(2_500_000):
+        assert survey(path).damage
 
 
 @pytest.mark.slow
-def test_chunks_that_all_claim_the_same_bytes_are_read_in_a_moment(tmp_path: Path) -> None:
+def test_chunks_that_all_claim_the_same_bytes_are_read_once(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a.mcap", [laser(k) for k in range(5)])
     size = 20_000_000
     count = size // 60
@@ -192,6 +191,5 @@ def test_chunks_that_all_claim_the_same_bytes_are_read_in_a_moment(tmp_path: Pat
         for k in range(count)
     )  # fmt: skip
     path.write_bytes(path.read_bytes()[:60] + head)
-    began_s = time.process_time()
-    assert survey(path).damage
-    assert time.process_time() - began_s < 10.0
+    with at_most_calls(2_000_000):
+        assert survey(path).damage
