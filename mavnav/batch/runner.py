@@ -36,7 +36,7 @@ from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.documents.addresses import public_address
 from mavnav.outputs.documents.schema import number_names
 from mavnav.pipelines.replay import ReplayRequest, replay_log
-from mavnav.pipelines.score import ProgramRequest, score_program
+from mavnav.pipelines.score import ScoreRequest, score_program
 from mavnav.profiling import Progress
 from mavnav.slam.methods import registry
 
@@ -118,7 +118,7 @@ def check_gates(request: BatchRequest, cases: Sequence[Case], more: Sequence[str
 
 def replay_local(request: ReplayRequest, report: Progress) -> None:
     """Replay one log into its run directory; the kernels are compiled already, and nothing is returned."""
-    if isinstance(request, ProgramRequest):
+    if isinstance(request, ScoreRequest):
         score_program(request, report)
     else:
         replay_log(request, report, compile_s=0.0)

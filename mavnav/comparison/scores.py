@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from msgspec.structs import replace
-
 from mavnav.batch.cases import Case, CaseResult
 from mavnav.batch.document import without_search
 from mavnav.batch.request import Setting
@@ -88,8 +86,18 @@ def compare_with_poses(
     """
     request, log, config = plan.request, plan.cases[0].log, plan.cases[0].setting.config
     every, options = (*_own_poses(own), *sources), scored_options(request.entries[0].options)
-    given = ScoreRequest(Path(log), request.directory / POSES, config, every, options, force=True, typed=request.typed)
-    scored = score_log(replace(given, programs=tuple(programs), limit_s=limit_s), progress)
+    given = ScoreRequest(
+        Path(log),
+        request.directory / POSES,
+        config,
+        options,
+        force=True,
+        typed=request.typed,
+        sources=every,
+        programs=tuple(programs),
+        limit_s=limit_s,
+    )
+    scored = score_log(given, progress)
     return write_scores(log, scored, request.directory, own, request.rules.gates)
 
 
