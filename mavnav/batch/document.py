@@ -15,7 +15,7 @@ from mavnav.errors import SEVERITY, ExitCode, worst
 from mavnav.metrics.gates import VERDICTS, accepts_code, failure_text, judge_some, judge_verdict
 from mavnav.outputs.documents.quantities import verdict_texts
 from mavnav.outputs.documents.verdict import EXTERNAL
-from mavnav.version import __version__
+from mavnav.version import DOCUMENT_HEAD
 
 BATCH_FILE: Final = "batch.json"
 
@@ -110,8 +110,7 @@ def batch_document(
     runs = [row["run"] for row in rows]
     codes = [*(row["code"] for row in rows), *(ExitCode.GATE_FAILED for _ in missing_runs if baseline_gate)]
     return {
-        "schema_version": 1,
-        "mavnav_version": __version__,
+        **DOCUMENT_HEAD,
         "profile": next((run["map_quality"]["profile"] for run in runs if run and run.get("map_quality")), None),
         "counts": _counts(rows),
         "wall_s": wall_s,

@@ -28,7 +28,7 @@ from mavnav.outputs.files.document import plain, to_json
 from mavnav.outputs.report.entry import name_of, setting_of
 from mavnav.outputs.report.headline import headline
 from mavnav.outputs.report.markdown import escape, inert, table_row
-from mavnav.version import __version__
+from mavnav.version import DOCUMENT_HEAD
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -63,8 +63,7 @@ def comparison_document(results: Sequence[CaseResult], directory: Path, gates: S
     logs = _logs(planned, [name_of(row) for row in rows], runs)
     codes = [*(row["exit_code"] for row in rows), *(ExitCode.GATE_FAILED for v in verdicts if not v["passed"])]
     return {
-        "schema_version": 1,
-        "mavnav_version": __version__,
+        **DOCUMENT_HEAD,
         "verdict": plain(worst_verdict(Verdict(**known) for run in runs if run and (known := stored_verdict(run)))),
         "headline": " ".join(f"{log['log']}: {log['headline']}" if len(logs) > 1 else log["headline"] for log in logs),
         "profile": next((run["map_quality"]["profile"] for run in runs if run and run.get("map_quality")), None),

@@ -8,7 +8,6 @@ distance of the map from them.
 
 from __future__ import annotations
 
-from itertools import chain
 from typing import TYPE_CHECKING, Annotated, Final
 
 import numpy as np
@@ -261,8 +260,15 @@ def _nearest(stamps_ns: NDArray[np.int64], wanted_ns: NDArray[np.int64]) -> tupl
 def _errors(error: Array, relations: int) -> RelationErrors:
     n = len(error)
     length_m, turn_deg = np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2]) / DEG
-    means_and_deviations = [(float(e.mean()), float(e.std())) if n else (np.nan, np.nan) for e in (length_m, turn_deg)]
-    return RelationErrors(relations, n, n / relations if relations else np.nan, *chain(*means_and_deviations))
+    return RelationErrors(
+        relations=relations,
+        scored=n,
+        share=n / relations if relations else np.nan,
+        translation_mean_m=float(length_m.mean()) if n else np.nan,
+        translation_std_m=float(length_m.std()) if n else np.nan,
+        rotation_mean_deg=float(turn_deg.mean()) if n else np.nan,
+        rotation_std_deg=float(turn_deg.std()) if n else np.nan,
+    )
 
 
 def map_distance(occupied_xy_m: Array, truth: TrueMap) -> MapDistance:
@@ -275,6 +281,12 @@ def map_distance(occupied_xy_m: Array, truth: TrueMap) -> MapDistance:
     distance_mm = truth.distance_m(occupied_xy_m) / MM
     gap_m, _ = cKDTree(occupied_xy_m).query(truth.xy_m)
     median_mm, p95_mm = np.quantile(distance_mm, (0.5, 0.95)).tolist()
-    mean_mm, max_mm = float(distance_mm.mean()), float(distance_mm.max())
-    covered_share = float((gap_m <= COVERED_M).mean()) if len(gap_m) else np.nan
-    return MapDistance(truth.alignment, n, mean_mm, median_mm, p95_mm, max_mm, covered_share)
+    return MapDistance(
+        alignment=truth.alignment,
+        cells=n,
+        mean_mm=float(distance_mm.mean()),
+        median_mm=median_mm,
+        p95_mm=p95_mm,
+        max_mm=float(distance_mm.max()),
+        covered_share=float((gap_m <= COVERED_M).mean()) if len(gap_m) else np.nan,
+    )

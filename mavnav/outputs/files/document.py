@@ -24,7 +24,7 @@ from mavnav.profiling import peak_memory_mb
 from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, OdometryFit
 from mavnav.slam.matching.steps import LostInterval, Steps, refused_by
 from mavnav.units import DEG, NS
-from mavnav.version import __version__
+from mavnav.version import DOCUMENT_HEAD
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -49,8 +49,7 @@ def run_document(run: RunResult, outputs: dict[str, str]) -> model.RunDocument:
     """Describe a run; ``outputs`` maps the files written to their SHA-256."""
     mission, at = run.mission, run.slam.map_T_begin
     return model.RunDocument(
-        schema_version=1,
-        mavnav_version=__version__,
+        **DOCUMENT_HEAD,
         verdict=run_verdict(run),
         python=platform.python_version(),
         libraries=versions(),
@@ -96,9 +95,18 @@ def document_without_cost(run: RunResult) -> model.RunDocument:
 
 def run_verdict(run: RunResult) -> Verdict:
     """Judge a run by the sections of its run.json."""
-    more = {name: getattr(run, name) for name in ("localisation", "continued", "method", "external")}
-    more |= {"partial": run.stopped is not None, "mission": run.mission is not None}
-    return track_verdict(run.slam, run.log, run.config, map_quality=run.measured.quality, **more)
+    return track_verdict(
+        run.slam,
+        run.log,
+        run.config,
+        map_quality=run.measured.quality,
+        localisation=run.localisation,
+        continued=run.continued,
+        method=run.method,
+        external=run.external,
+        partial=run.stopped is not None,
+        mission=run.mission is not None,
+    )
 
 
 def track_verdict(slam: SlamResult, log: Log, config: Config, **more: object) -> Verdict:

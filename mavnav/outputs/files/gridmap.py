@@ -58,9 +58,6 @@ occupied_thresh: {occupied}
 free_thresh: {free}
 """
 
-THRESHOLDS: Final = ("0.65", "0.196")
-"""Thresholds of map_server's own map saver, for an occupied and for a free cell."""
-
 
 class GridMap(Struct, frozen=True, dict=True):
     """A map as the writers of map files take it; a run is one, too."""
@@ -113,14 +110,20 @@ def write_yaml(run: GridMap | RunResult, path: Path) -> None:
 
 
 def yaml_text(
-    run: GridMap | RunResult, image: str = "map.pgm", yaw_rad: float = 0.0, mode: str = "trinary", *thresholds: str
+    run: GridMap | RunResult,
+    image: str = "map.pgm",
+    *,
+    yaw_rad: float = 0.0,
+    mode: str = "trinary",
+    occupied: str = "0.65",
+    free: str = "0.196",
 ) -> str:
     """Return the description of `write_yaml`; ``image`` is the file of the picture, turned by ``yaw_rad``.
 
-    ``thresholds`` are the least share of an occupied cell and the greatest of a free one, if not the usual ones.
+    ``occupied`` and ``free`` are the least share of an occupied cell and the greatest of a free one; as of map_server's
+    own map saver by default.
     """
-    (x_m, y_m), (occupied, free) = map(float, run.known.origin_xy_m), thresholds or THRESHOLDS
-    cell_m = float(run.known.cell_m)
+    (x_m, y_m), cell_m = map(float, run.known.origin_xy_m), float(run.known.cell_m)
     return _YAML.format(
         image=image, mode=mode, cell_m=cell_m, x_m=x_m, y_m=y_m, yaw_rad=yaw_rad, occupied=occupied, free=free
     )
@@ -230,7 +233,8 @@ def write_scale(run: RunResult, path: Path) -> None:
     """
     if path.suffix == ".yaml":
         least = f"{OCCUPIED_SHARE - HALF_A_SHADE:.4f}"
-        path.write_text(yaml_text(run, SCALE_PICTURE, 0.0, "scale", least, str(FREE_SHARE)), encoding="ascii")
+        text = yaml_text(run, SCALE_PICTURE, mode="scale", occupied=least, free=str(FREE_SHARE))
+        path.write_text(text, encoding="ascii")
         return
     from PIL import Image  # noqa: PLC0415  few runs need it
 

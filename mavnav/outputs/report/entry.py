@@ -223,7 +223,9 @@ def _columns(sessions: list[NDArray[np.float64]]) -> ScanColumns:
         doubtful=np.zeros(len(poses), np.bool_),
         yaw_rad=poses[:, 3],
         roll_pitch_height=np.full((len(poses), 3), np.nan),
-        **dict.fromkeys(("cost_mm2", "threshold_mm2", "error_m"), unknown),
+        cost_mm2=unknown,
+        threshold_mm2=unknown,
+        error_m=unknown,
     )
 
 

@@ -25,7 +25,7 @@ from mavnav.outputs.report.html import environment, facts, inline
 from mavnav.outputs.report.pictures import Pictures, draw
 from mavnav.outputs.report.view_data import view_data
 from mavnav.units import pluralize
-from mavnav.version import __version__
+from mavnav.version import DOCUMENT_HEAD, __version__
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -61,7 +61,7 @@ def single(document: dict[str, Any], directory: str = ".") -> dict[str, Any]:
     cell = {key: document[key] for key in ("method", "grid", "azimuth", "exit_code")}
     cell |= {"log": document["input"]["path"], "status": "done", "directory": directory}
     cell |= {"trajectory": document["external"]["name"]} if "external" in document else {}
-    return {"schema_version": 1, "mavnav_version": document["mavnav_version"], "cells": [cell]}
+    return {**DOCUMENT_HEAD, "mavnav_version": document["mavnav_version"], "cells": [cell]}
 
 
 def write_report(comparison: dict[str, Any], directory: Path, path: Path) -> None:
@@ -86,8 +86,15 @@ def _sections(comparison: dict[str, Any], directory: Path, run: RunResult | None
 
 def _section(log: str, loaded: list[Entry | Failure]) -> LogSection:
     entries, failures = _by_kind(loaded)
-    texts, pictures = (headline(entries), facts([e.document for e in entries])), draw(entries) if entries else None
-    return LogSection(log, *texts, entries, failures, tables.table(entries), pictures)
+    return LogSection(
+        log=log,
+        headline=headline(entries),
+        facts=facts([e.document for e in entries]),
+        entries=entries,
+        failures=failures,
+        table=tables.table(entries),
+        pictures=draw(entries) if entries else None,
+    )
 
 
 def _by_kind(loaded: Sequence[Entry | Failure]) -> tuple[list[Entry], list[Failure]]:
