@@ -7,15 +7,20 @@ from __future__ import annotations
 
 import csv
 import io
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
 
 from mavnav.atomic_files import beside, writing
+from mavnav.batch.cases import CaseResult
 from mavnav.batch.document import ENDS, run_row
 from mavnav.errors import ExitCode, worst
+from mavnav.jobs.run_cache import PlannedRun
 from mavnav.metrics.gates import Gate, failure_text, judge_some, stored_verdict
 from mavnav.outputs.documents.quantities import (
     QUANTITIES,
     UNUSABLE,
+    Run,
     comparable,
     number,
     ranked_values,
@@ -29,14 +34,6 @@ from mavnav.outputs.report.entry import name_of, setting_of
 from mavnav.outputs.report.headline import headline
 from mavnav.outputs.report.markdown import escape, inert, table_row
 from mavnav.version import DOCUMENT_HEAD
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-
-    from mavnav.batch.cases import CaseResult
-    from mavnav.jobs.run_cache import PlannedRun
-    from mavnav.outputs.documents.quantities import Run
 
 COMPARISON_FILE: Final = "comparison.json"
 

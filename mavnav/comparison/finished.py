@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mavnav.batch.cases import Case, CaseResult
 from mavnav.batch.request import Setting
@@ -17,9 +18,6 @@ from mavnav.metrics.gates import Gate, check_known
 from mavnav.outputs.directory import RUN_FILE, check_files, file_sha256
 from mavnav.outputs.files.finished_run import FinishedRun, RunRecord, finished_run
 from mavnav.pipelines.replay import ReplayRequest
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 
 def compare_finished(paths: Sequence[Path], directory: Path, gates: Sequence[Gate] = ()) -> dict[str, Any]:

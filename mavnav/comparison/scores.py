@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from mavnav.batch.cases import Case, CaseResult
 from mavnav.batch.document import without_search
 from mavnav.batch.request import Setting
+from mavnav.batch.runner import BatchPlan
 from mavnav.comparison.document import write_comparison
 from mavnav.config.loading import load_config
 from mavnav.errors import ExitCode, UsageError
 from mavnav.ground_truth.tables import read_trajectory
 from mavnav.jobs.run_cache import PlannedRun
 from mavnav.jobs.worker import Outcome, Status
+from mavnav.metrics.gates import Gate
 from mavnav.pipelines.replay import ReplayRequest
 from mavnav.pipelines.score import Scored, ScoreRequest, check_names, score_log, scored_options
 from mavnav.pipelines.trajectory_source import LASER, RUN_POSES, Program, TrajectorySource
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mavnav.batch.runner import BatchPlan
-    from mavnav.metrics.gates import Gate
-    from mavnav.profiling import Progress
+from mavnav.profiling import Progress
 
 
 def write_scores(

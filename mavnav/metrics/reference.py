@@ -8,22 +8,19 @@ distance of the map from them.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Final
+from collections.abc import Callable
+from typing import Annotated, Final
 
 import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import asdict
+from numpy.typing import NDArray
 
 from mavnav.metrics.fields import Measured, absent, number
 from mavnav.pose import MAX_GAP_NS, Trajectory, between, motions, rigid_fit, transform_points
 from mavnav.units import DEG, MM
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 GAP_PERIODS: Final = 2.5
 """A gap between compared poses is longer than `MAX_GAP_NS` and than this many median steps; no stretch spans it."""

@@ -7,9 +7,11 @@ package ``xstatic-leaflet``.
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Sequence
 from functools import partial
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Any, Final
 
 from msgspec import Struct
 
@@ -24,15 +26,9 @@ from mavnav.outputs.report.headline import headline
 from mavnav.outputs.report.html import environment, facts, inline
 from mavnav.outputs.report.pictures import Pictures, draw
 from mavnav.outputs.report.view_data import view_data
+from mavnav.outputs.run import RunResult
 from mavnav.units import pluralize
 from mavnav.version import DOCUMENT_HEAD, __version__
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-
-    from mavnav.outputs.run import RunResult
-
 
 SCRIPTS: Final = ("data", "map", "plots", "viewer")
 """The scripts of the interactive map, each of which needs those before it."""
