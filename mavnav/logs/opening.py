@@ -137,7 +137,16 @@ def choose(
         _order=timeline.order,
         stamps_ns=timeline.stamps_ns,
         _ranges=scans.ranges,
-        **{name: getattr(survey, name) for name in Survey.__struct_fields__ if name in Log.__struct_fields__},
+        path=survey.path,
+        format=survey.format,
+        size_bytes=survey.size_bytes,
+        sha256=survey.sha256,
+        topics=survey.topics,
+        damage=survey.damage,
+        warnings=survey.warnings,
+        window_s=survey.window_s,
+        strict=survey.strict,
+        more=survey.more,
     )
     if timeline.distrust:
         text = f"{name}: the scans' own stamps are unusable ({timeline.distrust}); the times of recording are used"

@@ -7,29 +7,24 @@ from __future__ import annotations
 
 import csv
 import zipfile
+from collections.abc import Iterable, Iterator
 from errno import ENOENT
 from functools import cached_property
 from math import isfinite, prod
-from typing import IO, TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import IO, Any, Final
 
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, OCCUPIED_SHARE, UNKNOWN, Grid, counts, occupancy
 from mavnav.mapping.slices import Slice, slice_name
 from mavnav.mapping.tiled_arrays import bands
+from mavnav.metrics.wall_spread import WallCuts
+from mavnav.outputs.documents.run_json import Map
+from mavnav.outputs.run import RunResult
 from mavnav.units import DEG, LARGEST_COORDINATE_M, MM
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from mavnav.metrics.wall_spread import WallCuts
-    from mavnav.outputs.documents.run_json import Map
-    from mavnav.outputs.run import RunResult
-
 
 _PIXELS: Final = {FREE: 254, OCCUPIED: 0, UNKNOWN: 205}
 
@@ -48,15 +43,7 @@ CELLS_M: Final = (1e-3, 10.0)
 _PACKED: Final = 1
 """Of zlib's levels: a fifth of the time of 6, up to a fifth larger."""
 
-_YAML = """\
-image: {image}
-mode: {mode}
-resolution: {cell_m!r}
-origin: [{x_m!r}, {y_m!r}, {yaw_rad!r}]
-negate: 0
-occupied_thresh: {occupied}
-free_thresh: {free}
-"""
+_YAML: Final = Path(__file__).with_name("map_server.yaml").read_text("ascii")
 
 
 class GridMap(Struct, frozen=True, dict=True):
