@@ -154,6 +154,19 @@ def writing(path: Path, advice: str = "make room or name another") -> Iterator[N
         raise OutputError(f"{path} cannot be written: {error.strerror or error}; {advice}") from error
 
 
+@contextmanager
+def replacing(target: Path, *, force: bool, another: str, room: str) -> Iterator[Path]:
+    """Yield a path as `beside` does; raises OutputError that says what to choose if ``target`` is there, or no room."""
+    try:
+        with beside(target, exclusive=not force) as partial:
+            yield partial
+    except FileExistsError as error:
+        raise OutputError(f"{target} exists; choose {another}, or --force to replace it") from error
+    except OSError as error:
+        reason = error.strerror or error
+        raise OutputError(f"{target} cannot be written: {reason}; make room or choose {room}") from error
+
+
 def no_space(error: BaseException) -> bool:
     """Return whether an error is that a disk is full, or a quota used up."""
     return isinstance(error, OSError) and error.errno in {ENOSPC, EDQUOT}

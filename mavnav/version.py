@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import sys
 from functools import cache
+from typing import Any
 
 __version__ = "0.3.0"
+
+DOCUMENT_HEAD: dict[str, Any] = {"schema_version": 1, "mavnav_version": __version__}
+"""How every JSON document begins: the version of its format, and that of mavnav."""
 
 
 def installed_version(package: str) -> str:

@@ -17,7 +17,7 @@ from mavnav.errors import SEVERITY, ExitCode, UsageError
 from mavnav.metrics.gates import full_name
 from mavnav.outputs.documents.quantities import number
 from mavnav.outputs.files.document import to_json
-from mavnav.version import __version__
+from mavnav.version import DOCUMENT_HEAD
 
 
 class Tolerance(Struct, frozen=True):
@@ -129,7 +129,7 @@ def _figures(cell: Mapping[str, Any]) -> dict[str, float | None] | None:
 def write_baseline(rows: Sequence[Mapping[str, Any]], path: Path, watched: Sequence[Tolerance]) -> None:
     """Write only the metrics that are compared, so that the file can be committed with the code."""
     cells = [_baseline_row(row, watched) for row in rows]
-    document = {"schema_version": 1, "mavnav_version": __version__, "cells": cells}
+    document = {**DOCUMENT_HEAD, "cells": cells}
     with writing(path, "name another file"), beside(path) as partial:
         partial.write_text(to_json(document), encoding="utf-8")
 

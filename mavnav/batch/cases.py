@@ -30,7 +30,7 @@ from mavnav.metrics.gates import Gate, parse_gate, read_accept
 from mavnav.outputs.directory import document_of
 from mavnav.outputs.documents.addresses import is_address, public_address
 from mavnav.pipelines.replay import ReplayRequest
-from mavnav.pipelines.score import ProgramRequest
+from mavnav.pipelines.score import ScoreRequest, scored_options
 from mavnav.profiling import Progress
 
 _PATTERN: Final = re.compile(r"[*?[]")
@@ -256,12 +256,12 @@ def _cases(request: BatchRequest, entry: BatchLogs, log: str, name: str, progres
     path, address = (Path(public_address(log)), log) if is_address(log) else (request.base / log, None)
     more: dict[str, Any] = {"force": True, "report": request.report, "address": address, "typed": request.typed}
     for setting in request.settings:
-        given = (path, request.directory, setting.config, entry.options)
-        if setting.program:
-            limit_s = request.limits.program_s
-            wanted: ReplayRequest = ProgramRequest(*given, program=setting.program, limit_s=limit_s, **more)
+        given, program = (path, request.directory, setting.config), setting.program
+        if program:
+            own = {"programs": (program,), "limit_s": request.limits.program_s, "alone": True}
+            wanted: ReplayRequest = ScoreRequest(*given, scored_options(entry.options), **more | own)
         else:
-            wanted = ReplayRequest(*given, **more)
+            wanted = ReplayRequest(*given, entry.options, **more)
         yield Case(_name(entry, name, setting), setting=setting, run=make_run(wanted, *digests), **shared)
 
 

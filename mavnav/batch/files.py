@@ -1,10 +1,6 @@
-"""The files of a batch: batch.json, batch.csv, batch.html, and JUnit XML for CI servers.
+"""The files of a batch: batch.json, batch.csv, and batch.html, the page of all runs.
 
-The page has all runs, worst first, each with a small map and the reasons of a failure. The format of the XML, a test
-suite per log, a test case per run, is junit-10.xsd, the schema of Jenkins' xUnit plugin: ``testsuites`` of
-``testsuite`` of ``testcase``, each case with at most one ``failure`` or ``error``. A failed gate, a lost track and a
-damaged log are failures; a run without a result is an error. Metrics are the output of a case, because the schema has
-properties for suites only.
+The page has the worst run first, each with a small map and the reasons of a failure.
 """
 
 from __future__ import annotations
@@ -12,19 +8,18 @@ from __future__ import annotations
 import csv
 import io
 import os
-import re
 from base64 import b64encode
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
-from xml.etree import ElementTree as XML  # noqa: N814  short, because many lines use it
 
 import numpy as np
 from PIL import Image
 
 from mavnav.atomic_files import beside, writing
-from mavnav.batch.document import BATCH_FILE, ENDS, IDENTICAL_GATE, why, worst_first
+from mavnav.batch.document import BATCH_FILE, ENDS, why, worst_first
+from mavnav.batch.repeats import IDENTICAL_GATE
 from mavnav.batch.summary import batch_headline, change_text
 from mavnav.config.named_files import read_json
 from mavnav.errors import ExitCode, UsageError
@@ -56,7 +51,7 @@ FIGURES: Final = (
     "timing.cpu_s",
     "timing.wall_s",
 )
-"""Numbers of run.json that have a column in batch.csv."""
+"""Numbers of run.json that have a column in batch.csv, and stand in the JUnit report."""
 
 _HEAD: Final = ("name", "log", "setting", "method", "grid", "azimuth", "status", "exit_code", "code", "error")
 
@@ -225,76 +220,3 @@ def thumbnail(directory: Path) -> str | None:
     buffer = io.BytesIO()
     Image.fromarray(shades.astype(np.uint8)).quantize(4).save(buffer, format="PNG", optimize=True)
     return "data:image/png;base64," + b64encode(buffer.getvalue()).decode("ascii")
-
-
-_INVALID_XML: Final = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-"""Characters that XML 1.0 does not allow (section 2.2)."""
-
-
-def to_junit(document: Mapping[str, Any]) -> str:
-    """Return a batch as JUnit XML."""
-    logs: dict[str, list[Mapping[str, Any]]] = {}
-    for row in document["cells"]:
-        logs.setdefault(row["log"], []).append(row)
-    suites = [_suite(log, rows) for log, rows in logs.items()]
-    missing_runs = (document["baseline"] or {}).get("missing", [])
-    if missing_runs:
-        suites.append(_missing(missing_runs, failed=bool(document["baseline"].get("gate"))))
-    sums = {name: str(sum(int(suite.attrib[name]) for suite in suites)) for name in ("tests", "failures", "errors")}
-    seconds = sum(float(suite.attrib["time"]) for suite in suites)
-    root = XML.Element("testsuites", {"name": "mavnav batch", **sums, "time": f"{seconds:.3f}"})
-    root.extend(suites)
-    XML.indent(root)
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + XML.tostring(root, encoding="unicode") + "\n"
-
-
-def _totals(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
-    kinds = Counter(_kind(row) for row in rows)
-    counts = {"tests": len(rows), "failures": kinds["failure"], "errors": kinds["error"]}
-    return {**{name: str(count) for name, count in counts.items()}, "time": f"{sum(map(_seconds, rows)):.3f}"}
-
-
-def _seconds(row: Mapping[str, Any]) -> float:
-    """Return the duration of a run in s, in this batch or, if it was finished before, in its own run."""
-    return float(row["seconds"] or number(row["run"], "timing.wall_s") or 0.0)
-
-
-def _kind(row: Mapping[str, Any]) -> str | None:
-    return None if not row["code"] else "failure" if row["run"] else "error"
-
-
-def _suite(log: str, rows: Sequence[Mapping[str, Any]]) -> XML.Element:
-    suite = XML.Element("testsuite", {"name": _text(log), **_totals(rows), "skipped": "0"})
-    suite.extend(_case(log, row) for row in rows)
-    return suite
-
-
-def _case(log: str, row: Mapping[str, Any]) -> XML.Element:
-    name = row["name"].removeprefix(log).strip() or row["name"]
-    case = XML.Element("testcase", {"name": _text(name), "classname": _text(log), "time": f"{_seconds(row):.3f}"})
-    kind, reasons = _kind(row), [_text(reason) for reason in why(row)]
-    if kind:
-        about = {"message": reasons[0], "type": f"exit code {row['code']}"}
-        XML.SubElement(case, kind, about).text = "\n".join(reasons)
-    figures = ((name, number(row["run"], name)) for name in FIGURES)
-    old = (row["baseline"] or {}).get("before", {})
-    before = {name: f" baseline {value:.6g}" for name, value in old.items() if value is not None}
-    if known := [f"{name} {value:.6g}{before.get(name, '')}" for name, value in figures if value is not None]:
-        word, reason = verdict_texts(row["run"])
-        XML.SubElement(case, "system-out").text = _text("\n".join([f"verdict {word}: {reason}", *known]))
-    return case
-
-
-def _missing(names: Sequence[str], *, failed: bool) -> XML.Element:
-    """Return a suite of the runs that are in the baseline and not in the batch."""
-    count = str(len(names) if failed else 0)
-    counts = {"tests": str(len(names)), "failures": count, "errors": "0", "time": "0.000"}
-    suite = XML.Element("testsuite", {"name": "missing", **counts, "skipped": str(0 if failed else len(names))})
-    for name in names:
-        case = XML.SubElement(suite, "testcase", {"name": _text(name), "classname": "missing", "time": "0.000"})
-        XML.SubElement(case, "failure" if failed else "skipped", {"message": "the baseline has it, this batch has not"})
-    return suite
-
-
-def _text(text: str) -> str:
-    return _INVALID_XML.sub("?", text)

@@ -19,10 +19,11 @@ from msgspec.structs import asdict, replace
 from mavnav.atomic_files import discard
 from mavnav.batch.baseline import EXAMPLE, missing, write_baseline
 from mavnav.batch.cases import Case, CaseResult, make_cases, read_paths
-from mavnav.batch.document import BATCH_FILE, batch_document, compare_repeats, judged_row, of_program
+from mavnav.batch.document import BATCH_FILE, batch_document, judged_row, of_program
 from mavnav.batch.files import check_files, write_batch
 from mavnav.batch.manifest import GATE_EXAMPLE, errors_at
 from mavnav.batch.remote import download
+from mavnav.batch.repeats import compare_repeats
 from mavnav.batch.request import BatchRequest, RunLimits
 from mavnav.config.options import absolute_options
 from mavnav.errors import ExitCode, MavnavError, UsageError
@@ -35,7 +36,7 @@ from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.documents.addresses import public_address
 from mavnav.outputs.documents.schema import number_names
 from mavnav.pipelines.replay import ReplayRequest, replay_log
-from mavnav.pipelines.score import ProgramRequest, score_program
+from mavnav.pipelines.score import ScoreRequest, score_program
 from mavnav.profiling import Progress
 from mavnav.slam.methods import registry
 
@@ -117,7 +118,7 @@ def check_gates(request: BatchRequest, cases: Sequence[Case], more: Sequence[str
 
 def replay_local(request: ReplayRequest, report: Progress) -> None:
     """Replay one log into its run directory; the kernels are compiled already, and nothing is returned."""
-    if isinstance(request, ProgramRequest):
+    if isinstance(request, ScoreRequest):
         score_program(request, report)
     else:
         replay_log(request, report, compile_s=0.0)

@@ -208,7 +208,8 @@ def _cluster(request: BatchRequest, *, quiet: bool) -> Iterator[Cluster | None]:
 
 def _write_for_ci(document: dict[str, Any], junit: Path | None, summary: Path | None, *, annotations: bool) -> None:
     """Write what CI reads: files, and GitHub annotations."""
-    from mavnav.batch.files import append_text, to_junit, write_text
+    from mavnav.batch.files import append_text, write_text
+    from mavnav.batch.junit import to_junit
     from mavnav.batch.summary import github_commands, to_summary
 
     if junit:

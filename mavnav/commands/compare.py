@@ -125,7 +125,7 @@ def _compare_finished(
     """Compare finished runs; return comparison.json."""
     with reporting(quiet=quiet) as report:
         with loading_modules():
-            from mavnav.comparison.scores import compare_finished
+            from mavnav.comparison.finished import compare_finished
             from mavnav.outputs.writers import REPORT_FILE, write_page
         target = directory or shared.free_directory(Path("runs/compare"), force=False)
         document = compare_finished(runs, target, gates)

@@ -63,10 +63,18 @@ def score(
         usual = Path("runs") / f"score-{log_name(source.path)}"
         target = directory or shared.free_directory(usual, force=force)
         chosen = load_config(config, sets or [], settings_of(options))
-        typed = Typed(context.obj, config, tuple(sets or ()))
-        poses = tuple(map(read_source, trajectories or ()))
-        others = tuple(map(read_program, programs or ())), program_s
-        request = ScoreRequest(source.path, target, chosen, poses, options, force, typed, source.more, *others)
+        request = ScoreRequest(
+            source.path,
+            target,
+            chosen,
+            options,
+            force,
+            typed=Typed(context.obj, config, tuple(sets or ())),
+            more=source.more,
+            sources=tuple(map(read_source, trajectories or ())),
+            programs=tuple(map(read_program, programs or ())),
+            limit_s=program_s,
+        )
         scored = score_log(request, report)
         document = write_scores(source.name, scored, target)
         report("drawing the report", 0, None)

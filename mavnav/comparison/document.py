@@ -7,15 +7,20 @@ from __future__ import annotations
 
 import csv
 import io
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
 
 from mavnav.atomic_files import beside, writing
+from mavnav.batch.cases import CaseResult
 from mavnav.batch.document import ENDS, run_row
 from mavnav.errors import ExitCode, worst
+from mavnav.jobs.run_cache import PlannedRun
 from mavnav.metrics.gates import Gate, failure_text, judge_some, stored_verdict
 from mavnav.outputs.documents.quantities import (
     QUANTITIES,
     UNUSABLE,
+    Run,
     comparable,
     number,
     ranked_values,
@@ -28,15 +33,7 @@ from mavnav.outputs.files.document import plain, to_json
 from mavnav.outputs.report.entry import name_of, setting_of
 from mavnav.outputs.report.headline import headline
 from mavnav.outputs.report.markdown import escape, inert, table_row
-from mavnav.version import __version__
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-
-    from mavnav.batch.cases import CaseResult
-    from mavnav.jobs.run_cache import PlannedRun
-    from mavnav.outputs.documents.quantities import Run
+from mavnav.version import DOCUMENT_HEAD
 
 COMPARISON_FILE: Final = "comparison.json"
 
@@ -63,8 +60,7 @@ def comparison_document(results: Sequence[CaseResult], directory: Path, gates: S
     logs = _logs(planned, [name_of(row) for row in rows], runs)
     codes = [*(row["exit_code"] for row in rows), *(ExitCode.GATE_FAILED for v in verdicts if not v["passed"])]
     return {
-        "schema_version": 1,
-        "mavnav_version": __version__,
+        **DOCUMENT_HEAD,
         "verdict": plain(worst_verdict(Verdict(**known) for run in runs if run and (known := stored_verdict(run)))),
         "headline": " ".join(f"{log['log']}: {log['headline']}" if len(logs) > 1 else log["headline"] for log in logs),
         "profile": next((run["map_quality"]["profile"] for run in runs if run and run.get("map_quality")), None),

@@ -7,31 +7,36 @@ repeated. ``comparison.json``, ``comparison.csv``, ``comparison.md`` and ``repor
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from msgspec.structs import replace
 
 from mavnav.batch.cases import Case, CaseResult, make_cases
-from mavnav.batch.request import BatchLogs, BatchRequest, Rules, RunLimits, crossed_settings, named_settings, swept
+from mavnav.batch.request import (
+    BatchLogs,
+    BatchRequest,
+    Rules,
+    RunLimits,
+    Setting,
+    crossed_settings,
+    named_settings,
+    swept,
+)
 from mavnav.batch.runner import BatchPlan, check_gates, plan_cases, run_cases
 from mavnav.comparison.document import COMPARISON_FILE, RELATIVE_COSTS, write_comparison
+from mavnav.config.models import Config
 from mavnav.config.named_files import read_json
 from mavnav.config.options import ReplayOptions, reference_files
 from mavnav.errors import UsageError
 from mavnav.jobs.run_cache import RUNS_FOLDER, PlannedRun, check_cache_directory
+from mavnav.jobs.worker import Event
 from mavnav.logs.formats.detect import log_name
+from mavnav.metrics.gates import Gate
 from mavnav.outputs.documents.provenance import Typed
 from mavnav.outputs.writers import REPORT_FILE
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Sequence
-
-    from mavnav.batch.request import Setting
-    from mavnav.config.models import Config
-    from mavnav.jobs.worker import Event
-    from mavnav.metrics.gates import Gate
-    from mavnav.profiling import Progress
+from mavnav.profiling import Progress
 
 _OWN_FILES: Final = (RUNS_FOLDER, "logs", COMPARISON_FILE)
 

@@ -7,18 +7,16 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from mavnav.atomic_files import beside, writing
 from mavnav.errors import OutputError
 from mavnav.logs.writing.recorder import record
 from mavnav.pipelines.simulate import recording_of
+from mavnav.profiling import Progress
 from mavnav.simulation.mission import fly
 from mavnav.simulation.world import load_scenario
 from mavnav.version import __version__
-
-if TYPE_CHECKING:
-    from mavnav.profiling import Progress
 
 SCENARIO: Final = "corridor"
 SETS: Final = ("seed=1", "vehicle.laser_x_mm=60")

@@ -23,7 +23,7 @@ from mavnav.outputs.directory import RUN_FILE, check_link, file_sha256
 from mavnav.outputs.documents.run_json import RunDocument
 from mavnav.outputs.writers import REPORT_FILE
 from mavnav.pipelines.replay import ReplayRequest
-from mavnav.pipelines.score import ProgramRequest
+from mavnav.pipelines.score import ScoreRequest
 from mavnav.version import __version__
 
 RUNS_FOLDER: Final = "cells"
@@ -87,7 +87,7 @@ def run_key(request: ReplayRequest, log_sha256: str, references: str) -> str:
         "config": request.config.document(),
         "options": {name: value for name, value in run_options(request.options) if name not in files},
         "references": references,
-        **({"program": request.program.key()} if isinstance(request, ProgramRequest) else {}),
+        **({"program": request.programs[0].key()} if isinstance(request, ScoreRequest) else {}),
     }
     return hashlib.sha256(json.dumps(document, sort_keys=True, default=str).encode()).hexdigest()
 

@@ -18,9 +18,9 @@ from mavnav.logs.merging import FRAME, partners, virtual_laser
 from mavnav.logs.messages.decode import LASER_TYPES, scan_topics
 from mavnav.logs.messages.other_scans import OTHER_TYPES
 from mavnav.logs.namespaces import topic_and_frame
+from mavnav.logs.periods import comes_in_bursts, period_and_gaps
 from mavnav.logs.preprocessing import KINDS
 from mavnav.logs.records import ScanCounts
-from mavnav.logs.stamps import comes_in_bursts, period_and_gaps
 from mavnav.logs.survey import Survey, survey
 from mavnav.logs.topic_scans import REPEATED_SHARE, Timeline, TopicScans
 from mavnav.logs.trajectories import laser_odometry, laser_truth
@@ -137,7 +137,16 @@ def choose(
         _order=timeline.order,
         stamps_ns=timeline.stamps_ns,
         _ranges=scans.ranges,
-        **{name: getattr(survey, name) for name in Survey.__struct_fields__ if name in Log.__struct_fields__},
+        path=survey.path,
+        format=survey.format,
+        size_bytes=survey.size_bytes,
+        sha256=survey.sha256,
+        topics=survey.topics,
+        damage=survey.damage,
+        warnings=survey.warnings,
+        window_s=survey.window_s,
+        strict=survey.strict,
+        more=survey.more,
     )
     if timeline.distrust:
         text = f"{name}: the scans' own stamps are unusable ({timeline.distrust}); the times of recording are used"

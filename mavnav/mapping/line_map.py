@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from functools import partial
 from math import floor, hypot
-from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec import Struct, field
+from numpy.typing import NDArray
 
 from mavnav.kernels.maps import cost_floors
 from mavnav.kernels.maps.layout import FAR, LEVELS, NEAR, REACH_CELLS
@@ -18,16 +18,11 @@ from mavnav.kernels.maps.linemap import WINDOW_CELLS, Geometry, insert_points, r
 from mavnav.kernels.scans.correlative_search import pose_costs
 from mavnav.kernels.scans.observability import observability
 from mavnav.kernels.scans.points import LONGEST_M, extent, place_points, points_between
-from mavnav.mapping.tiled_arrays import NO_EXTENT, check_size, covered_extent, covering, enlarge, within
+from mavnav.mapping.tiled_arrays import NO_EXTENT, Extent, check_size, covered_extent, covering, enlarge, within
+from mavnav.pose import Pose
 from mavnav.profiling import timed
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mavnav.mapping.tiled_arrays import Extent
-    from mavnav.pose import Pose
-
-    Array = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 _BLOCK_CELLS = 256
 MAX_CELLS = 1 << 30

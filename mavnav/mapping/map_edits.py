@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, Grid, counts, occupancy
 from mavnav.mapping.tiled_arrays import bands
+from mavnav.pose import Pose
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mavnav.pose import Pose
-
-    Mask = NDArray[np.bool_]
+Mask = NDArray[np.bool_]
 
 CORNERS_TOUCH: Final = np.ones((3, 3), np.bool_)
 """Neighbours of a cell with those at its corners."""

@@ -3,26 +3,23 @@
 from __future__ import annotations
 
 from math import floor
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import force_setattr
+from numpy.typing import NDArray
 
 from mavnav.kernels.maps import hits as hits_kernel
 from mavnav.kernels.maps.dynamic_cells import dynamic_cells
 from mavnav.kernels.maps.layout import MOST, MOST_SHIELDED, WIDE
 from mavnav.kernels.scans.points import extent
 from mavnav.mapping import tiled_arrays
+from mavnav.mapping.tiled_arrays import Extent
+from mavnav.pose import Pose
 from mavnav.profiling import timed
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mavnav.mapping.tiled_arrays import Extent
-    from mavnav.pose import Pose
-
-    Array = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 BLOCK_CELLS = 64
 _MARGIN_CELLS: Final = 2

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
 from math import inf
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
 from mavnav.mapping.occupancy_grid import Grid
 from mavnav.pose import Trajectory, transform_points
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-
-    from numpy.typing import NDArray
-
-    from mavnav.scan import Scan
+from mavnav.scan import Scan
 
 LEAST_SHARE: Final = 0.01
 """Slices with a smaller share of the hits are left out."""

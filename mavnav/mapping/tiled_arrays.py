@@ -8,25 +8,22 @@ of a column's and a row's part, ``col + col // WIDE * WIDE * (rows - 1) + WIDE *
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 from math import inf
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavnav.errors import MapTooLargeError
 from mavnav.kernels.maps.layout import WIDE
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from numpy.typing import NDArray
-
-    Cell = tuple[int, int]
-    Extent = tuple[float, float, float, float]
-    """Least x, least y, largest x and largest y of points, m."""
-    CellFunction = Callable[[NDArray[Any]], NDArray[Any]]
-    """Function from the values of cells to one value for each."""
+Cell = tuple[int, int]
+Extent = tuple[float, float, float, float]
+"""Least x, least y, largest x and largest y of points, m."""
+CellFunction = Callable[[NDArray[Any]], NDArray[Any]]
+"""Function from the values of cells to one value for each."""
 
 NO_EXTENT = (inf, inf, -inf, -inf)
 """Extent of a lattice without cells."""

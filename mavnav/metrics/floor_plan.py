@@ -6,23 +6,20 @@ The lines of `straight_walls` are hypotheses; ends and offsets are those of the 
 from __future__ import annotations
 
 from itertools import chain
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
 from mavnav.mapping.occupancy_grid import FREE, Grid, occupancy, occupied_xy_m
 from mavnav.metrics.map_quality import only_occupied
+from mavnav.metrics.wall_spread import WallCuts
 from mavnav.metrics.walls import straight_walls, wall_sections
 from mavnav.pose import Pose, transform_points
 from mavnav.units import DEG
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mavnav.metrics.wall_spread import WallCuts
-
-    Array = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 SNAP_RAD: Final = 5.0 * DEG
 """Walls that differ less from the main direction, or from its normal, are turned into it."""

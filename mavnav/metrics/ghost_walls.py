@@ -7,10 +7,12 @@ between them; the walls of a corridor face each other. Definition and validation
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Final
+from collections.abc import Iterable
+from typing import Annotated, Final
 
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
 from mavnav.kernels.walls.profiles import wall_profiles
 from mavnav.mapping.occupancy_grid import Grid, cell_centres
@@ -18,12 +20,7 @@ from mavnav.metrics.fields import Measured, number
 from mavnav.metrics.walls import Sections, fit_line, link, members
 from mavnav.units import DEG, MM
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 LEAST_OFFSET_CELLS: Final = 1.5
 MAX_OFFSET_CELLS: Final = 13

@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from math import tau
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from mavnav.pose import Trajectory
 from mavnav.scan import SAME_RAD, LaserSpec, Scan
 from mavnav.units import NS
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
-    Scans = Callable[[], Iterable[Scan]]
-    """Reads all scans again at every call."""
+Floats = NDArray[np.float64]
+Scans = Callable[[], Iterable[Scan]]
+"""Reads all scans again at every call."""
 
 PAUSE_NS: Final = round(1000.0 / NS)
 """Between two sessions, so that no two scans of different ones are neighbors in time."""

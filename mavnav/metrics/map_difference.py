@@ -6,21 +6,17 @@ the maps are no change, nor are walls that are displaced a little by an error of
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, Grid, cell_centres, known_area, occupancy
 from mavnav.mapping.tiled_arrays import bands, farther
 from mavnav.pose import Pose, transform_points
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
 
 TOLERANCE_M = 0.15
 """Largest distance to a wall of the other map at which a wall is no change."""

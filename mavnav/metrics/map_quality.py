@@ -7,10 +7,11 @@ or threshold is another profile. Definitions: docs/metrics.md.
 from __future__ import annotations
 
 from math import ceil, sqrt
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import Annotated, Final
 
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
 from mavnav.kernels.maps.hits import show_ends
 from mavnav.mapping.occupancy_grid import OCCUPIED, UNKNOWN, Grid, occupancy, occupied_cells
@@ -23,10 +24,6 @@ from mavnav.metrics.revisits import Revisits, pairs_of, revisits
 from mavnav.metrics.shape import Crispness, EnclosedAreas, corners, crispness, dilate, enclosed_areas, occupied_share
 from mavnav.metrics.wall_spread import WALL_SCANS, WallCuts, cut_walls, wall_spread
 from mavnav.metrics.walls import THRESHOLDS, Sections, StraightWall, straight_walls, wall_sections
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 
 PROFILE: Final = "map-quality/2"
 

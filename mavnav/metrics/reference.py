@@ -8,23 +8,19 @@ distance of the map from them.
 
 from __future__ import annotations
 
-from itertools import chain
-from typing import TYPE_CHECKING, Annotated, Final
+from collections.abc import Callable
+from typing import Annotated, Final
 
 import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import asdict
+from numpy.typing import NDArray
 
 from mavnav.metrics.fields import Measured, absent, number
 from mavnav.pose import MAX_GAP_NS, Trajectory, between, motions, rigid_fit, transform_points
 from mavnav.units import DEG, MM
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 GAP_PERIODS: Final = 2.5
 """A gap between compared poses is longer than `MAX_GAP_NS` and than this many median steps; no stretch spans it."""
@@ -261,8 +257,15 @@ def _nearest(stamps_ns: NDArray[np.int64], wanted_ns: NDArray[np.int64]) -> tupl
 def _errors(error: Array, relations: int) -> RelationErrors:
     n = len(error)
     length_m, turn_deg = np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2]) / DEG
-    means_and_deviations = [(float(e.mean()), float(e.std())) if n else (np.nan, np.nan) for e in (length_m, turn_deg)]
-    return RelationErrors(relations, n, n / relations if relations else np.nan, *chain(*means_and_deviations))
+    return RelationErrors(
+        relations=relations,
+        scored=n,
+        share=n / relations if relations else np.nan,
+        translation_mean_m=float(length_m.mean()) if n else np.nan,
+        translation_std_m=float(length_m.std()) if n else np.nan,
+        rotation_mean_deg=float(turn_deg.mean()) if n else np.nan,
+        rotation_std_deg=float(turn_deg.std()) if n else np.nan,
+    )
 
 
 def map_distance(occupied_xy_m: Array, truth: TrueMap) -> MapDistance:
@@ -275,6 +278,12 @@ def map_distance(occupied_xy_m: Array, truth: TrueMap) -> MapDistance:
     distance_mm = truth.distance_m(occupied_xy_m) / MM
     gap_m, _ = cKDTree(occupied_xy_m).query(truth.xy_m)
     median_mm, p95_mm = np.quantile(distance_mm, (0.5, 0.95)).tolist()
-    mean_mm, max_mm = float(distance_mm.mean()), float(distance_mm.max())
-    covered_share = float((gap_m <= COVERED_M).mean()) if len(gap_m) else np.nan
-    return MapDistance(truth.alignment, n, mean_mm, median_mm, p95_mm, max_mm, covered_share)
+    return MapDistance(
+        alignment=truth.alignment,
+        cells=n,
+        mean_mm=float(distance_mm.mean()),
+        median_mm=median_mm,
+        p95_mm=p95_mm,
+        max_mm=float(distance_mm.max()),
+        covered_share=float((gap_m <= COVERED_M).mean()) if len(gap_m) else np.nan,
+    )

@@ -5,20 +5,17 @@ No truth is needed. Neighbours in time show how well scans are matched, returns 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
+from typing import Annotated, Final, NamedTuple
 
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
 from mavnav.kernels.walls.overlap import scan_distances
 from mavnav.metrics.fields import Measured, number
 from mavnav.metrics.journey import PlacedScans, spread, used_beams
+from mavnav.pose import Trajectory
 from mavnav.units import DEG, MM
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mavnav.pose import Trajectory
 
 CAP_M: Final = 0.15
 SHORT_GAP_NS: Final = (300_000_000, 3_000_000_000)

@@ -7,20 +7,17 @@ cells, corners and enclosed areas is better, because a wall that is drawn twice 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import Annotated, Final
 
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
 from mavnav.kernels.maps.regions import region_sizes
 from mavnav.kernels.walls.smoothing import smooth_image
 from mavnav.mapping.occupancy_grid import OCCUPIED, UNKNOWN, Grid
 from mavnav.mapping.tiled_arrays import bands, count, where
 from mavnav.metrics.fields import Measured, number
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 
 CORNER_RADIUS_M: Final = 0.15
 """Approximate radius of the window of the structure tensor, and minimum distance of two corners."""

@@ -7,26 +7,22 @@ section ``wall_thickness`` of run.json begins with it; the `wall_thickness` in c
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Final
+from collections.abc import Mapping
+from typing import Annotated, Final
 
 import numpy as np
 from msgspec import Struct, field
+from numpy.typing import NDArray
 
 from mavnav.kernels.walls.profiles import wall_profiles
 from mavnav.kernels.walls.straight_beams import straight_beams
+from mavnav.mapping.occupancy_grid import Grid
 from mavnav.metrics.fields import Measured, absent, number, text
 from mavnav.metrics.journey import PlacedScans, spread
 from mavnav.metrics.walls import Sections, WallThickness, link, quantiles, summary
 from mavnav.units import DEG, MM
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from numpy.typing import NDArray
-
-    from mavnav.mapping.occupancy_grid import Grid
-
-    Array = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 WALL_SCANS: Final = 200
 SPACING_M: Final = 0.02

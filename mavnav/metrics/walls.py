@@ -7,10 +7,12 @@ definition here, and its validation, are in docs/metrics.md.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from collections.abc import Iterator
+from typing import Annotated, Any, Final
 
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
 from mavnav.kernels.maps.regions import link_groups
 from mavnav.kernels.walls.thickness import column_runs, run_moments
@@ -19,12 +21,7 @@ from mavnav.mapping.tiled_arrays import bands, count
 from mavnav.metrics.fields import Measured, number
 from mavnav.units import DEG, MM
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 
 RADIUS_M: Final = 0.3

@@ -6,17 +6,15 @@ They are written beside and renamed at the end.
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from hashlib import file_digest, sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-from mavnav.atomic_files import beside, is_stream, writing
+from mavnav.atomic_files import beside, is_stream, replacing, writing
 from mavnav.config.named_files import read_json
 from mavnav.errors import OutputError, UsageError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
 
 RUN_FILE: Final = "run.json"
 """The file that makes a directory a run of ours."""
@@ -182,16 +180,10 @@ def atomic_directory(directory: Path, *, force: bool, marker: str = RUN_FILE) ->
 
     On any failure it is removed, and what was there before stays. Raises OutputError where the disk says no.
     """
-    try:
-        check_directory(directory, force=force, marker=marker)
-        with beside(directory, exclusive=not force) as partial:
-            partial.mkdir()
-            yield partial
-    except FileExistsError as error:
-        raise OutputError(f"{directory} exists; choose another directory with -o, or --force to replace it") from error
-    except OSError as error:
-        reason = error.strerror or error
-        raise OutputError(f"{directory} cannot be written: {reason}; make room or choose another with -o") from error
+    check_directory(directory, force=force, marker=marker)
+    with replacing(directory, force=force, another="another directory with -o", room="another with -o") as partial:
+        partial.mkdir()
+        yield partial
 
 
 def check_file(path: Path | None, suffix: str, *, force: bool) -> None:

@@ -2,36 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
+import numpy as np
 from msgspec import Struct, field
+from numpy.typing import NDArray
 
+from mavnav.config.models import Config, MethodName
 from mavnav.errors import ExitCode
+from mavnav.logs import Log
 from mavnav.mapping.occupancy_grid import Grid, known_area, occupancy
+from mavnav.mapping.slices import Slices
 from mavnav.metrics.floor_plan import turn_to_cuts
+from mavnav.metrics.map_quality import MeasuredMap
+from mavnav.metrics.reference import Reference, TrueMap
 from mavnav.metrics.wall_spread import WallCuts, WallThicknessReport, wall_report
+from mavnav.outputs.documents.run_json import External, Localisation, MissionResult, Provenance, TruthErrors
+from mavnav.outputs.documents.sections import Continued
 from mavnav.outputs.documents.verdict import EXTERNAL
+from mavnav.pose import Trajectory
+from mavnav.slam.result import SlamResult
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from mavnav.config.models import Config, MethodName
-    from mavnav.logs import Log
-    from mavnav.mapping.slices import Slices
-    from mavnav.metrics.map_quality import MeasuredMap
-    from mavnav.metrics.reference import Reference, TrueMap
-    from mavnav.outputs.documents.run_json import External, Localisation, MissionResult, Provenance, TruthErrors
-    from mavnav.outputs.documents.sections import Continued
-    from mavnav.pose import Trajectory
     from mavnav.sessions.group import Session
-    from mavnav.slam.result import SlamResult
 
-    Walls: TypeAlias = "Truth | TrueMap | WallShapes"
+Walls: TypeAlias = "Truth | TrueMap | WallShapes"
 
 KEPT_CELLS: Final = 1 << 24
 """What is known of so many cells is kept from one writer to the next."""

@@ -5,23 +5,20 @@ A new file is one function ``(RunResult, Path) -> None`` and one line in `GROUPS
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection
 from functools import partial
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Any, Final
 
 from mavnav.errors import UsageError
 from mavnav.outputs.directory import RUN_FILE, atomic_directory, file_sha256
 from mavnav.outputs.files import gridmap, trajectory
 from mavnav.outputs.files.document import plain, plain_json, run_document, with_picture, write_metrics
+from mavnav.outputs.run import RunResult
 from mavnav.profiling import Stage
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
-    from pathlib import Path
-
-    from mavnav.outputs.run import RunResult
-
-    Writer = Callable[[RunResult, Path], None]
+Writer = Callable[[RunResult, Path], None]
 
 REPORT_FILE: Final = "report.html"
 

@@ -30,7 +30,7 @@ from mavnav.slam.methods.registry import load_kernels
 from mavnav.slam.pipeline import MEASURING, run_slam
 from mavnav.slam.retries import beam_order
 from mavnav.units import DEG
-from mavnav.version import __version__
+from mavnav.version import DOCUMENT_HEAD
 
 if TYPE_CHECKING:
     from mavnav.metrics.calibration.quantities import QuantityKind, QuantityValue
@@ -143,8 +143,7 @@ def _document(request: CalibrationRequest, log: Log, outcome: SlamResult, result
     code = ExitCode.GATE_FAILED if all(q["refused"] for q in quantities) else ExitCode.DONE
     codes = [code, ExitCode.TRACKING_LOST] if outcome.lost_for_good else [code]
     return {
-        "schema_version": 1,
-        "mavnav_version": __version__,
+        **DOCUMENT_HEAD,
         "verdict": None,
         "headline": "",
         "input": _input(request, log),

@@ -26,7 +26,7 @@ from mavnav.pose import Pose
 from mavnav.sessions.map_alignment import Alignment, align
 from mavnav.slam.matching.prior_map import PriorMap, prior_map_of
 from mavnav.units import MM, pluralize
-from mavnav.version import __version__
+from mavnav.version import DOCUMENT_HEAD
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -124,8 +124,7 @@ def _document(
 ) -> dict[str, Any]:
     numbers = _numbers(result) if result else dict.fromkeys(NUMBERS)
     return {
-        "schema_version": 1,
-        "mavnav_version": __version__,
+        **DOCUMENT_HEAD,
         "a": str(request.a),
         "b": str(request.b),
         "headline": diff_headline(numbers),

@@ -29,7 +29,7 @@ from mavnav.outputs.run import picture_turn_rad
 from mavnav.pipelines.diff import read_grid
 from mavnav.pipelines.sessions import poses_of
 from mavnav.pose import Pose
-from mavnav.version import __version__
+from mavnav.version import DOCUMENT_HEAD
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -112,8 +112,7 @@ def edit_map(request: EditRequest, progress: Progress) -> dict[str, Any]:
     counts = [{"occupied": int((c == OCCUPIED).sum()), "known": int((c != UNKNOWN).sum())} for c in (old, new)]
     section = plain(map_section(edited, np.nan)) | {"origin_xy_m": [corner.x_m, corner.y_m]}
     return {
-        "schema_version": 1,
-        "mavnav_version": __version__,
+        **DOCUMENT_HEAD,
         "input": str(request.path),
         "output": str(request.target),
         "command": request.command,
@@ -138,7 +137,7 @@ def _write_map(request: EditRequest, edited: Grid, corner: Pose) -> None:
     earlier = request.path.read_text(encoding="utf-8", errors="replace").splitlines()
     marks = [*(line for line in earlier if line.startswith(MARK)), f"{MARK}{request.command}"]
     picture = request.target.with_suffix(".pgm")
-    text = yaml_text(GridMap(replace(edited, origin_xy_m=corner[:2])), picture.name, corner.yaw_rad)
+    text = yaml_text(GridMap(replace(edited, origin_xy_m=corner[:2])), picture.name, yaw_rad=corner.yaw_rad)
     content = "\n".join([*marks, text]).encode(errors="backslashreplace")
     directory.write_file(picture, partial(write_pgm, GridMap(edited)), force=request.force)
     directory.write_file(request.target, lambda path: path.write_bytes(content), force=request.force)

@@ -32,7 +32,7 @@ from mavnav.pipelines.sessions import mapped_share, poses_of
 from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.slam.findings import NOT_PLANAR
 from mavnav.units import DEG, MM, NS
-from mavnav.version import __version__
+from mavnav.version import DOCUMENT_HEAD
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -93,7 +93,7 @@ def evaluate(paths: list[Path], references: References, progress: Progress) -> d
     for number, (path, what) in enumerate(zip(paths, subjects, strict=True)):
         progress("measuring", number, len(paths))
         documents.append(_document(path, what, references))
-    return {"schema_version": 1, "mavnav_version": __version__, "maps": documents}
+    return {**DOCUMENT_HEAD, "maps": documents}
 
 
 def subject(path: Path) -> Subject:

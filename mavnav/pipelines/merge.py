@@ -38,7 +38,7 @@ from mavnav.sessions.group import Join, Session, SessionGroup, frame_of, merged_
 from mavnav.sessions.growth import join_sessions
 from mavnav.slam.methods.registry import load_kernels
 from mavnav.units import pluralize
-from mavnav.version import __version__
+from mavnav.version import DOCUMENT_HEAD
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -208,8 +208,7 @@ def _write(
 def _map_document(grid: Grid, measured: MeasuredMap, config: Config, accepted_share: float) -> dict[str, Any]:
     """Return the keys of run.json for a map alone: what it was made with, and how good it is."""
     return {
-        "schema_version": 1,
-        "mavnav_version": __version__,
+        **DOCUMENT_HEAD,
         "python": platform.python_version(),
         "libraries": versions(),
         "config": config,
@@ -231,8 +230,7 @@ def _document(request: MergeRequest, inputs: list[Input], joins: list[Join], mem
     refused = len(inputs) - len(paths)
     verdict = merge_verdict(rows)
     return {
-        "schema_version": 1,
-        "mavnav_version": __version__,
+        **DOCUMENT_HEAD,
         "verdict": plain(verdict),
         "headline": merge_headline(rows),
         "sessions": rows,

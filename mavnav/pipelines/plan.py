@@ -15,7 +15,7 @@ from mavnav.outputs.directory import check_apart, check_file, write_file
 from mavnav.outputs.pictures.vector_map import write_dxf, write_svg
 from mavnav.pipelines.diff import read_grid, run_verdict_at
 from mavnav.units import DEG
-from mavnav.version import __version__
+from mavnav.version import DOCUMENT_HEAD
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -42,8 +42,7 @@ def draw_plan(source: Path, target: Path, ratio: float, progress: Progress, *, f
     size_m = np.ptp(plan.walls.reshape(-1, 2), axis=0)
     walls_m, openings_m = (np.hypot(*(lines[:, 2:] - lines[:, :2]).T) for lines in (plan.walls, plan.openings))
     return {
-        "schema_version": 1,
-        "mavnav_version": __version__,
+        **DOCUMENT_HEAD,
         "input": str(source),
         "output": str(target),
         "verdict": run_verdict_at(source),

@@ -86,6 +86,12 @@ class ReplayRequest(Struct, frozen=True):
         return replay_directory(self.log, self.config).name
 
     @property
+    def recorded_truth(self) -> str | None:
+        """The topic or the frames of the log that are its truth, if they are."""
+        truth = self.options.get("truth")
+        return recorded_topic(truth) if isinstance(truth, str) else None
+
+    @property
     def inputs(self) -> tuple[Path | None, ...]:
         """The paths that the run reads; None for those that are not given."""
         config = Path(self.typed.config) if self.typed.config else None
@@ -175,7 +181,9 @@ def replay_log(
         *_to_continue(request),
     )
     wall_s, cpu_s, stages = perf_counter(), process_time(), new_profile(loading=compile_s, starting=startup_s)
-    log = _open(request, progress)
+    odom = request.config.odom if uses_odometry(request.config) else "off"
+    log = open_request(request, progress, odom=odom, truth=request.recorded_truth)
+    log = with_corrected_odometry(log, request.config)
     if request.log_sha256 not in {None, log.sha256}:
         raise UsageError(f"{request.log}: changed since it was first read; run again once it is complete")
     check_references(given.references, log, options.get("truth_map"), options.get("start_s"), own_frame=given.own_frame)
@@ -264,24 +272,23 @@ def _continue(
         return continue_run(given.run, given.earlier, outcome, log, config, progress, stopped=stopped)
 
 
-def _open(request: ReplayRequest, progress: Progress) -> Log:
-    """Survey the log and correct its odometry; the paper's method never looks at odometry."""
-    options, config, truth = request.options, request.config, request.options.get("truth")
-    log = open_log(
+def open_request(request: ReplayRequest, progress: Progress, *, odom: str, truth: str | None) -> Log:
+    """Survey the log of a request, with the poses of a topic or a frame as its ``truth``."""
+    options, config = request.options, request.config
+    return open_log(
         request.log,
         topic=options.get("topic"),
-        odom=config.odom if uses_odometry(config) else "off",
+        odom=odom,
         start_s=options.get("start_s"),
         end_s=options.get("end_s"),
         extrinsic=_pose(options.get("extrinsic")),
         strict=options.get("strict", False),
-        truth=recorded_topic(truth) if isinstance(truth, str) else None,
+        truth=truth,
         attitude=config.attitude,
         upside_down=config.upside_down,
         more=request.more,
         progress=lambda done, total: progress("reading", done, total),
     )
-    return with_corrected_odometry(log, config)
 
 
 def with_corrected_odometry(log: Log, config: Config) -> Log:

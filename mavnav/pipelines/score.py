@@ -7,22 +7,20 @@ from pathlib import Path
 from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
-from msgspec import Struct, field
+from msgspec import Struct
 from msgspec.structs import replace
 
 from mavnav.config.loading import to_scalar
 from mavnav.config.models import Config
-from mavnav.config.option_kinds import recorded_topic
 from mavnav.config.options import REFERENCES, ReplayOptions, paths_of, reference_files, words_of
 from mavnav.errors import ProgramError, UsageError
 from mavnav.ground_truth.references import SWEEPS, References, compare_to, in_time_of_truth, load_references
 from mavnav.ground_truth.tables import read_trajectory
-from mavnav.logs import Log, open_log
 from mavnav.logs.formats.detect import log_name
 from mavnav.mapping.occupancy_grid import occupied_xy_m
 from mavnav.metrics.reference import position_errors
 from mavnav.outputs.directory import check_directory
-from mavnav.outputs.documents.provenance import Typed, provenance, utc_now
+from mavnav.outputs.documents.provenance import provenance, utc_now
 from mavnav.outputs.documents.run_json import External, StartPose
 from mavnav.outputs.documents.sections import PoseJump
 from mavnav.outputs.run import RunResult, Timing, half_sweep_s
@@ -30,7 +28,7 @@ from mavnav.outputs.writers import write_run
 from mavnav.pipelines.again import changed_values
 from mavnav.pipelines.maps import check_references, measured_map, references_in_map, with_true_map_placed
 from mavnav.pipelines.reach import with_reach
-from mavnav.pipelines.replay import ReplayRequest
+from mavnav.pipelines.replay import ReplayRequest, open_request
 from mavnav.pipelines.trajectory_source import LASER, WHOLE, Program, ProgramCost, TrajectorySource, run_program
 from mavnav.pose import Pose, Trajectory
 from mavnav.profiling import Progress, new_profile
@@ -43,34 +41,33 @@ from mavnav.units import DEG, MM, NS
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from mavnav.logs import Log
+
 
 BASE: Final = "base"
 PROGRAMS: Final = "programs"
 """Folder of what programs write and print."""
 
 
-class ScoreRequest(Struct, frozen=True):
-    """A log, the trajectories to score on it, how maps are drawn, and the directory of their runs.
+class ScoreRequest(ReplayRequest, frozen=True, kw_only=True):
+    """The trajectories to score on a log, and the programs that find some within ``limit_s``; how maps are drawn.
 
-    ``only`` is the directory of the run where there is but one; with ``report`` each run has a page.
+    ``directory`` has a folder for each run, or is that of the only run if that is ``alone``.
     """
 
-    log: Path
-    directory: Path
-    config: Config
-    sources: tuple[TrajectorySource, ...]
-    options: ReplayOptions[Path] = field(default_factory=ReplayOptions[Path])
-    force: bool = False
-    typed: Typed = field(default_factory=Typed)
-    more: tuple[Path, ...] = ()
+    sources: tuple[TrajectorySource, ...] = ()
     programs: tuple[Program, ...] = ()
     limit_s: float = 3600.0
-    report: bool = False
-    only: Path | None = None
+    alone: bool = False
+
+    @property
+    def usual_name(self) -> str:
+        """The usual name of the directory of a program's run."""
+        return f"{log_name(self.log)}-{self.programs[0].name}"
 
     def directory_of(self, name: str) -> Path:
         """Return the directory of the run of a trajectory."""
-        return self.only or self.directory / name
+        return self.directory if self.alone else self.directory / name
 
 
 SCORED_OPTIONS: Final = ("topic", "start_s", "end_s", "attitude", "extrinsic", "strict", *REFERENCES)
@@ -80,18 +77,6 @@ SCORED_OPTIONS: Final = ("topic", "start_s", "end_s", "attitude", "extrinsic", "
 def scored_options(options: ReplayOptions[Path]) -> ReplayOptions[Path]:
     """Return those of the options of a replay that hold for given poses."""
     return cast("ReplayOptions[Path]", {name: value for name, value in options.items() if name in SCORED_OPTIONS})
-
-
-class ProgramRequest(ReplayRequest, frozen=True, kw_only=True):
-    """A run in which another program finds the poses, within ``limit_s``."""
-
-    program: Program
-    limit_s: float
-
-    @property
-    def usual_name(self) -> str:
-        """The usual name of the run's directory."""
-        return f"{log_name(self.log)}-{self.program.name}"
 
 
 class Scored(NamedTuple):
@@ -126,10 +111,9 @@ def score_log(request: ScoreRequest, progress: Progress) -> list[Scored]:
         check_directory(request.directory_of(name), force=request.force, inputs=(*inputs, *files))
     references = load_references(**reference_files(request.options))
     progress("reading", 0, None)
-    truth = request.options.get("truth")
-    log = _open(request, recorded_topic(truth) if isinstance(truth, str) else None)
+    log = open_request(request, progress, odom="off", truth=request.recorded_truth)
     check_references(references, log, request.options.get("truth_map"), request.options.get("start_s"), own_frame=True)
-    poses = [_read(source, request, log) for source in request.sources]
+    poses = [_read(source, request, log, progress) for source in request.sources]
     config, warnings = with_reach(request.config, log)
     load_kernels(config, progress)
     log = replace(log, warnings=(*warnings, *log.warnings))
@@ -144,7 +128,7 @@ def score_log(request: ScoreRequest, progress: Progress) -> list[Scored]:
     for program in request.programs:
         progress(program.name, 0, None)
         cost = run_program(program, request.log, _written(program, request), request.limit_s)
-        poses_or_error = _written_poses(program, cost, request, log)
+        poses_or_error = _written_poses(program, cost, request, log, progress)
         if isinstance(poses_or_error, str):
             scored.append(Scored(program.name, None, poses_or_error))
         else:
@@ -152,15 +136,12 @@ def score_log(request: ScoreRequest, progress: Progress) -> list[Scored]:
     return scored
 
 
-def score_program(request: ProgramRequest, progress: Progress) -> None:
-    """Run a program on a log, and judge its poses in the directory of the request.
+def score_program(request: ScoreRequest, progress: Progress) -> None:
+    """Run the only program of a request on a log, and judge its poses.
 
     Raises as `score_log`, and ProgramError for a program without poses.
     """
-    place, options = request.directory, scored_options(request.options)
-    given = ScoreRequest(request.log, place.parent, request.config, (), options, force=True, typed=request.typed)
-    alone = {"programs": (request.program,), "limit_s": request.limit_s, "report": request.report, "only": place}
-    (scored,) = score_log(replace(given, **alone), progress)
+    (scored,) = score_log(request, progress)
     if scored.document is None:
         raise ProgramError(scored.error)
 
@@ -178,45 +159,29 @@ def check_names(sources: Sequence[TrajectorySource], programs: Sequence[Program]
 
 
 def _written(program: Program, request: ScoreRequest) -> Path:
-    return request.directory / PROGRAMS / f"{request.directory_of(program.name).name}.tum"
+    run = request.directory_of(program.name)
+    return run.parent / PROGRAMS / f"{run.name}.tum"
 
 
-def _written_poses(program: Program, cost: ProgramCost, request: ScoreRequest, log: Log) -> _GivenPoses | str:
+def _written_poses(
+    program: Program, cost: ProgramCost, request: ScoreRequest, log: Log, progress: Progress
+) -> _GivenPoses | str:
     """Return what a program wrote, or why it cannot be used."""
     if cost.problem:
         return cost.problem
     try:
-        poses = _read(TrajectorySource(program.name, str(_written(program, request)), LASER), request, log)
+        poses = _read(TrajectorySource(program.name, str(_written(program, request)), LASER), request, log, progress)
     except UsageError as error:
         return str(error)
     measured = {"wall_s": cost.wall_s, "cpu_s": cost.cpu_s, "peak_memory_mb": cost.peak_memory_mb}
     return replace(poses, program={"source": program.command, **measured})
 
 
-def _open(request: ScoreRequest, recorded: str | None) -> Log:
-    """Survey the log, with the poses of a topic or a frame as its truth; odometry is not used."""
-    options = request.options
-    extrinsic = options.get("extrinsic")
-    return open_log(
-        request.log,
-        topic=options.get("topic"),
-        odom="off",
-        start_s=options.get("start_s"),
-        end_s=options.get("end_s"),
-        extrinsic=Pose(*extrinsic) if extrinsic else None,
-        strict=options.get("strict", False),
-        truth=recorded,
-        attitude=request.config.attitude,
-        upside_down=request.config.upside_down,
-        more=request.more,
-    )
-
-
-def _read(source: TrajectorySource, request: ScoreRequest, log: Log) -> _GivenPoses:
+def _read(source: TrajectorySource, request: ScoreRequest, log: Log, progress: Progress) -> _GivenPoses:
     """Read the poses of the laser; raises UsageError for those of another time, and for a frame without a mounting."""
     warnings: tuple[str, ...] = ()
     if source.in_log is not None:
-        truth = _open(request, source.in_log).truth
+        truth = open_request(request, progress, odom="off", truth=source.in_log).truth
         path, frame = (truth.world_T_laser, truth.body_frame or BASE) if truth else (None, "")
     else:
         poses, several = read_trajectory(source.path)

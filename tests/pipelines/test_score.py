@@ -189,4 +189,4 @@ def test_names_frames_and_instants_are_read(tmp_path: Path, monkeypatch: pytest.
 def test_the_folder_of_programs_names_no_trajectory(tmp_path: Path) -> None:
     source = TrajectorySource("programs", str(tmp_path / "poses.tum"), "laser")
     with pytest.raises(UsageError, match="programs is the folder of what programs write"):
-        score_log(ScoreRequest(tmp_path / "log.mcap", tmp_path / "out", Config(), (source,)), silent)
+        score_log(ScoreRequest(tmp_path / "log.mcap", tmp_path / "out", Config(), sources=(source,)), silent)

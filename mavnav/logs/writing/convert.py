@@ -10,7 +10,7 @@ from typing import Any
 
 from msgspec import Struct, field
 
-from mavnav.atomic_files import beside
+from mavnav.atomic_files import replacing
 from mavnav.errors import NoScansError, OutputError, UsageError
 from mavnav.logs.content import check_file, unreadable
 from mavnav.logs.formats import detect
@@ -65,19 +65,13 @@ def convert_log(
     """
     _check(source, target, force=force)
     report = ReadReport()
-    try:
-        with beside(target, exclusive=not force) as unfinished:
-            writing = _Writing(strict, report, Translator(report))
-            _write(source, unfinished, writing, progress, added)
-            topics = writing.topics()
-            if not topics:
-                raise NoScansError(f"{source}: {_nothing_read(writing)}")
-            _compare(unfinished, target, topics)
-    except FileExistsError as error:
-        raise OutputError(f"{target} exists; choose another name, or --force to replace it") from error
-    except OSError as error:
-        reason = error.strerror or error
-        raise OutputError(f"{target} cannot be written: {reason}; make room or choose another place") from error
+    with replacing(target, force=force, another="another name", room="another place") as unfinished:
+        writing = _Writing(strict, report, Translator(report))
+        _write(source, unfinished, writing, progress, added)
+        topics = writing.topics()
+        if not topics:
+            raise NoScansError(f"{source}: {_nothing_read(writing)}")
+        _compare(unfinished, target, topics)
     return Conversion(topics, dict(sorted(writing.left_out.items())), report.damages(), tuple(report.warnings))
 
 

@@ -32,7 +32,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Bag2Writer
 from rosbags.rosbag2.metadata import parse_qos
 
-from mavnav.atomic_files import beside, is_stream
+from mavnav.atomic_files import is_stream, replacing
 from mavnav.errors import OutputError, UsageError
 from mavnav.logs.formats.rosbag2 import METADATA
 from mavnav.logs.messages import cdr, definitions, ros
@@ -83,15 +83,12 @@ def record(recording: Recording, path: Path, *, force: bool = False) -> None:
     """
     check_recording(path, force=force)
     channels = CHANNELS | (ATTITUDE if recording.attitudes else {})
-    try:
-        with beside(path, exclusive=not force) as unfinished, CONTAINERS[path.suffix](unfinished, channels) as put:
-            for stamp_ns, topic, message in _messages(recording):
-                put(topic, stamp_ns, message)
-    except FileExistsError as error:
-        raise OutputError(f"{path} exists; choose another name for the recording, or --force to replace it") from error
-    except OSError as error:
-        reason = error.strerror or error
-        raise OutputError(f"{path} cannot be written: {reason}; make room or choose another place") from error
+    with (
+        replacing(path, force=force, another="another name for the recording", room="another place") as unfinished,
+        CONTAINERS[path.suffix](unfinished, channels) as put,
+    ):
+        for stamp_ns, topic, message in _messages(recording):
+            put(topic, stamp_ns, message)
 
 
 def _messages(r: Recording) -> Iterator[tuple[int, str, bytes]]:

@@ -12,23 +12,20 @@ by a factor of its own (Thrun, Burgard, Fox, *Probabilistic Robotics*, 2005, sec
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
+from numpy.typing import NDArray
 from scipy.linalg.lapack import dgbsv, dpbtrf  # scipy's own functions check for longer than LAPACK solves
 from scipy.optimize import minimize
 
+from mavnav.pose import Trajectory
 from mavnav.units import NS
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mavnav.pose import Trajectory
-
-    Array = NDArray[np.float64]
-    Complex = NDArray[np.complex128]
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 NAMES: Final = ("x_m", "y_m", "yaw_rad", "offset_s", "distance_scale", "turn_scale", "veer_rad_m")
 

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from collections.abc import Sequence
+from typing import Final, NamedTuple
 
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
-from mavnav.metrics.calibration.motion import DISTANCE, LONGEST_OFFSET_S, STEP_S
+from mavnav.metrics.calibration.motion import DISTANCE, LONGEST_OFFSET_S, STEP_S, Array, Complex, Motions
 from mavnav.metrics.calibration.solve import LEAST_STEPS, Estimate, FirstEstimate, estimate, start_of
 from mavnav.units import DEG, MM
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from mavnav.metrics.calibration.motion import Array, Complex, Motions
 
 LEAST_TURN_RAD, LEAST_PATH_M = 90 * DEG, 1.0
 """Motion that a log must have for what turns show, and for what straight motion shows."""

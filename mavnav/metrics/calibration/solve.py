@@ -12,17 +12,23 @@ The iteration begins at time offset and mounting by linear least squares, with e
 from __future__ import annotations
 
 from itertools import count, pairwise
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from msgspec import Struct
 from scipy.special import stdtrit
 
-from mavnav.metrics.calibration.motion import LONGEST_OFFSET_S, OFFSET, YAW, NoiseModel, PlaneSteps
+from mavnav.metrics.calibration.motion import (
+    LONGEST_OFFSET_S,
+    OFFSET,
+    YAW,
+    Array,
+    Motions,
+    Noise,
+    NoiseModel,
+    PlaneSteps,
+)
 from mavnav.units import DEG
-
-if TYPE_CHECKING:
-    from mavnav.metrics.calibration.motion import Array, Motions, Noise
 
 ROUNDS, LIKELIEST, CLOSE = 20, (0, 2, 5), 1e-5
 """Rounds at most; those in which the noise is estimated anew; changes below this end them."""

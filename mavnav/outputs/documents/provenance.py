@@ -5,21 +5,18 @@ from __future__ import annotations
 import os
 import platform
 import shlex
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from msgspec import Struct, field
 
 from mavnav.outputs.documents.addresses import public_word
 from mavnav.outputs.documents.run_json import Host, Provenance
+from mavnav.outputs.documents.sections import Options
 from mavnav.version import installed_version
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mavnav.outputs.documents.sections import Options
 
 LIBRARIES: Final = ("numpy", "numba", "scipy", "mcap", "rosbags", "pillow", "msgspec", "pyyaml")
 

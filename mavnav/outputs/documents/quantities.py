@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Final
 
 from msgspec import Struct
 
@@ -11,10 +12,7 @@ from mavnav.metrics import gates
 from mavnav.metrics.gates import VERDICTS, stored_verdict
 from mavnav.outputs.documents.schema import number_schema
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    Run = Mapping[str, Any]
+Run = Mapping[str, Any]
 
 LEAST_MAPPED_SHARE: Final = 0.5
 """Where a run does not say itself whether its map means anything, it does not with fewer of the scans on it."""

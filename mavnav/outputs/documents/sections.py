@@ -174,10 +174,15 @@ class Continued(Struct, frozen=True):
 
 def evidence(join: Join) -> PlacementEvidence:
     """Describe what a session was joined by; of the one that others joined there is none."""
-    known, names = bool(join.closures), ("searched", "found", "agreeing", "tested", "closures", "contradicting")
+    known = bool(join.closures)
     return PlacementEvidence(
         after=join.after or None,
-        **{name: getattr(join, name) for name in names},
+        searched=join.searched,
+        found=join.found,
+        agreeing=join.agreeing,
+        tested=join.tested,
+        closures=join.closures,
+        contradicting=join.contradicting,
         overlap=round(join.closures / join.tested, 3) if join.tested else np.nan,
         residual_mm=round(join.residual_m / MM, 1) if known else np.nan,
         residual_deg=round(join.residual_rad / DEG, 3) if known else np.nan,

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import json
 import platform
+from collections.abc import Collection, Sequence
 from math import hypot, isfinite
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import astuple, replace
+from numpy.typing import NDArray
 
 from mavnav.config.models import Config, OdometryConfig
+from mavnav.logs import Log
+from mavnav.logs.records import Odometry
 from mavnav.metrics.fields import ABSENT
 from mavnav.outputs.documents import run_json as model
 from mavnav.outputs.documents import sections
@@ -21,22 +26,13 @@ from mavnav.outputs.documents.verdict import Verdict, verdict_of
 from mavnav.outputs.files.gridmap import map_section
 from mavnav.outputs.run import RunResult, base_frame, half_sweep_s
 from mavnav.profiling import peak_memory_mb
+from mavnav.slam.findings import Doubt, Reason
 from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, OdometryFit
 from mavnav.slam.matching.steps import LostInterval, Steps, refused_by
+from mavnav.slam.recovery.parts import Part
+from mavnav.slam.result import SlamResult
 from mavnav.units import DEG, NS
-from mavnav.version import __version__
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from mavnav.logs import Log
-    from mavnav.logs.records import Odometry
-    from mavnav.slam.findings import Doubt, Reason
-    from mavnav.slam.recovery.parts import Part
-    from mavnav.slam.result import SlamResult
+from mavnav.version import DOCUMENT_HEAD
 
 FAR_FROM_START_M: Final = 3.0
 """Distance of the pose found from the given start pose above which a run warns; the search near that ends at 1 m."""
@@ -49,8 +45,7 @@ def run_document(run: RunResult, outputs: dict[str, str]) -> model.RunDocument:
     """Describe a run; ``outputs`` maps the files written to their SHA-256."""
     mission, at = run.mission, run.slam.map_T_begin
     return model.RunDocument(
-        schema_version=1,
-        mavnav_version=__version__,
+        **DOCUMENT_HEAD,
         verdict=run_verdict(run),
         python=platform.python_version(),
         libraries=versions(),
@@ -96,9 +91,18 @@ def document_without_cost(run: RunResult) -> model.RunDocument:
 
 def run_verdict(run: RunResult) -> Verdict:
     """Judge a run by the sections of its run.json."""
-    more = {name: getattr(run, name) for name in ("localisation", "continued", "method", "external")}
-    more |= {"partial": run.stopped is not None, "mission": run.mission is not None}
-    return track_verdict(run.slam, run.log, run.config, map_quality=run.measured.quality, **more)
+    return track_verdict(
+        run.slam,
+        run.log,
+        run.config,
+        map_quality=run.measured.quality,
+        localisation=run.localisation,
+        continued=run.continued,
+        method=run.method,
+        external=run.external,
+        partial=run.stopped is not None,
+        mission=run.mission is not None,
+    )
 
 
 def track_verdict(slam: SlamResult, log: Log, config: Config, **more: object) -> Verdict:

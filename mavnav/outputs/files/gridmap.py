@@ -7,29 +7,24 @@ from __future__ import annotations
 
 import csv
 import zipfile
+from collections.abc import Iterable, Iterator
 from errno import ENOENT
 from functools import cached_property
 from math import isfinite, prod
-from typing import IO, TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import IO, Any, Final
 
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, OCCUPIED_SHARE, UNKNOWN, Grid, counts, occupancy
 from mavnav.mapping.slices import Slice, slice_name
 from mavnav.mapping.tiled_arrays import bands
+from mavnav.metrics.wall_spread import WallCuts
+from mavnav.outputs.documents.run_json import Map
+from mavnav.outputs.run import RunResult
 from mavnav.units import DEG, LARGEST_COORDINATE_M, MM
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from mavnav.metrics.wall_spread import WallCuts
-    from mavnav.outputs.documents.run_json import Map
-    from mavnav.outputs.run import RunResult
-
 
 _PIXELS: Final = {FREE: 254, OCCUPIED: 0, UNKNOWN: 205}
 
@@ -48,18 +43,7 @@ CELLS_M: Final = (1e-3, 10.0)
 _PACKED: Final = 1
 """Of zlib's levels: a fifth of the time of 6, up to a fifth larger."""
 
-_YAML = """\
-image: {image}
-mode: {mode}
-resolution: {cell_m!r}
-origin: [{x_m!r}, {y_m!r}, {yaw_rad!r}]
-negate: 0
-occupied_thresh: {occupied}
-free_thresh: {free}
-"""
-
-THRESHOLDS: Final = ("0.65", "0.196")
-"""Thresholds of map_server's own map saver, for an occupied and for a free cell."""
+_YAML: Final = Path(__file__).with_name("map_server.yaml").read_text("ascii")
 
 
 class GridMap(Struct, frozen=True, dict=True):
@@ -113,14 +97,20 @@ def write_yaml(run: GridMap | RunResult, path: Path) -> None:
 
 
 def yaml_text(
-    run: GridMap | RunResult, image: str = "map.pgm", yaw_rad: float = 0.0, mode: str = "trinary", *thresholds: str
+    run: GridMap | RunResult,
+    image: str = "map.pgm",
+    *,
+    yaw_rad: float = 0.0,
+    mode: str = "trinary",
+    occupied: str = "0.65",
+    free: str = "0.196",
 ) -> str:
     """Return the description of `write_yaml`; ``image`` is the file of the picture, turned by ``yaw_rad``.
 
-    ``thresholds`` are the least share of an occupied cell and the greatest of a free one, if not the usual ones.
+    ``occupied`` and ``free`` are the least share of an occupied cell and the greatest of a free one; as of map_server's
+    own map saver by default.
     """
-    (x_m, y_m), (occupied, free) = map(float, run.known.origin_xy_m), thresholds or THRESHOLDS
-    cell_m = float(run.known.cell_m)
+    (x_m, y_m), cell_m = map(float, run.known.origin_xy_m), float(run.known.cell_m)
     return _YAML.format(
         image=image, mode=mode, cell_m=cell_m, x_m=x_m, y_m=y_m, yaw_rad=yaw_rad, occupied=occupied, free=free
     )
@@ -230,7 +220,8 @@ def write_scale(run: RunResult, path: Path) -> None:
     """
     if path.suffix == ".yaml":
         least = f"{OCCUPIED_SHARE - HALF_A_SHADE:.4f}"
-        path.write_text(yaml_text(run, SCALE_PICTURE, 0.0, "scale", least, str(FREE_SHARE)), encoding="ascii")
+        text = yaml_text(run, SCALE_PICTURE, mode="scale", occupied=least, free=str(FREE_SHARE))
+        path.write_text(text, encoding="ascii")
         return
     from PIL import Image  # noqa: PLC0415  few runs need it
 

@@ -11,33 +11,29 @@ The markers show ghost walls, stretches where the track was lost, and doubtful o
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from math import ceil, cos, sin, sqrt
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from mavnav.logs.messages import cdr, definitions
 from mavnav.logs.messages.cdr import LINE_LIST, LINE_STRIP, TEXT, Marker
 from mavnav.logs.writing.mcap_writer import Attachment, Extras, OutputChannel, write_serialized
 from mavnav.mapping.occupancy_grid import UNKNOWN, Grid, show_ends
 from mavnav.mapping.tiled_arrays import max_pool
+from mavnav.metrics.ghost_walls import GhostWall
 from mavnav.outputs.files.document import document_without_cost, plain, plain_json, to_json
 from mavnav.outputs.files.gridmap import pgm_rows, yaml_text
 from mavnav.outputs.run import RunResult, base_frame
 from mavnav.pose import Pose, Trajectory
+from mavnav.scan import Scan
 from mavnav.slam.result import doubtful_parts
 from mavnav.units import DEG, NS
 from mavnav.version import __version__
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from mavnav.metrics.ghost_walls import GhostWall
-    from mavnav.scan import Scan
 
 MAP_FRAME, ODOM_FRAME = "map", "odom"
 MAX_MAPS: Final = 60

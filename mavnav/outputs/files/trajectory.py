@@ -4,24 +4,21 @@ from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from math import cos, isfinite, nan, sin
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 
 from mavnav.logs.messages import cdr, definitions
 from mavnav.logs.writing.mcap_writer import OutputChannel, write_serialized
+from mavnav.outputs.run import RunResult, Walls
 from mavnav.pose import Trajectory, correct_path
+from mavnav.scan import Scan
+from mavnav.slam.findings import Edge
 from mavnav.slam.matching.steps import refused_by
 from mavnav.units import NS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-    from pathlib import Path
-
-    from mavnav.outputs.run import RunResult, Walls
-    from mavnav.scan import Scan
-    from mavnav.slam.findings import Edge
 
 COLUMNS = (
     "index", "stamp", "x_m", "y_m", "yaw_rad", "cost_m2", "beams_used", "inliers", "evaluations", "iterations",

@@ -5,10 +5,13 @@ Drawn with pillow on a raster of few colours: a frame costs milliseconds, and a 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from mavnav.mapping.occupancy_grid import known_area
@@ -17,16 +20,9 @@ from mavnav.outputs.directory import check_file, write_file
 from mavnav.outputs.files.replay_log import placed_scans
 from mavnav.outputs.pictures.map_picture import points_to_show
 from mavnav.outputs.pictures.viewport import GOAL_RED, POSE_MAGENTA, START_BLUE, Viewport, wall_lines, window_of
+from mavnav.outputs.run import RunResult, Truth
 from mavnav.pose import Pose, transform_points
 from mavnav.units import DEG, NS
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from mavnav.outputs.run import RunResult, Truth
 
 MAX_FRAMES: Final = 150
 FRAME_MS: Final = 80

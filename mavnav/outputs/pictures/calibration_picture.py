@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mavnav.metrics.calibration.motion import Motions
+from mavnav.metrics.calibration.solve import Estimate
 from mavnav.outputs.pictures.canvas import Canvas, stroke
 from mavnav.outputs.pictures.plot import Axes, Style, label_ticks, legend, legend_width, ticks
 from mavnav.outputs.pictures.viewport import INK, MEASURED_BLUE, TRUE_ORANGE
 from mavnav.units import DEG, MM
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from mavnav.metrics.calibration.motion import Motions
-    from mavnav.metrics.calibration.solve import Estimate
-
-    Array = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 WIDTH, HEIGHT, LEFT, RIGHT = 1500, 1080, 110, 30
 TOPS: Final = (90, 450, 740)

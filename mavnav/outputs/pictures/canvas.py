@@ -6,27 +6,24 @@ Lengths without a unit are pixels of a picture of density 1, y downwards; ``_pt`
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Sequence
 from functools import cache
 from math import ceil, floor
 from pathlib import Path
 from struct import pack
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 from zlib import compressobj, crc32
 
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from mavnav.outputs.pictures.viewport import DPI, INK
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
-    from numpy.typing import NDArray
-
-    Box = tuple[int, int, int, int]
-    """Left, top, right and bottom."""
-    Points = list[tuple[float, float]]
+Box = tuple[int, int, int, int]
+"""Left, top, right and bottom."""
+Points = list[tuple[float, float]]
 
 FONTS: Final = Path(__file__).parent / "fonts"
 SMOOTH: Final = 2

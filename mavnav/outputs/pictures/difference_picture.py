@@ -6,23 +6,19 @@ The colours are those of Okabe and Ito, which people with colour blindness tell 
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavnav.mapping.occupancy_grid import Grid
+from mavnav.metrics.map_difference import Change, Difference, View
 from mavnav.outputs.pictures import map_axes
 from mavnav.outputs.pictures.canvas import rgb_of
 from mavnav.outputs.pictures.plot import Area, Axes, Mark, circle, cross
 from mavnav.outputs.pictures.viewport import FREE_GREY, INK, window_around
 from mavnav.pose import Pose, transform_points
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from mavnav.metrics.map_difference import Change, Difference, View
 
 WALL, GONE, NEW = "#8a929a", "#d55e00", "#0072b2"
 FREE_CELL, WALL_CELL, GONE_CELL, NEW_CELL = 1, 2, 3, 4

@@ -2,32 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from math import ceil, cos, sin
+from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from mavnav.mapping.occupancy_grid import FREE, Grid
-from mavnav.mapping.tiled_arrays import identity, max_pool, where
+from mavnav.mapping.tiled_arrays import CellFunction, identity, max_pool, where
+from mavnav.outputs.documents.verdict import Verdict
 from mavnav.outputs.pictures import plot, viewport
-from mavnav.outputs.pictures.canvas import Canvas, draw_dashes, ramp, rgb_of, stroke
+from mavnav.outputs.pictures.canvas import Box, Canvas, draw_dashes, ramp, rgb_of, stroke
 from mavnav.outputs.pictures.plot import Area, Axes, Mark, Sign, Style
 from mavnav.outputs.pictures.viewport import FREE_GREY, LEAST_IN, Viewport
 from mavnav.pose import Pose, transform_points
 from mavnav.units import DEG
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from mavnav.mapping.tiled_arrays import CellFunction
-    from mavnav.outputs.documents.verdict import Verdict
-    from mavnav.outputs.pictures.canvas import Box
 
 HIT_COLOURS: Final = ramp(("#35b779", "#1f9e89", "#26828e", "#31688e", "#3e4989", "#482878", "#440154"))
 """Viridis without its light end, on which a wall that was hit once would be hard to see."""

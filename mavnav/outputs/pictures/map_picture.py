@@ -10,28 +10,23 @@ from __future__ import annotations
 
 from functools import partial
 from itertools import compress, cycle
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mavnav.metrics.wall_spread import WallSpread
+from mavnav.outputs.documents.verdict import Verdict
 from mavnav.outputs.files.document import run_verdict
+from mavnav.outputs.files.gridmap import GridMap
 from mavnav.outputs.pictures import map_axes, viewport
 from mavnav.outputs.pictures.canvas import stroke
 from mavnav.outputs.pictures.plot import Axes, Mark, Sign, Style, arrow, circle, legend_room
+from mavnav.outputs.run import RunResult, Truth
 from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.slam.result import doubtful_parts, parts_of_path
 from mavnav.units import MM, pluralize
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from mavnav.metrics.wall_spread import WallSpread
-    from mavnav.outputs.documents.verdict import Verdict
-    from mavnav.outputs.files.gridmap import GridMap
-    from mavnav.outputs.run import RunResult, Truth
-
 
 CIRCLE_SPACING: Final = 0.018
 """Between two circles along the path, of the picture's longer side: so that they touch at most."""

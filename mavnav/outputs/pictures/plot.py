@@ -5,26 +5,21 @@ Lengths without a unit are pixels, y downwards; values on the axes are in the un
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Sequence
 from math import ceil, floor, log10
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
-from mavnav.outputs.pictures.canvas import POINT, SMOOTH, Canvas, font, on_mask
+from mavnav.outputs.pictures.canvas import POINT, SMOOTH, Box, Canvas, Points, font, on_mask
 from mavnav.outputs.pictures.viewport import INK, MUTED
 from mavnav.pose import Pose, transform_points
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
-    from numpy.typing import NDArray
-
-    from mavnav.outputs.pictures.canvas import Box, Points
-
-    XY = NDArray[np.float64]
-    Ticks = Iterable[tuple[float, str]]
-    """Where a tick is, and its label."""
+XY = NDArray[np.float64]
+Ticks = Iterable[tuple[float, str]]
+"""Where a tick is, and its label."""
 
 MARK_HALF: Final = 20
 """A mark lies in a square of twice this side; lines are narrower."""

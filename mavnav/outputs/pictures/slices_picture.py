@@ -2,32 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import partial
 from itertools import product
 from math import cos, pi, sin
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, occupancy
+from mavnav.mapping.slices import Slices
 from mavnav.mapping.tiled_arrays import max_pool
 from mavnav.outputs.pictures.canvas import SMOOTH, Canvas, ramp, rgb_of, stroke
 from mavnav.outputs.pictures.map_axes import END, START
 from mavnav.outputs.pictures.plot import Style, centred_legend, heading, stamp
 from mavnav.outputs.pictures.viewport import FREE_GREY, INK, MUTED, POSE_MAGENTA
+from mavnav.outputs.run import RunResult
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from mavnav.mapping.slices import Slices
-    from mavnav.outputs.run import RunResult
-
-    Floats = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 HEIGHTS: Final = ramp(("#30408f", "#2a7fb8", "#2fb5a5", "#8bd067", "#f5d04c", "#f28a3c", "#cf3f3f"))
 TURN_RAD, ABOVE_RAD = -pi / 5.5, pi / 3.6

@@ -7,22 +7,18 @@ on paper, or a DXF in meters.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 from xml.sax.saxutils import escape
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavnav.errors import UsageError
 from mavnav.mapping.occupancy_grid import OCCUPIED
+from mavnav.metrics.floor_plan import FloorPlan
 from mavnav.outputs.pictures.viewport import GOAL_RED, INK, MUTED, POSE_MAGENTA, START_BLUE
+from mavnav.outputs.run import RunResult
 from mavnav.slam.result import parts_of_path
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mavnav.metrics.floor_plan import FloorPlan
-    from mavnav.outputs.run import RunResult
-
 
 BAR_SHARE: Final = 0.25
 """The scale bar is at most so long, of the picture's width."""

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from functools import partial
 from math import ceil, pi
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
+from mavnav.mapping.occupancy_grid import Grid
 from mavnav.mapping.tiled_arrays import where
+from mavnav.outputs.run import Walls
 from mavnav.pose import Pose, transform_points
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mavnav.mapping.occupancy_grid import Grid
-    from mavnav.outputs.run import Walls
 
 DPI: Final = 150
 LEAST_IN, MOST_IN = 3.0, 11.0

@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 from math import ceil
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import Final
 
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
-from mavnav.outputs.pictures.canvas import Canvas, font, ramp, rgb_of
+from mavnav.metrics.wall_spread import WallCuts, WallSpread
+from mavnav.metrics.walls import Sections, WallThickness
+from mavnav.outputs.pictures.canvas import Box, Canvas, font, ramp, rgb_of
 from mavnav.outputs.pictures.map_axes import draw_axes, draw_cells, draw_free, map_axes, name_axes
 from mavnav.outputs.pictures.plot import Axes, colour_bar, ticks
 from mavnav.outputs.pictures.viewport import INK, MUTED, WALL_GREY, window_of
+from mavnav.outputs.run import RunResult
 from mavnav.units import MM
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from mavnav.metrics.wall_spread import WallCuts, WallSpread
-    from mavnav.metrics.walls import Sections, WallThickness
-    from mavnav.outputs.pictures.canvas import Box
-    from mavnav.outputs.run import RunResult
 
 BAR_COLOUR: Final = "#5b8db8"
 P95_COLOUR: Final = "#c0392b"

@@ -6,30 +6,26 @@ motion is position, heading and speed over time, and position error and attitude
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from itertools import compress
 from math import ceil, floor, log10
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from PIL.Image import Image
 
 from mavnav.outputs.documents.quantities import number
 from mavnav.outputs.pictures.canvas import draw_dashes, stroke
 from mavnav.outputs.pictures.plot import Axes, Mark, Style, cross, label_ticks, legend, ticks
 from mavnav.outputs.pictures.viewport import GOAL_RED, MUTED
 from mavnav.outputs.pictures.wall_picture import BAR_COLOUR, P95_COLOUR
+from mavnav.outputs.report.entry import Entry
 from mavnav.outputs.report.panels import CHART, CHART_MARGINS, FONT_PT, panel
 from mavnav.units import DEG, MM
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-    from PIL.Image import Image
-
-    from mavnav.outputs.report.entry import Entry
-
-    Floats = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 LEGEND_PT: Final = 7.0
 LEGEND_ROW: Final = 28

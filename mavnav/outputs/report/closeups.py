@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mavnav.mapping.occupancy_grid import cell_centres
+from mavnav.mapping.occupancy_grid import Grid, cell_centres
 from mavnav.outputs.pictures.viewport import Viewport
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from mavnav.mapping.occupancy_grid import Grid
 
 MAX_CLOSEUPS: Final = 3
 MIN_HITS: Final = 2

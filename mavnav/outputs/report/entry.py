@@ -8,14 +8,16 @@ from __future__ import annotations
 from csv import DictReader
 from itertools import accumulate
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 from PIL import Image
 
 from mavnav.config.named_files import read_json
 from mavnav.errors import UsageError
+from mavnav.mapping.occupancy_grid import Grid
 from mavnav.metrics.wall_spread import WallCuts
 from mavnav.outputs.directory import RUN_FILE, checked_file
 from mavnav.outputs.files import gridmap
@@ -23,12 +25,6 @@ from mavnav.outputs.files.gridmap import read_npz
 from mavnav.outputs.files.trajectory import ATTITUDE_COLUMNS, TRUE_WALLS_FILE
 from mavnav.outputs.pictures.viewport import wall_lines
 from mavnav.outputs.run import RunResult, WallShapes
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mavnav.mapping.occupancy_grid import Grid
-
 
 FAILED: Final = "failed"
 
@@ -223,7 +219,9 @@ def _columns(sessions: list[NDArray[np.float64]]) -> ScanColumns:
         doubtful=np.zeros(len(poses), np.bool_),
         yaw_rad=poses[:, 3],
         roll_pitch_height=np.full((len(poses), 3), np.nan),
-        **dict.fromkeys(("cost_mm2", "threshold_mm2", "error_m"), unknown),
+        cost_mm2=unknown,
+        threshold_mm2=unknown,
+        error_m=unknown,
     )
 
 

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from collections.abc import Sequence
+from typing import Final
 
 from mavnav.outputs.documents import quantities
 from mavnav.outputs.documents.quantities import Quantity, number
 from mavnav.outputs.documents.verdict import EXTERNAL
 from mavnav.outputs.report import tables
+from mavnav.outputs.report.tables import NamedRun
 from mavnav.units import pluralize
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mavnav.outputs.report.tables import NamedRun
 
 QUALITY: Final = tuple(q for q in quantities.QUANTITIES if not q.cost)
 P95: Final = quantities.NAMED["wall_thickness.spread.p95_mm"]

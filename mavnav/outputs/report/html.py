@@ -7,20 +7,17 @@ from __future__ import annotations
 
 import os
 from base64 import b64encode
+from collections.abc import Mapping, Sequence
 from hashlib import sha256
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import quote
 
 from jinja2 import BytecodeCache, ChoiceLoader, Environment, PackageLoader, StrictUndefined
+from jinja2.bccache import Bucket
 from markupsafe import Markup
 from msgspec import Struct
 
 from mavnav.kernels.machine.cache import read_code, write_code
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from jinja2.bccache import Bucket
 
 
 class Inlined(Struct, frozen=True):

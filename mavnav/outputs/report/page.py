@@ -7,9 +7,11 @@ package ``xstatic-leaflet``.
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Sequence
 from functools import partial
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Any, Final
 
 from msgspec import Struct
 
@@ -24,15 +26,9 @@ from mavnav.outputs.report.headline import headline
 from mavnav.outputs.report.html import environment, facts, inline
 from mavnav.outputs.report.pictures import Pictures, draw
 from mavnav.outputs.report.view_data import view_data
+from mavnav.outputs.run import RunResult
 from mavnav.units import pluralize
-from mavnav.version import __version__
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-
-    from mavnav.outputs.run import RunResult
-
+from mavnav.version import DOCUMENT_HEAD, __version__
 
 SCRIPTS: Final = ("data", "map", "plots", "viewer")
 """The scripts of the interactive map, each of which needs those before it."""
@@ -61,7 +57,7 @@ def single(document: dict[str, Any], directory: str = ".") -> dict[str, Any]:
     cell = {key: document[key] for key in ("method", "grid", "azimuth", "exit_code")}
     cell |= {"log": document["input"]["path"], "status": "done", "directory": directory}
     cell |= {"trajectory": document["external"]["name"]} if "external" in document else {}
-    return {"schema_version": 1, "mavnav_version": document["mavnav_version"], "cells": [cell]}
+    return {**DOCUMENT_HEAD, "mavnav_version": document["mavnav_version"], "cells": [cell]}
 
 
 def write_report(comparison: dict[str, Any], directory: Path, path: Path) -> None:
@@ -86,8 +82,15 @@ def _sections(comparison: dict[str, Any], directory: Path, run: RunResult | None
 
 def _section(log: str, loaded: list[Entry | Failure]) -> LogSection:
     entries, failures = _by_kind(loaded)
-    texts, pictures = (headline(entries), facts([e.document for e in entries])), draw(entries) if entries else None
-    return LogSection(log, *texts, entries, failures, tables.table(entries), pictures)
+    return LogSection(
+        log=log,
+        headline=headline(entries),
+        facts=facts([e.document for e in entries]),
+        entries=entries,
+        failures=failures,
+        table=tables.table(entries),
+        pictures=draw(entries) if entries else None,
+    )
 
 
 def _by_kind(loaded: Sequence[Entry | Failure]) -> tuple[list[Entry], list[Failure]]:

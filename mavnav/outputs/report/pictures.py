@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from string import ascii_uppercase
-from typing import TYPE_CHECKING
 
 from msgspec import Struct
+from PIL.Image import Image
 
 from mavnav.outputs.documents.quantities import why_not_meaningful
 from mavnav.outputs.pictures.map_axes import top_of_scale
@@ -13,13 +14,7 @@ from mavnav.outputs.pictures.viewport import Viewport
 from mavnav.outputs.report import panels
 from mavnav.outputs.report.charts import caption, cost_panels, motion_panel, thickness_panels
 from mavnav.outputs.report.closeups import MIN_SIDE_M, differing_places
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from PIL.Image import Image
-
-    from mavnav.outputs.report.entry import Entry
+from mavnav.outputs.report.entry import Entry
 
 
 class Closeup(Struct, frozen=True):

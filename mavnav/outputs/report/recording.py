@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Sequence
 from math import ceil
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from pathlib import Path
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavnav.errors import MavnavError
 from mavnav.logs import open_log
 from mavnav.outputs.files.replay_log import nearest_pose, placed_scans
+from mavnav.outputs.run import RunResult
 from mavnav.pose import Pose, Trajectory, transform_points
+from mavnav.scan import LaserSpec, Scan
 from mavnav.units import MM, NS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from mavnav.outputs.run import RunResult
-    from mavnav.scan import LaserSpec, Scan
 
 MAX_RANGES: Final = 2_000_000
 """Maximum number of ranges of a page; of more only every second beam is kept, or every third, and so on."""

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from collections.abc import Iterator, Sequence
+from typing import Any, Final, Protocol
 
 from msgspec import Struct
 
 from mavnav.config.layers import by_dotted_key
 from mavnav.outputs.documents import quantities
 from mavnav.outputs.documents.quantities import number
+from mavnav.outputs.report.entry import Entry
 from mavnav.outputs.report.panels import ghosts
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from mavnav.outputs.report.entry import Entry
 
 COLUMNS: Final = (quantities.QUANTITIES[0], quantities.DOUBT, *quantities.QUANTITIES[1:])
 """The columns of the table: the doubt stands beside the share of accepted scans."""

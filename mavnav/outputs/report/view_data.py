@@ -10,10 +10,13 @@ import io
 import re
 import zlib
 from base64 import b64encode
+from collections.abc import Iterator, Mapping, Sequence
 from math import ceil, sqrt
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from mavnav.mapping.occupancy_grid import FREE, Grid, known_area, occupancy
@@ -24,19 +27,12 @@ from mavnav.outputs.pictures.map_axes import HIT_COLOURS, top_of_scale
 from mavnav.outputs.pictures.slices_picture import height_colours
 from mavnav.outputs.report.entry import Entry, ScanColumns, file_in
 from mavnav.outputs.report.panels import common_window, ghosts
+from mavnav.outputs.report.pictures import Closeup
 from mavnav.outputs.report.recording import MAX_RANGES, beams, odometry_path, read_recording, recording_of
 from mavnav.pose import Pose
 from mavnav.units import MM
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from mavnav.outputs.report.pictures import Closeup
-
-    Arrays = dict[str, NDArray[Any]]
+Arrays = dict[str, NDArray[Any]]
 
 
 TRACKED, DOUBTFUL = 1, 2
