@@ -109,8 +109,6 @@ def load_config(
         A value is wrong. The message is one line: file and line, dotted key, problem, nearest known name.
     """
     top = overlay((values or Layer()).over(file_layer(file)), sets, overrides or {})
-    if top.values.items() <= {("method",): Config().method}.items():
-        return Config()  # equals the preset of the default method
     return read_model(Config, top.over(method_layer(top.values.get(("method",)))))
 
 
@@ -152,9 +150,9 @@ def _with_cells(layer: Layer, methods: Mapping[Key, object]) -> Layer:
 
 
 def method_layer(method: object) -> Layer:
-    """Return the preset of a method, None for the default method; an empty layer if there is no such preset."""
-    name = method or Config().method
-    return file_layer(package_folder("configs") / f"{name}.yaml") if name in presets() else Layer()
+    """Return the preset of a method; an empty layer without one, and for the default, whose preset is the defaults."""
+    known = method not in (None, Config().method) and method in presets()
+    return file_layer(package_folder("configs") / f"{method}.yaml") if known else Layer()
 
 
 def _set_layer(assignment: str) -> Layer:

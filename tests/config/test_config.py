@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from mavnav.batch.manifest import Manifest
 from mavnav.config.layers import by_dotted_key
-from mavnav.config.loading import fields, load_config, method_layer, presets, read_model, schema_of, to_yaml
+from mavnav.config.loading import fields, file_layer, load_config, presets, read_model, schema_of, to_yaml
 from mavnav.config.models import (
     Config,
     GridSize,
@@ -44,7 +44,7 @@ def write(folder: Path, text: str) -> Path:
 
 
 def test_without_anything_the_defaults_hold() -> None:
-    assert load_config() == Config() == read_model(Config, method_layer(Config().method))
+    assert load_config() == Config() == read_model(Config, file_layer(Config().method))
 
 
 def test_layers_win_in_order(tmp_path: Path) -> None:
