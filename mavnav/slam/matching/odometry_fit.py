@@ -232,9 +232,12 @@ def _fit(odometry: LogOdometry, motions: _Windows, offset_s: float, scales: Odom
         off_rad = np.abs((turn * turns - turned + np.pi) % (2.0 * np.pi) - np.pi)
         total = np.hypot(off, off_rad)
         kept = total <= np.partition(total, last)[last]
+        before = distance, turn
         if again:
             distance = _scale(ahead[kept], wanted[kept], _mean2(off[kept]) * overlapping)
             turn = _scale(turns[kept], turned[kept], _mean2(off_rad[kept]) * overlapping)
+        if (distance, turn) == before:
+            break  # further rounds are the same
     errors = np.sqrt((_mean2(off[kept]), _mean2(off_rad[kept])))
     sizes = np.sqrt((_mean2(moved[kept]), _mean2(turned[kept])))
     size = float(np.hypot(*np.maximum(sizes, np.sqrt((_mean2(distance * ahead[kept]), _mean2(turn * turns[kept]))))))
