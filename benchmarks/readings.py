@@ -1,15 +1,16 @@
 """Evaluate readings (interpretations of the paper's text as parameter values) of the paper's method.
 
-    python benchmarks/readings.py [missions] [gate] [grids] [fine] [ablation] [search]
+    python benchmarks/readings.py [missions] [future] [lasers] [gate] [grids] [fine] [ablation] [search]
         [--logs FOLDER] [--designs N] [--jobs N]
 
 ``search``: a random design over the parameters of ``PaperConfig`` and of the recovery, flown at the paper's full noise
 in three rounds: all readings on few training seeds, the better ones on more, and the best and the named ones on the
 test seeds, which decide. Readings are ranked by goals reached, then by accepted scans, then by trajectory error.
 ``gate``: wrong matches that are accepted, of 240 scans taken at least 1 m from where a map was made, against the goals.
-``ablation``: each value of `paper` is reset once. ``missions``: both methods, both noises, faster lasers. ``grids``:
-the search grids of the paper's figures 7 and 8, in flight; ``fine``: those of figure 7 on the same recordings. With
-``--logs``, recordings are replayed too (FOLDER/NAME/NAME.mcap).
+``ablation``: each value of `paper` is reset once. ``missions``: both methods; ``future``: in the scenarios of the
+paper's future work; ``lasers``: with faster ones. ``grids``: the search grids of the paper's figures 7 and 8, in
+flight; ``fine``: those of figure 7 on the same recordings. With ``--logs``, recordings are replayed too
+(FOLDER/NAME/NAME.mcap).
 The tables are written to docs/paper/, and docs/paper.md refers to them.
 """
 
@@ -55,6 +56,7 @@ DOCS = Path(__file__).parent.parent / "docs" / "paper"
 TRAINING_SEEDS, TEST_SEEDS = range(1000, 1008), range(20)
 TRAINING = ("corner", "complex", "corridor")
 SCENARIOS = ("corner-paper", "corner", "complex-paper", "complex", "corridor", "curved", "u_trap", "loop", "hover")
+FUTURE = ("hallway", "hall", "dead_end", "doorway", "ring")
 PLACES = SCENARIOS[:6]
 """The worlds of the wrong pairs."""
 ABLATED = ("corner-paper", "complex", "corridor", "u_trap")
@@ -127,6 +129,7 @@ class Flown(NamedTuple):
     evaluations: float
     cells: tuple[float, ...]
     tracked_away: bool
+    doubtful: bool
 
 
 NAMED = (
@@ -150,6 +153,7 @@ def mission(reading: Reading, scenario: str, seed: int, *, thickness: bool = Fal
         float(steps.column("evaluations").mean()),
         cells,
         flight.slam.lost_for_good,
+        flight.slam.doubt is not None and flight.slam.doubt.high,
     )
 
 
@@ -311,24 +315,23 @@ class Case(Struct, frozen=True):
     seeds: range = TEST_SEEDS
 
 
-HALF = ("vehicle.noise_xy_mm=10", "vehicle.noise_yaw_deg=2.5")
-CASES = (
-    Case("20 mm, 5 deg"),
-    Case("10 mm, 2.5 deg", HALF),
-    *(
-        Case(laser, (f"laser.preset={laser}",), ("corner", "corridor"), range(10))
-        for laser in ("urg-04lx", "ust-10lx", "utm-30lx")
+CASES = {
+    "missions": (Case("20 mm, 5 deg"),),
+    "future": (Case("20 mm, 5 deg", (), FUTURE),),
+    "lasers": tuple(
+        Case(laser, (f"laser.preset={laser}",), ("corner", "corridor"), range(10)) for laser in ("ust-10lx", "utm-30lx")
     ),
-)
+}
+"""Row groups of the pages of missions."""
 
 
-def missions(ex: Executor) -> list[str]:
+def missions(ex: Executor, cases: Sequence[Case]) -> list[str]:
     """Fly both methods in all cases; return the lines of the page."""
     head = ["case", "method", "scenario", "goals", "accepted %", "ATE mm (worst)", "unaligned mm", "final mm (worst)",
             "wall distance %", "max, p95 cells (>= 2 hits)", "max, p95 cells (>= 5)", "evaluations a match",
-            "lost"]  # fmt: skip
+            "lost", "other failures, doubtful"]  # fmt: skip
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    for case, method in product(CASES, ("paper", "robust")):
+    for case, method in product(cases, ("paper", "robust")):
         reading = Reading(method, method, case.sets)
         found = fly_all(ex, [reading], case.scenarios, case.seeds, thickness=True)
         lines += [_row(case.name, method, s, found[method, s]) for s in case.scenarios]
@@ -511,22 +514,26 @@ def _drawn(task: tuple[Reading, str, int]) -> dict[str, float]:
 
 
 def _row(case: str, method: str, scenario: str, flown: Sequence[Flown]) -> str:
-    cells = np.array([f.cells for f in flown if f.goal and len(f.cells) == 4]).reshape(-1, 4)
-    max2, p2, max5, p5 = np.median(cells, axis=0) if len(cells) else np.full(4, np.nan)
-    wall = np.nanmedian([f.wall_percent for f in flown])
+    goals, failed = [f for f in flown if f.goal], [f for f in flown if not (f.goal or f.tracked_away)]
+    none = [[np.nan] * 4]
+    max2, p2, max5, p5 = np.median([f.cells for f in goals if len(f.cells) == 4] or none, axis=0)
+    errors = np.array([(f.ate_mm, f.unaligned_mm, f.final_mm, f.wall_percent) for f in goals] or none)
+    ate, unaligned, final, wall = np.median(errors, axis=0)
     numbers = [
-        f"{sum(f.goal for f in flown)} of {len(flown)}",
+        f"{len(goals)} of {len(flown)}",
         f"{100 * np.mean([f.accepted for f in flown]):.1f}",
-        f"{ate_mm(flown):.1f} ({np.nanmax([f.ate_mm for f in flown]):.1f})",
-        f"{np.median([f.unaligned_mm for f in flown if f.goal]):.0f}",
-        f"{np.median([f.final_mm for f in flown if f.goal]):.0f} ({max(f.final_mm for f in flown if f.goal):.0f})",
+        f"{ate:.1f} ({errors[:, 0].max():.1f})",
+        f"{unaligned:.0f}",
+        f"{final:.0f} ({errors[:, 2].max():.0f})",
         f"{wall:.2f}",
         f"{max2:.1f}, {p2:.1f}",
         f"{max5:.1f}, {p5:.1f}",
         f"{np.mean([f.evaluations for f in flown]):.0f}",
         f"{sum(f.tracked_away for f in flown)}",
+        f"{len(failed)}, {sum(f.doubtful for f in failed)}",
     ]
-    return "| " + " | ".join([case, method, scenario, *numbers]) + " |"
+    cells = [case, method, scenario, *numbers]
+    return ("| " + " | ".join(cells) + " |").replace("nan (nan)", "-").replace("nan, nan", "-").replace("nan", "-")
 
 
 def commit() -> str:
@@ -546,7 +553,7 @@ def main() -> None:
     args = parser.parse_args()
     with ProcessPoolExecutor(args.jobs) as ex:
         pages = {
-            "missions": partial(missions, ex),
+            **{name: partial(missions, ex, cases) for name, cases in CASES.items()},
             "gate": partial(gate, ex),
             "grids": partial(grids, ex),
             "fine": partial(fine, ex),
@@ -564,6 +571,8 @@ def main() -> None:
 HEADS = {
     "gate": "Wrong matches against goals, pairs of seed 2000, missions of seeds 0 to 19",
     "missions": "Missions, seeds 0 to 19",
+    "future": "Missions of the paper's future work, seeds 0 to 19",
+    "lasers": "Missions with faster lasers, seeds 0 to 9",
     "grids": "Search grids in the corridor, seeds 0 to 9",
     "fine": "Recordings of the corridor replayed with the two grids of figure 7, seeds 0 to 19",
     "ablation": "Each value of the reading `paper` undone",

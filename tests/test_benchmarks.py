@@ -30,14 +30,19 @@ def test_every_benchmark_imports() -> None:
     assert done.returncode == 0, done.stderr
 
 
-def test_the_table_of_missions_is_made(benchmark_module, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_table_of_missions_is_made(benchmark_module) -> None:
     readings: ModuleType = benchmark_module("readings")
-    monkeypatch.setattr(readings, "CASES", (readings.Case("noise", (), ("corner-paper",), range(1)),))
+    cases = [
+        readings.Case("noise", (), ("corner-paper",), range(1)),
+        readings.Case("blind", ("laser.range_max_mm=100",), ("corner-paper",), range(1)),
+    ]
     with ThreadPoolExecutor(1) as ex:
-        head, _, paper, robust = readings.missions(ex)
+        head, _, paper, robust, blind, _ = readings.missions(ex, cases)
     assert [row.count("|") for row in (paper, robust)] == [head.count("|")] * 2
     assert "| noise | paper | corner-paper | 1 of 1 | 100.0 |" in paper
     assert "nan" not in paper + robust
+    assert "| blind | paper | corner-paper | 0 of 1 | 0.0 | - | - | - |" in blind
+    assert blind.endswith("| 1 | 0, 0 |")
 
 
 def test_the_table_of_wrong_matches_is_made(benchmark_module, monkeypatch: pytest.MonkeyPatch) -> None:
