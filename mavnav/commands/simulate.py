@@ -156,7 +156,7 @@ def _note_failure(document: dict[str, Any], directory: Path) -> None:
 
 def _failure(document: dict[str, Any]) -> str:
     mission, lost = document["mission"], document["exit_code"] == ExitCode.TRACKING_LOST
-    also = ", and tracking was lost for good" if lost and "tracking was lost" not in mission["reason"] else ""
+    also = ", and tracking was lost for good" if lost and mission["reason"] != "tracking lost" else ""
     return f"the mission failed: {mission['reason']}{also}"
 
 

@@ -44,7 +44,7 @@ class End(StrEnum):
     COLLISION = "collision"
     STUCK = "stuck"
     STEP_LIMIT = "step limit"
-    LOST = "landed, as tracking was lost"
+    LOST = "tracking lost"
 
 
 class Mission(Struct, frozen=True):
@@ -189,7 +189,7 @@ class Pilot:
     def decide(self, step: Step, here: Pose, grid: GridBuilder) -> MotionCommand | End:
         """Plan the next command from a pose of `locate`, or end the mission.
 
-        After a rejected match the vehicle carries on by dead reckoning, then hovers, and at last lands.
+        After a rejected match the vehicle carries on by dead reckoning, then hovers, and at last gives up.
         """
         self.rejected = 0 if step.tracked else self.rejected + 1
         while step.tracked and self.goals and here.between(self.goals[0]).distance_m <= self.radius_m:

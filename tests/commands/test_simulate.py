@@ -252,8 +252,8 @@ def test_a_lost_mission_is_told(mavnav: Callable, tmp_path: Path) -> None:
     narrow = ["--set", "laser.field_of_view_deg=20", "--set", "recovery.fly_on_steps=0"]
     code, out, err = mavnav("simulate", "corner", "-o", tmp_path / "r", "-q", *narrow, "--json")
     assert code == json.loads(out)["exit_code"] == ExitCode.TRACKING_LOST
-    assert json.loads(out)["mission"]["reason"] == "landed, as tracking was lost"
-    assert "the mission failed: landed, as tracking was lost; look" in err
+    assert json.loads(out)["mission"]["reason"] == "tracking lost"
+    assert "the mission failed: tracking lost" in err
 
 
 def test_tracking_lost_on_the_way_outweighs_the_goal(

@@ -104,7 +104,7 @@ class RecoveryConfig(Strict, frozen=True):
     """What the vehicle does while its scans are not accepted (paper, "Corridor Mapping": it repositions itself)."""
 
     fly_on_steps: Annotated[int, setting("commands by dead reckoning after a rejected scan, then it hovers", ge=0)] = 6
-    hover_steps: Annotated[int, setting("scans that it hovers for before it lands", ge=1)] = 40
+    hover_steps: Annotated[int, setting("scans that it hovers for before it gives up", ge=1)] = 40
     hover_noise: Annotated[bool, setting("hovering drifts like a command: by the vehicle's noise at each scan")] = False
 
 
