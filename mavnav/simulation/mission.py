@@ -93,9 +93,9 @@ def fly(scenario: Scenario, on_step: OnStep | None = None) -> Flight:
     noise = np.random.default_rng([scenario.seed, 1])
     vehicle = vehicle_of(scenario, laser.spec.scan_time_s)
     pilot = Pilot(scenario)
-    method = make_method(config)
+    method = make_method(config, commanded=scenario.uses_odometry)
     odometry = vehicle.odometry if scenario.uses_odometry else None
-    motion = Motion(laser.spec.scan_time_s, odometry, method.expects_rest)
+    motion = Motion(laser.spec.scan_time_s, odometry, method.expects_rest, commanded=scenario.uses_odometry)
     obstacles = Obstacles.of(scenario, method.grid)
     scans: list[Scan] = []
     seen: list[Scan] = [] if scenario.levels_scans else scans

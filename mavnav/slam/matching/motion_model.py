@@ -69,7 +69,8 @@ class Motion(NamedTuple):
     are rounded to whole periods, because many drivers stamp a scan at its arrival, tens of ms early or late. With
     ``expects_rest`` and without odometry the last pose is the prediction. ``rotation`` holds the yaw rates of an
     inertial sensor, which replace the constant yaw rate while ``yaw_rate_fit`` shows that they fit. Odometry that moves
-    faster than ``fastest``, m/s and rad/s, predicts nothing.
+    faster than ``fastest``, m/s and rad/s, predicts nothing. ``commanded``: odometry is that of commands, which err
+    independently of each other.
     """
 
     period_s: float
@@ -81,6 +82,7 @@ class Motion(NamedTuple):
     rotation: Rotation | None = None
     yaw_rate_fit: YawRateFit = YawRateFit()
     fastest: tuple[float, float] = (inf, inf)
+    commanded: bool = False
 
     def elapsed_s(self, stamp_ns: int) -> float:
         """Return the time from or to the last accepted pose, s, in whole periods, at least one."""

@@ -1,0 +1,108 @@
+"""Fusion of a match with the motion by odometry, each weighed by its information (docs/method.md).
+
+Where walls leave a direction open, the least cost slides along them, by more than its Hessian shows: residuals on one
+piece of wall have a common cause. The covariance of a match is the sandwich of Hessian and covariance of the gradient
+(White 1980; of clusters: Liang and Zeger 1986). Its factor and the variances of odometry follow from what both differ
+by: steps of expectation maximization over the scans, which change nothing where a scan shows nothing.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from mavnav.kernels.maps.layout import NEAR
+from mavnav.pose import Pose, wrap_angle
+from mavnav.slam.matching.observability import LEAST_SIGMA_M
+from mavnav.units import DEG
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mavnav.mapping.line_map import LineMap
+
+    Array = NDArray[np.float64]
+
+PIECE_M = 0.3
+"""Edge of a square of the map within which residuals have a common cause, m: results are alike from 0.1 to 1 m."""
+
+RATE, FIRST_SCANS = 0.01, 10
+"""Least weight of a scan in the running variances, and weight of their first values in scans: the n-th one that is
+accepted weighs 1 / (n + ``FIRST_SCANS``)."""
+
+
+class Evidence(NamedTuple):
+    """Quadratic cost of a match in x, y (m, map frame) and yaw (rad) about the laser.
+
+    ``hessian`` (3, 3) is half the second derivative, ``pull`` (3,) half the negative gradient at the pose, ``spread``
+    (3, 3) the covariance of the latter.
+    """
+
+    hessian: Array
+    pull: Array
+    spread: Array
+
+
+def evidence_of(points: Array, map_T_laser: Pose, line_map: LineMap, truncate_m: float) -> Evidence:
+    """Return what points (n, 2), m, laser frame, show about a pose near it, by distances across their lines alone.
+
+    Points on unmapped area and beyond the truncation show nothing.
+    """
+    (x_m, y_m, yaw_rad), (cols_m, rows_m) = map_T_laser.as_array(), line_map.origin_xy_m
+    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+    x, y = c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1]
+    at = np.floor(np.array((y + y_m - rows_m, x + x_m - cols_m)) / line_map.cell_m).astype(np.int64)
+    inside = ((at >= 0) & (at < np.array(line_map.nearest.shape)[:, None])).all(axis=0)
+    slots = np.where(inside, line_map.nearest[tuple(at * inside)] // NEAR, 0)
+    foot_x, foot_y, xx, xy, yy, count = line_map.lines[slots, :6].T
+    dx, dy = x + x_m - foot_x, y + y_m - foot_y
+    near = xx * dx * dx + 2.0 * xy * dx * dy + yy * dy * dy < truncate_m**2
+    used = (slots > 0) & near & (count >= line_map.known_points)
+    along = xx + yy - 1.0  # the metric along the line, which only holds points to its cells
+    xx, yy = xx - along, yy - along
+    # Columns of the metric times the motion of a point by x, y and yaw.
+    push = np.array(((xx, xy, xy * x - xx * y), (xy, yy, yy * x - xy * y)))[..., used]
+    turned = np.array((-y[used], x[used]))
+    turn = (turned[:, None] * push).sum(axis=0)
+    hessian = np.vstack((push.sum(axis=2), turn.sum(axis=1)))
+    pulls = -(push * np.array((dx[used], dy[used]))[:, None]).sum(axis=0)
+    piece = np.floor(np.array((x + x_m, y + y_m))[:, used] / PIECE_M).astype(np.int64)
+    _, piece = np.unique(piece[0] * (1 << 32) + piece[1], return_inverse=True)
+    of_pieces = np.array([np.bincount(piece, weights) for weights in pulls])
+    return Evidence(hessian, pulls.sum(axis=1), of_pieces @ of_pieces.T)
+
+
+class Fusion(NamedTuple):
+    """Variances of odometry over a scan period, m2 and rad2, and the factor on the covariance of a match.
+
+    They begin large for odometry, as the commands of the paper, and for matches, which are believed once they are seen
+    to agree with it.
+    """
+
+    position_m2: float = 0.02**2
+    yaw_rad2: float = (2 * DEG) ** 2
+    factor: float = 4.0
+    scans: int = 0
+
+    def fuse(self, evidence: Evidence, matched: Pose, predicted: Pose, periods: float) -> tuple[Pose, Fusion]:
+        """Return the mean of a matched pose and that which odometry predicts after some scan periods; what it shows."""
+        hessian, pull, spread = evidence
+        shift = np.array(matched.as_array()) - predicted.as_array()
+        shift[2] = wrap_angle(shift[2])
+        floor = hessian + 1e-6 * max(float(np.trace(hessian)), 1.0) * np.eye(3)
+        gain = np.linalg.solve(spread + LEAST_SIGMA_M**2 * floor, hessian)
+        information = hessian @ gain
+        variances = periods * np.array((self.position_m2, self.position_m2, self.yaw_rad2))
+        covariance = np.linalg.inv(information / self.factor + np.diag(1.0 / variances))
+        moved = covariance @ (information @ shift + gain.T @ pull) / self.factor
+        off = shift + np.linalg.solve(floor, pull) - moved
+        of_odometry = (moved**2 + np.diag(covariance)) / periods
+        of_match = (off @ information @ off + np.trace(information @ covariance)) / 3.0
+        new = np.array((of_odometry[:2].mean(), of_odometry[2], of_match))
+        least = (LEAST_SIGMA_M**2, LEAST_SIGMA_M**2, 0.1)
+        x_m, y_m, yaw_rad = moved.tolist()
+        fused = Pose(predicted.x_m + x_m, predicted.y_m + y_m, wrap_angle(predicted.yaw_rad + yaw_rad))
+        rate = max(RATE, 1.0 / (FIRST_SCANS + self.scans + 1))
+        position_m2, yaw_rad2, factor = np.maximum(np.array(self[:3]) + rate * (new - self[:3]), least).tolist()
+        return fused, Fusion(position_m2, yaw_rad2, factor, self.scans + 1)

@@ -1,0 +1,53 @@
+"""Fusion of matches with odometry: what walls show weighs there, odometry elsewhere; both errors are estimated."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mavnav.config.models import Config
+from mavnav.pose import Pose
+from mavnav.slam.matching.fusion import Evidence, Fusion, evidence_of
+from mavnav.slam.matching.scan_matching import empty_line_map
+
+RNG = np.random.default_rng(0)
+ALONG = np.column_stack((np.arange(-3.0, 3.0, 0.01), np.full(600, 1.0)))
+WALLS = np.vstack((ALONG, ALONG * (1.0, -1.0)))
+TRUNCATE_M = 0.15
+
+
+def evidence_at(pose: Pose) -> Evidence:
+    """Return the evidence of a scan between two walls, taken at the origin, at another pose."""
+    line_map = empty_line_map(Config())
+    line_map.insert(WALLS)
+    seen = WALLS[np.abs(WALLS[:, 0]) < 2.0]
+    return evidence_of(seen, pose, line_map, TRUNCATE_M)
+
+
+def test_along_two_walls_only_yaw_and_the_direction_across_are_known() -> None:
+    off = evidence_at(Pose(0.1, 0.01))
+    across, along = off.hessian[1, 1], off.hessian[0, 0]
+    assert along < 1e-4 * across
+    assert off.pull[1] / across == pytest.approx(-0.01, abs=1e-3)
+    assert off.spread[1, 1] > 5.0 * off.pull[1] ** 2 / across  # more than of as many independent residuals
+
+
+def test_odometry_decides_along_the_walls_and_the_match_across() -> None:
+    matched, predicted = Pose(0.1), Pose(0.15, 0.02, 0.01)
+    fused, _ = Fusion().fuse(evidence_at(matched), matched, predicted, 1.0)
+    assert fused.x_m == pytest.approx(predicted.x_m, abs=1e-3)
+    assert fused.y_m == pytest.approx(matched.y_m, abs=2e-3)
+    assert fused.yaw_rad == pytest.approx(matched.yaw_rad, abs=2e-3)
+
+
+@pytest.mark.parametrize(("noise_m", "factor"), [(0.03, 1.0), (0.01, 9.0)])
+def test_the_errors_of_odometry_and_of_matches_are_learnt(noise_m: float, factor: float) -> None:
+    fusion, hessian, stated = Fusion(), 100.0 * np.eye(3), np.array((0.03, 0.003, 0.003))
+    for _ in range(3000):
+        matched = factor**0.5 * stated * RNG.standard_normal(3)
+        predicted = np.array((noise_m, noise_m, 0.02)) * RNG.standard_normal(3)
+        evidence = Evidence(hessian, np.zeros(3), hessian @ np.diag(stated**2) @ hessian)
+        _, fusion = fusion.fuse(evidence, Pose(*matched), Pose(*predicted), 1.0)
+    assert fusion.position_m2**0.5 == pytest.approx(noise_m, rel=0.2)
+    assert fusion.yaw_rad2**0.5 == pytest.approx(0.02, rel=0.2)
+    assert fusion.factor == pytest.approx(factor, rel=0.3)
