@@ -252,11 +252,11 @@ def test_a_mission_is_always_compared_with_another_track() -> None:
     assert doubt.probability < 0.5
 
 
-def test_a_mission_that_slides_along_a_hallway_is_doubted() -> None:
+def test_commands_keep_a_mission_from_sliding_along_a_hallway() -> None:
+    """With a fixed weight of the commands it is 0.7 m off: matches slide along walls that leave this open."""
     flight = flown("hallway")
-    assert truth_errors(flight).final_error_m > 0.2
-    assert flight.slam.doubt is not None
-    assert flight.slam.doubt.probability > 0.5
+    assert flight.mission.reached
+    assert truth_errors(flight).final_error_m < 0.3
 
 
 def test_another_seed_is_another_flight() -> None:
@@ -386,9 +386,9 @@ def test_a_mission_without_odometry_is_predicted_from_its_velocity(monkeypatch: 
     predicting: list[object] = []
     motion = flying.Motion
 
-    def noted(period_s: float, odometry: object, *more: Any) -> object:
+    def noted(period_s: float, odometry: object, *more: Any, **named: Any) -> object:
         predicting.append(odometry)
-        return motion(period_s, odometry, *more)
+        return motion(period_s, odometry, *more, **named)
 
     monkeypatch.setattr(flying, "Motion", noted)
     for settings in ({}, {"slam.odom": "off"}, {"slam.odom": "off", "slam.method": "paper"}):

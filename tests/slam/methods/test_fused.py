@@ -1,0 +1,54 @@
+"""Matches fused with commands: walls decide where they show the pose, commands where walls leave it open."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mavnav.config.models import Config
+from mavnav.pose import Pose
+from mavnav.slam.matching.motion_model import Motion
+from mavnav.slam.matching.scan_matching import Match, MatchVerdict, no_match
+from mavnav.slam.methods.fused import Fused
+from support.synthetic import furnished_rooms, polyline, scan_at
+
+PERIOD_NS = 100_000_000
+START = Pose(3.0, 2.2, 1.0)
+HALLWAY = np.vstack((polyline((-20.0, -0.8), (20.0, -0.8)), polyline((-20.0, 0.8), (20.0, 0.8))))
+
+
+def fused(walls: np.ndarray, start: Pose, step: Pose, commanded: Pose) -> tuple[Fused, Match]:
+    """Return the method, and the match of a scan after a step from the start, of which the command was another one."""
+    method = Fused(Config())
+    motion = Motion(0.1, lambda stamp_ns: commanded if stamp_ns else Pose(), commanded=True)
+    method.insert(scan_at(walls, start), Pose(), motion)
+    scan = scan_at(walls, start @ step, stamp_ns=PERIOD_NS)
+    match = method.match(scan, motion.predict(PERIOD_NS), motion)
+    assert method.gate(match, scan, motion) is MatchVerdict.SURE
+    return method, match
+
+
+def test_where_walls_show_the_pose_they_decide() -> None:
+    step = Pose(0.05, 0.01, 0.03)
+    method, match = fused(furnished_rooms(), START, step, Pose(0.12, -0.04, 0.08))
+    distance_m, turn_rad = match.map_T_laser.gap(step)
+    assert distance_m < 0.004
+    assert turn_rad < 0.004
+    assert method._fusion.scans == 1
+
+
+def test_along_a_hallway_the_command_decides() -> None:
+    commanded = Pose(0.12, 0.02, 0.05)
+    _, match = fused(HALLWAY, Pose(), Pose(0.05, 0.0, 0.01), commanded)
+    assert match.map_T_laser.x_m == pytest.approx(commanded.x_m, abs=0.01)
+    assert match.map_T_laser.y_m == pytest.approx(0.0, abs=0.01)
+    assert match.map_T_laser.yaw_rad == pytest.approx(0.01, abs=0.01)
+
+
+def test_a_refused_match_is_not_learnt_from() -> None:
+    step = Pose(0.05)
+    method, _ = fused(furnished_rooms(), START, step, step)
+    scan, motion = scan_at(furnished_rooms(), START @ step, stamp_ns=PERIOD_NS), Motion(0.1, commanded=True)
+    method.match(scan, step, motion)
+    assert method.gate(no_match(step), scan, motion) is MatchVerdict.REFUSED
+    assert method._fusion.scans == 1
