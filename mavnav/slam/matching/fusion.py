@@ -1,8 +1,8 @@
-"""Fusion of a match with the motion by odometry, each weighed by its information (docs/method.md).
+"""Fusion of a match with the motion by commands, each weighed by its information (docs/method.md, "Local search").
 
 Where walls leave a direction open, the least cost slides along them, by more than its Hessian shows: residuals on one
 piece of wall have a common cause. The covariance of a match is the sandwich of Hessian and covariance of the gradient
-(White 1980; of clusters: Liang and Zeger 1986). Its factor and the variances of odometry follow from what both differ
+(White 1980; of clusters: Liang and Zeger 1986). Its factor and the variances of commands follow from what both differ
 by: steps of expectation maximization over the scans, which change nothing where a scan shows nothing.
 """
 
@@ -74,10 +74,10 @@ def evidence_of(points: Array, map_T_laser: Pose, line_map: LineMap, truncate_m:
 
 
 class Fusion(NamedTuple):
-    """Variances of odometry over a scan period, m2 and rad2, and the factor on the covariance of a match.
+    """Variances of commands over a scan period, m2 and rad2, and the factor on the covariance of a match.
 
-    They begin large for odometry, as the commands of the paper, and for matches, which are believed once they are seen
-    to agree with it.
+    They begin with the 20 mm of the paper and 2 deg, and large for matches, which are believed once they are seen to agree.
+    ``scans`` is the number of scans that they are learnt from.
     """
 
     position_m2: float = 0.02**2
@@ -86,7 +86,7 @@ class Fusion(NamedTuple):
     scans: int = 0
 
     def fuse(self, evidence: Evidence, matched: Pose, predicted: Pose, periods: float) -> tuple[Pose, Fusion]:
-        """Return the mean of a matched pose and that which odometry predicts after some scan periods; what it shows."""
+        """Return the mean of a matched pose and that which commands predict after some scan periods; what it shows."""
         hessian, pull, spread = evidence
         shift = np.array(matched.as_array()) - predicted.as_array()
         shift[2] = wrap_angle(shift[2])
@@ -97,9 +97,9 @@ class Fusion(NamedTuple):
         covariance = np.linalg.inv(information / self.factor + np.diag(1.0 / variances))
         moved = covariance @ (information @ shift + gain.T @ pull) / self.factor
         off = shift + np.linalg.solve(floor, pull) - moved
-        of_odometry = (moved**2 + np.diag(covariance)) / periods
+        of_commands = (moved**2 + np.diag(covariance)) / periods
         of_match = (off @ information @ off + np.trace(information @ covariance)) / 3.0
-        new = np.array((of_odometry[:2].mean(), of_odometry[2], of_match))
+        new = np.array((of_commands[:2].mean(), of_commands[2], of_match))
         least = (LEAST_SIGMA_M**2, LEAST_SIGMA_M**2, 0.1)
         x_m, y_m, yaw_rad = moved.tolist()
         fused = Pose(predicted.x_m + x_m, predicted.y_m + y_m, wrap_angle(predicted.yaw_rad + yaw_rad))

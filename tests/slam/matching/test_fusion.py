@@ -1,4 +1,4 @@
-"""Fusion of matches with odometry: what walls show weighs there, odometry elsewhere; both errors are estimated."""
+"""Fusion of matches with commands: what walls show weighs there, commands elsewhere; both errors are estimated."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_along_two_walls_only_yaw_and_the_direction_across_are_known() -> None:
     assert off.spread[1, 1] > 5.0 * off.pull[1] ** 2 / across  # more than of as many independent residuals
 
 
-def test_odometry_decides_along_the_walls_and_the_match_across() -> None:
+def test_commands_decide_along_the_walls_and_the_match_across() -> None:
     matched, predicted = Pose(0.1), Pose(0.15, 0.02, 0.01)
     fused, _ = Fusion().fuse(evidence_at(matched), matched, predicted, 1.0)
     assert fused.x_m == pytest.approx(predicted.x_m, abs=1e-3)
@@ -41,7 +41,7 @@ def test_odometry_decides_along_the_walls_and_the_match_across() -> None:
 
 
 @pytest.mark.parametrize(("noise_m", "factor"), [(0.03, 1.0), (0.01, 9.0)])
-def test_the_errors_of_odometry_and_of_matches_are_learnt(noise_m: float, factor: float) -> None:
+def test_the_errors_of_commands_and_of_matches_are_learnt(noise_m: float, factor: float) -> None:
     fusion, hessian, stated = Fusion(), 100.0 * np.eye(3), np.array((0.03, 0.003, 0.003))
     for _ in range(3000):
         matched = factor**0.5 * stated * RNG.standard_normal(3)
