@@ -76,8 +76,8 @@ def evidence_of(points: Array, map_T_laser: Pose, line_map: LineMap, truncate_m:
 class Fusion(NamedTuple):
     """Variances of commands over a scan period, m2 and rad2, and the factor on the covariance of a match.
 
-    They begin with the 20 mm of the paper and 2 deg, and large for matches, which are believed once they are seen to agree.
-    ``scans`` is the number of scans that they are learnt from.
+    They begin with the 20 mm of the paper and 2 deg; matches are believed once they are seen to agree. ``scans`` is the
+    number of scans that they are learnt from.
     """
 
     position_m2: float = 0.02**2
