@@ -76,7 +76,11 @@ TRIALS = [
         f"replay log.mcap -o again --force {FAST}",
     ),
     ("exists; choose another file, or --force", "diff run run -o old.png", "diff run run -o old.png --force"),
-    ("exists; choose another name, or --force", "convert log.mcap old.mcap", "convert log.mcap old.mcap --force"),
+    (
+        "exists; choose another name, or --force to replace it",
+        "convert log.mcap old.mcap",
+        "convert log.mcap old.mcap --force",
+    ),
     (
         "name the map with --map",
         "replay log.mcap --start-pose 0,0,0",
