@@ -180,7 +180,8 @@ def atomic_directory(directory: Path, *, force: bool, marker: str = RUN_FILE) ->
 
     On any failure it is removed, and what was there before stays. Raises OutputError where the disk says no.
     """
-    check_directory(directory, force=force, marker=marker)
+    with writing(directory, "make room or choose another with -o"):
+        check_directory(directory, force=force, marker=marker)
     with replacing(directory, force=force, another="another directory with -o", room="another with -o") as partial:
         partial.mkdir()
         yield partial

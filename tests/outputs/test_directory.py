@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from mavnav.errors import ExitCode, OutputError, UsageError
 from mavnav.jobs.run_cache import check_cache_directory
 from mavnav.outputs import writers
-from mavnav.outputs.directory import check_directory
+from mavnav.outputs.directory import atomic_directory, check_directory
 from mavnav.outputs.files import document as documents
 from mavnav.outputs.writers import write_run
 
@@ -226,3 +226,20 @@ def test_warnings_name_the_picture_only_if_it_is_written(run, tmp_path, groups):
     ending = " of a run with --outputs pictures" if groups else ""
     assert f"it is odd; see map.png{ending}" in document["warnings"]
     assert f"map.png{ending}" in document["verdict"]["advice"]
+
+
+def test_a_directory_that_cannot_be_examined_any_more_is_an_error_of_the_output(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(_: Path) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    (tmp_path / "run").mkdir()
+    monkeypatch.setattr(Path, "iterdir", fail)
+    with (
+        pytest.raises(
+            OutputError, match="run cannot be written: Input/output error; make room or choose another with -o"
+        ),
+        atomic_directory(tmp_path / "run", force=True),
+    ):
+        pass
