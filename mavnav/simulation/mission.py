@@ -11,18 +11,16 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from mavnav.mapping.occupancy_grid import GridBuilder
-from mavnav.pose import Pose, Trajectory, transform_points
+from mavnav.pose import Pose, Trajectory
 from mavnav.scan import Attitude, Scan, level_scan
+from mavnav.simulation.navigator import Navigator
 from mavnav.simulation.planner.potential_field import MotionCommand, Planner
 from mavnav.simulation.vehicle import Vehicle, disturbance, sweeping, tilts_over, vehicle_of
 from mavnav.simulation.world import LaserModel, Scenario, laser_model, take_scan
 from mavnav.slam.matching.motion_model import Motion
-from mavnav.slam.matching.steps import Step, Steps
 from mavnav.slam.methods.registry import make_method
 from mavnav.slam.pipeline import finish
 from mavnav.slam.track import Track
-from mavnav.slam.tracker import track
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -30,7 +28,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from mavnav.mapping.occupancy_grid import GridBuilder
     from mavnav.simulation.world.shapes import XY
+    from mavnav.slam.matching.steps import Step
     from mavnav.slam.result import SlamResult
     from mavnav.slam.track import OnStep
 
@@ -96,21 +96,18 @@ def fly(scenario: Scenario, on_step: OnStep | None = None) -> Flight:
     method = make_method(config, commanded=scenario.uses_odometry)
     odometry = vehicle.odometry if scenario.uses_odometry else None
     motion = Motion(laser.spec.scan_time_s, odometry, method.expects_rest, commanded=scenario.uses_odometry)
-    obstacles = Obstacles.of(scenario, method.grid)
     scans: list[Scan] = []
     seen: list[Scan] = [] if scenario.levels_scans else scans
-    steps = Steps()
-    end = End.STEP_LIMIT
+    coming = _level(_scans(scenario, vehicle, scans), scenario, vehicle, seen)
+    navigator = Navigator(scenario, coming, seen, Track(lambda: seen, config, motion, method))
     executing: Iterator[None] = iter(())
-    coming = _scans(scenario, vehicle, scans)
-    for step in track(_level(coming, scenario, vehicle, seen), method, motion):
-        steps.append(step)
+    while True:
+        step = navigator.locate()
         if on_step:
-            on_step("fly", len(steps))
-        obstacles.note(seen[-1], step)
+            on_step("fly", step.index + 1)
         here = pilot.locate(step, vehicle.odometry(step.stamp_ns))
         if next(executing, DONE) is DONE:
-            decision = pilot.decide(step, here, obstacles.grid)
+            decision = pilot.decide(step, here, navigator.obstacles)
             if isinstance(decision, End):
                 end = decision
                 break
@@ -119,8 +116,7 @@ def fly(scenario: Scenario, on_step: OnStep | None = None) -> Flight:
         if _closest_m(scenario, vehicle.world_T_base[-2:]) < scenario.vehicle.radius_m:
             end = End.COLLISION
             break
-    flown = Track(lambda: seen, config, motion, method, steps, on_step=on_step)
-    return _sum_up(scenario, vehicle, scans, end, finish(flown))
+    return _sum_up(scenario, vehicle, scans, end, finish(replace(navigator.flown, on_step=on_step)))
 
 
 DONE = object()
@@ -134,33 +130,6 @@ SPACING_RADII = 0.5
 
 TOLERANCE_RADII = 2.0
 """Distance from a position in truth at which it still counts as reached, in radii of the goal."""
-
-
-class Obstacles(Struct, frozen=True):
-    """What the planner goes round: the whole map, or of an aerial vehicle that knows its attitude a slice of it.
-
-    ``slice_m`` are the lower and upper end of the slice, None for the whole map.
-    """
-
-    grid: GridBuilder
-    slice_m: tuple[float, float] | None = None
-
-    @classmethod
-    def of(cls, scenario: Scenario, whole: GridBuilder) -> Obstacles:
-        """Take the map of the SLAM method as it is, or begin a slice of the same cells where scans are levelled."""
-        if scenario.flight is None or not scenario.levels_scans:
-            return cls(whole)
-        return cls(GridBuilder(whole.cell_m), scenario.flight.slice_m)
-
-    def note(self, scan: Scan, step: Step) -> None:
-        """Count the returns of an accepted scan in the slice; their beams have not left it, as the laser is in it."""
-        if self.slice_m is None or scan.heights_m is None or not step.tracked:
-            return
-        low_m, high_m = self.slice_m
-        with np.errstate(invalid="ignore"):  # NaN: no return
-            within = (scan.heights_m > low_m) & (scan.heights_m < high_m)
-        xy_m = scan.ranges_m[within, None] * scan.spec.directions[within]
-        self.grid.insert(step.match.map_T_laser, transform_points(step.match.map_T_laser, xy_m))
 
 
 class Pilot:

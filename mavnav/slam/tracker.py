@@ -55,9 +55,10 @@ def track(scans: Iterable[Scan], method: Method, motion: Motion, first: int = 0)
     """Track the laser through the scans, and insert each accepted scan into the method's map (paper, Figure 1).
 
     The first scan that the method can use begins the map, and its pose is the map frame. A later scan that does not
-    match well enough changes neither map nor pose (paper, "Map Update"). Steps are numbered from ``first`` on.
+    match well enough changes neither map nor pose (paper, "Map Update"). Steps are numbered from ``first`` on. A motion
+    with a stamp goes on in the method's map.
     """
-    state = None
+    state = TrackState(motion) if motion.stamp_ns else None
     for index, scan in enumerate(scans, first):
         began_s = perf_counter()
         if state is None:

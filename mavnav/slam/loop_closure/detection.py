@@ -275,7 +275,7 @@ def close_loops(track: Track, refiner: Refiner) -> Track:
 
 def rebuild_at(track: Track, map_T_laser: Trajectory) -> Track | None:
     """Return the track with these poses, and its map drawn at them; None if the run is stopped early."""
-    fresh = make_method(track.config)
+    fresh = make_method(track.config, commanded=track.motion.commanded)
     rebuilt = Steps(rebuild(track.log_scans(), track.steps, map_T_laser, fresh, track.motion))
     return replace(track, steps=rebuilt, method=fresh) if len(rebuilt) == len(track.steps) else None
 
