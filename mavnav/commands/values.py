@@ -46,8 +46,8 @@ class _Parameters:
                 param.get_runtime_param = lambda reader=reader: reader
         try:
             return super().parse_args(ctx, args)  # type: ignore[misc]
-        except TyperException as error:
-            error.ctx = getattr(error, "ctx", None) or ctx  # type: ignore[attr-defined]  the parser's lack it
+        except TyperException as error:  # those of the parser lack the command
+            error.ctx = getattr(error, "ctx", None) or ctx  # type: ignore[attr-defined]
             raise
 
 
