@@ -124,9 +124,10 @@ def _examples_of(module: ModuleType) -> str:
 
 def _epilog(text: str, page: str) -> str:
     """Return the text after the options in a help page, each line a paragraph, with the documentation page."""
-    return "\n\n".join(
-        [*text.strip().split("\n"), f"[bold]Documentation[/bold]  mavnav docs {page.replace('.md', '')}"]
-    )
+    lines = [*text.strip().split("\n"), f"[bold]Documentation[/bold]  mavnav docs {page.replace('.md', '')}"]
+    if sys.flags.optimize > 1:  # it drops docstrings, which hold the help
+        lines += ["Without descriptions, because of Python's -OO or PYTHONOPTIMIZE=2."]
+    return "\n\n".join(lines)
 
 
 def run(args: Sequence[str], *, debug: bool = False) -> int:
