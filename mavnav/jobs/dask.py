@@ -236,7 +236,7 @@ def _import_distributed() -> Any:  # noqa: ANN401  a module
     try:
         import distributed  # noqa: PLC0415  an extra
     except ImportError as error:
-        raise UsageError("a cluster needs Dask; install mavnav[cluster]") from error
+        raise UsageError("a cluster needs Dask; pip install 'mavnav[cluster]'") from error
     return distributed
 
 
