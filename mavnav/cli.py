@@ -124,9 +124,10 @@ def _examples_of(module: ModuleType) -> str:
 
 def _epilog(text: str, page: str) -> str:
     """Return the text after the options in a help page, each line a paragraph, with the documentation page."""
-    return "\n\n".join(
-        [*text.strip().split("\n"), f"[bold]Documentation[/bold]  mavnav docs {page.replace('.md', '')}"]
-    )
+    lines = [*text.strip().split("\n"), f"[bold]Documentation[/bold]  mavnav docs {page.replace('.md', '')}"]
+    if sys.flags.optimize > 1:  # it drops docstrings, which hold the help
+        lines += ["Without descriptions, because of Python's -OO or PYTHONOPTIMIZE=2."]
+    return "\n\n".join(lines)
 
 
 def run(args: Sequence[str], *, debug: bool = False) -> int:
@@ -149,9 +150,10 @@ def _explain(error: BaseException) -> int:
             context = getattr(error, "ctx", None)
             command = context.command_path if context else "mavnav"
             text = error.format_message().replace("Value error, ", "").rstrip(".")
-            advice = _hint(error)
-            text = f"{re.split(r' [(]|[.] Did', text)[0]}; {advice}" if advice else f"{text}; see '{command} --help'"
-            note(f"mavnav: error: {text}")
+            hint = _hint(error)
+            text = re.split(r" [(]Possible|[.] Did" if hint else " [(]Possible", text)[0]
+            advice = hint or f"see '{command} --help'"
+            note(f"mavnav: error: {text}; {advice}")
             return ExitCode.USAGE
         case MavnavError():
             note(f"mavnav: error: {error}")
@@ -186,15 +188,17 @@ def _hint(error: typer.TyperException) -> str:
 
     An option is named only where the command has it.
     """
+    from difflib import get_close_matches
     from tomllib import loads
 
     answers = loads((Path(__file__).parent / "commands" / "hints.toml").read_text("utf-8"))
     context = getattr(error, "ctx", None)
-    if option := getattr(error, "option_name", None):
-        known = {name for each in context.command.params for name in each.opts} if context else set[str]()
+    if (option := getattr(error, "option_name", None)) and hasattr(error, "possibilities"):
+        known = sorted({name for each in context.command.params for name in each.opts} if context else ())
         usable = {answer: names for answer, names in answers["options"].items() if answer.split()[0] in known}
         word = option.partition("=")[0].replace("_", "-")
-        return _answer(answers["always"], word) or _written(_answer(usable, word))
+        near = [name for name in known if word.startswith(f"{name}-")] or get_close_matches(word, known, cutoff=0.8)
+        return _answer(answers["always"], word) or _written(_answer(usable, word) or next(iter(near), ""))
     _, command, name = error.format_message().partition("No such command ")
     word = name.split("'")[1] if name.count("'") > 1 else ""
     if command and ("/" in word or "." in word):

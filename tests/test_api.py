@@ -237,6 +237,24 @@ def test_errors_are_one_line(call, said: str) -> None:  # type: ignore[no-untype
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda: mavnav.replay("a", output="b"), "replay has no argument output; did you mean directory?"),
+        (lambda: mavnav.replay("a", end=3.0), "replay has no argument end; did you mean end_s?"),
+        (lambda: mavnav.batch("a", job=3), "batch has no argument job; help(mavnav.batch) lists those it has"),
+        (lambda: mavnav.batch("a", jobs=3), "batch has no argument jobs; did you mean workers?"),
+        (lambda: mavnav.open_log("a", topics="b"), "open_log has no argument topics; did you mean topic?"),
+        (lambda: mavnav.track([], methods="b"), "track has no argument methods; did you mean method?"),
+        (mavnav.replay, "missing a required argument: 'log'"),
+    ],
+)
+def test_an_unknown_argument_is_answered_by_the_nearest(call, said: str) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(TypeError) as caught:
+        call()
+    assert str(caught.value) == said
+
+
 SPEC = mavnav.LaserSpec(-np.pi / 2, np.pi / 180, 181, 0.1, 10.0)
 SEEN = np.full(181, 2.0)
 

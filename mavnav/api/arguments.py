@@ -9,6 +9,7 @@ import inspect
 import json
 import re
 from collections.abc import Callable, Mapping, Sequence
+from difflib import get_close_matches
 from functools import wraps
 from inspect import Parameter
 from numbers import Integral
@@ -171,10 +172,19 @@ _FLAGS = re.compile(
 
 
 def with_python_names(function: Function) -> Function:
-    """Let the errors of a function name its arguments, not the options of the command line."""
+    """Let the errors of a function name its arguments, not the options of the command line.
+
+    A name that it does not take raises TypeError, as in any function, with the nearest one.
+    """
+    names = list(inspect.signature(function).parameters)
 
     @wraps(function)
     def call(*args: Any, **values: Any) -> Any:  # noqa: ANN401  those of the function
+        for name in values.keys() - {*names}:
+            usual = _NAMES.get(f"--{name.replace('_', '-')}", name)
+            near = [usual] if usual in names else get_close_matches(name, names, cutoff=0.75)
+            advice = f"did you mean {near[0]}?" if near else f"help(mavnav.{function.__name__}) lists those it has"
+            raise TypeError(f"{function.__name__} has no argument {name}; {advice}")
         try:
             return function(*args, **values)
         except MavnavError as error:
@@ -194,7 +204,7 @@ def _in_python(words: re.Match[str]) -> str:
 def with_options(*names: str) -> Callable[[Function], Function]:
     """Put options in the signature and the docstring of a function that takes them as ``**options``.
 
-    In both they follow the positional arguments. Other names raise TypeError, as they do in any function.
+    In both they follow the positional arguments.
     """
 
     def decorate(function: Function) -> Function:

@@ -79,8 +79,8 @@ def open_log(
     )
 
 
-@arguments.with_options(*OPTIONS)
 @arguments.with_python_names
+@arguments.with_options(*OPTIONS)
 def replay(
     log: File,
     *,
@@ -139,8 +139,8 @@ def replay(
     return in_directory(work, directory)
 
 
-@arguments.with_options(*SEARCHING)
 @arguments.with_python_names
+@arguments.with_options(*SEARCHING)
 def simulate(
     scenario: File,
     *,

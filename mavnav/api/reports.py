@@ -77,8 +77,8 @@ def convert(
     return convert_to(*files, strict=strict, force=force, progress=lambda _done, _total: None)
 
 
-@arguments.with_options(*REFERENCES)
 @arguments.with_python_names
+@arguments.with_options(*REFERENCES)
 def metrics(
     maps: File | Sequence[File], *, progress: Progress | None = None, **options: Unpack[ReplayOptions[File]]
 ) -> list[dict[str, Any]]:
@@ -145,8 +145,8 @@ def check(
     )[0]
 
 
-@arguments.with_options(*READING, "strict", "resolution_m", "online")
 @arguments.with_python_names
+@arguments.with_options(*READING, "strict", "resolution_m", "online")
 def batch(
     sources: File | Sequence[File],
     *,

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from mavnav.slam.matching.steps import Step
 
 
-@with_options(*SEARCHING)
 @with_python_names
+@with_options(*SEARCHING)
 def track(
     scans: Iterable[Scan],
     *,

@@ -146,7 +146,6 @@ class _Copy(Struct):
 
     def run(self, on_bytes: Callable[[int], None] = lambda _: None) -> None:
         """Download the file; raises MavnavError."""
-        _fsspec()
         Thread(target=self._work, daemon=True).start()
         try:
             while not self.ended.wait(0.05):
@@ -216,7 +215,11 @@ class _Copy(Struct):
         if isinstance(error, TimeoutError) and error.errno is None:  # the client's own time limit
             return self._timeout_error()
         reason = " ".join(public_text(str(error), self.address).split()) or type(error).__name__
-        return UsageError(f"{shown}: cannot be read ({reason}); check the address and the permissions")
+        advice = "check the address and the permissions"
+        if isinstance(error, ImportError):  # of fsspec and aiohttp, or what fsspec says to install
+            named = "pip install 'mavnav[cluster]'" if isinstance(error, ModuleNotFoundError) else "install it"
+            advice = f"{named}, or download the log by other means"
+        return UsageError(f"{shown}: cannot be read ({reason}); {advice}")
 
 
 def _begins_at(source: Any, begin_bytes: int) -> bool:  # noqa: ANN401  an open file of fsspec
@@ -229,20 +232,14 @@ def _begins_at(source: Any, begin_bytes: int) -> bool:  # noqa: ANN401  an open 
 
 def _open(address: str, bounds: DownloadLimits, begin_bytes: int = 0) -> Any:  # noqa: ANN401  an open file of fsspec
     """Open an address; one of a web server is read as a stream, with its redirections checked."""
+    import fsspec  # noqa: PLC0415  an extra
+
     options: dict[str, Any] = {}
     if any(part.lower().startswith(("http://", "https://")) for part in address.split("::")):
         options = client_options(address, bounds.total_s, bounds.idle_s, private=bounds.private)
     for client in options.values() if begin_bytes else ():
         client["headers"] = {"Range": f"bytes={begin_bytes}-"}
-    return _fsspec().open(address, "rb", **options)
-
-
-def _fsspec() -> Any:  # noqa: ANN401  a module
-    try:
-        import fsspec  # noqa: PLC0415  an extra
-    except ImportError as error:
-        raise UsageError("logs by address need fsspec; install mavnav[cluster]") from error
-    return fsspec
+    return fsspec.open(address, "rb", **options)
 
 
 def client_options(address: str, total_s: float, idle_s: float, *, private: bool) -> dict[str, Any]:

@@ -10,6 +10,7 @@ mavnav docs report --open
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from itertools import pairwise
@@ -45,10 +46,10 @@ def docs(
     name, _, anchor = page.partition("#")
     path = package_folder("docs") / f"{name.removesuffix('.md')}.md"
     if not path.is_file():
-        raise UsageError(missing(path, "'mavnav docs' names the pages"))
+        raise UsageError(missing(path, "'mavnav docs' names the pages").replace(f"{path.parent}{os.sep}", ""))
     text = _section(path.read_text(encoding="utf-8"), anchor)
     if not text:
-        raise UsageError(f"{path} has no section {anchor!r}; see 'mavnav docs {name}'")
+        raise UsageError(f"{path.name} has no section {anchor!r}; see 'mavnav docs {name}'")
     if in_browser:
         _open_page(path, anchor)
     elif sys.stdout.isatty():

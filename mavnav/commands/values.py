@@ -14,6 +14,7 @@ from copy import copy
 from pathlib import Path
 from typing import Annotated, Any, Final, get_type_hints
 
+from typer import TyperException
 from typer.core import TyperCommand, TyperGroup
 
 from mavnav.commands import shared
@@ -43,7 +44,11 @@ class _Parameters:
             if hasattr(param, "get_runtime_param"):
                 reader = _Reader(param.get_runtime_param)
                 param.get_runtime_param = lambda reader=reader: reader
-        return super().parse_args(ctx, args)  # type: ignore[misc]
+        try:
+            return super().parse_args(ctx, args)  # type: ignore[misc]
+        except TyperException as error:  # those of the parser lack the command
+            error.ctx = getattr(error, "ctx", None) or ctx  # type: ignore[attr-defined]
+            raise
 
 
 class PlainCommand(_Parameters, TyperCommand):

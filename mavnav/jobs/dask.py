@@ -16,7 +16,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from tempfile import NamedTemporaryFile
 from threading import Lock
-from time import monotonic
+from time import monotonic, sleep
 from typing import Any, Final
 from urllib.parse import urlsplit
 from uuid import uuid4
@@ -118,6 +118,9 @@ def _events(received: SimpleQueue[Any], under_way: dict[int, _Submitted]) -> Ite
     if isinstance(item, Progressed):
         if item.index in under_way:
             yield item
+    elif item in under_way and under_way[item].future.status == "lost":  # with its worker: Dask runs the job again
+        sleep(POLL_S)
+        received.put(item)
     elif item in under_way:
         yield Ended(item, _outcome(under_way[item]))
 
@@ -236,7 +239,7 @@ def _import_distributed() -> Any:  # noqa: ANN401  a module
     try:
         import distributed  # noqa: PLC0415  an extra
     except ImportError as error:
-        raise UsageError("a cluster needs Dask; install mavnav[cluster]") from error
+        raise UsageError("a cluster needs Dask; pip install 'mavnav[cluster]'") from error
     return distributed
 
 

@@ -22,11 +22,11 @@ SAME_RATE: Final = (0.9, 1.1)
 """Ratios of the stamps' time to that of recording where both are of real time."""
 
 
-FASTEST_HZ: Final = 1000.0
-"""No planar laser scans faster."""
+FASTEST_HZ, SLOWEST_HZ = 1000.0, 0.1
+"""No planar laser scans faster, and none that moves as slowly."""
 
 OTHER_UNIT: Final = 0.01
-"""Share of the time of recording below which stamps of such scans are in another unit, as ms that are read as ns."""
+"""Ratio of the time of such scans by their stamps and by recording from which they are in another unit, as ms are."""
 
 LEAST_SCANS: Final = 10
 """Fewer show no rate."""
@@ -81,6 +81,11 @@ def other_unit_text(stamps_ns: NDArray[np.int64], log_ns: NDArray[np.int64]) -> 
     """Say that ascending stamps (n,) of scans are in another unit, by the times of recording; else nothing."""
     span_s, recorded_s = (float(np.ptp(each)) * NS for each in (stamps_ns, log_ns))
     scans = len(stamps_ns)
-    if scans < LEAST_SCANS or span_s * FASTEST_HZ >= scans or span_s >= OTHER_UNIT * recorded_s:
+    if scans < LEAST_SCANS:
         return ""
-    return f"they say that {scans} scans took {span_s:.2g} s, recording {recorded_s:.4g} s: they are in another unit"
+    short = span_s * FASTEST_HZ < scans and span_s < OTHER_UNIT * recorded_s
+    slow = float(np.median(np.diff(stamps_ns))) * NS * SLOWEST_HZ > 1.0  # whatever pauses there are
+    long = slow and recorded_s < OTHER_UNIT * span_s and recorded_s * FASTEST_HZ > scans
+    if not (short or long):
+        return ""
+    return f"they say that {scans} scans took {span_s:.6g} s, recording {recorded_s:.4g} s: they are in another unit"

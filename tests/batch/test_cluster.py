@@ -9,7 +9,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from hashlib import sha256
 from pathlib import Path
 from threading import Thread
@@ -46,6 +46,13 @@ def cluster() -> Iterator[Cluster]:
 def processes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
     with connect(LOCAL, tmp_path_factory.mktemp("shared"), 2, None, TRIES) as found:
         yield found
+
+
+def wait_until(holds: Callable[[], bool]) -> None:
+    until_s = time.monotonic() + 60.0
+    while not holds():
+        assert time.monotonic() < until_s
+        time.sleep(0.01)
 
 
 def ignore(event: Event) -> None:
@@ -93,6 +100,21 @@ def test_a_scheduler_on_another_machine_is_noticed(
         distributed, "get_worker", lambda: SimpleNamespace(scheduler=SimpleNamespace(address=scheduler))
     )
     assert in_cluster() is elsewhere
+
+
+@pytest.mark.slow
+def test_a_result_that_is_lost_with_its_worker_is_made_again(processes: Cluster) -> None:
+    client = processes.client
+
+    def lose_the_result(event: Event) -> None:
+        if isinstance(event, Started):
+            (state,) = client.futures.values()
+            wait_until(lambda: state.status == "finished")
+            client.run(os._exit, 3, on_error="ignore")
+            wait_until(lambda: state.status == "lost")
+
+    (outcome,) = outcomes_of(processes, [Job("square", strange_jobs.square, (7,))], lose_the_result)
+    assert (outcome.status, outcome.value) == (Status.DONE, 49)
 
 
 @pytest.mark.slow

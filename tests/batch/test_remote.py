@@ -126,7 +126,19 @@ def test_addresses_that_lead_nowhere(address: str, said: str) -> None:
         pass
 
 
-def test_without_fsspec(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "fsspec", None)
-    with pytest.raises(UsageError, match=r"install mavnav\[cluster\]"), download("memory://a"):
+@pytest.mark.parametrize(
+    ("module", "address", "advice"),
+    [
+        ("fsspec", "memory://a", "pip install 'mavnav[cluster]', or download the log"),
+        ("aiohttp", "http://127.0.0.1:1/a.mcap", "pip install 'mavnav[cluster]', or download the log"),
+        ("s3fs", "s3://a/b.mcap", "(Install s3fs to access S3); install it, or download the log"),
+    ],
+)
+def test_what_is_not_installed_is_named(
+    module: str, address: str, advice: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(UsageError) as caught, download(address):
         pass
+    assert str(caught.value).startswith(f"{address}: cannot be read (") and module in str(caught.value)
+    assert advice in str(caught.value)

@@ -65,6 +65,20 @@ def test_mirrored_scans_are_named_where_odometry_turns_the_other_way(path: Traje
 
 
 @pytest.mark.slow
+def test_beside_mirrored_odometry_the_run_is_right_as_said(tmp_path: Path) -> None:
+    messages = drive_log(path=TURNING, odometry=True, beams=120)
+    mirrored = [
+        replace(m, fields=m.fields | {"y": -m.fields["y"], "yaw": -m.fields["yaw"]}) if m.type == ODOM else m
+        for m in messages
+    ]
+    _, document = replayed(write_mcap(tmp_path / "log.mcap", mirrored), tmp_path / "a")
+    assert warning_with(document, "contradicts").endswith("; if the odometry is mirrored, this run is right")
+    replayed(write_mcap(tmp_path / "right.mcap", messages), tmp_path / "b", "--odom", "off")
+    paths = [(tmp_path / name / "trajectory.tum").read_text() for name in "ab"]
+    assert paths[0] == paths[1]
+
+
+@pytest.mark.slow
 def test_scans_that_transforms_turn_over_wrongly_are_used_as_recorded(tmp_path: Path) -> None:
     over = {"parent": "base_link", "child": "laser", "x": 0.0, "y": 0.0, "q": {"x": 1.0, "y": 0.0, "z": 0.0, "w": 0.0}}
     messages = drive_log(path=MOSTLY_STRAIGHT, beams=120) + wheels(MOSTLY_STRAIGHT, child="base_link")

@@ -74,6 +74,24 @@ def test_unknown_commands_are_one_line(mavnav: Callable) -> None:
     assert mavnav("config")[0] == ExitCode.USAGE
 
 
+@pytest.mark.parametrize(
+    ("line", "what"),
+    [
+        ("simulate corner --duration 5", "No such option: --duration; see 'mavnav simulate --help'"),
+        ("info a.bag --odom-topic /odom", "No such option: --odom-topic; see 'mavnav info --help'"),
+        ("replay a.bag --reslution 0.05", "No such option: --reslution; write --resolution"),
+        ("replay a.bag --end_time 5", "No such option: --end_time; write --end"),
+        ("replay a.bag -o", "Option '-o' requires an argument; see 'mavnav replay --help'"),
+        ("config show --set", "Option '--set' requires an argument; see 'mavnav config show --help'"),
+        ("replay a.bag --force=no", "Option '--force' does not take a value; see 'mavnav replay --help'"),
+    ],
+)
+def test_an_option_is_suggested_where_it_is_near_else_the_help_of_the_command(
+    mavnav: Callable, line: str, what: str
+) -> None:
+    assert mavnav(*line.split()) == (ExitCode.USAGE, "", f"mavnav: error: {what}\n")
+
+
 def test_completion_answers(spawn: Callable) -> None:
     process = spawn(_MAVNAV_COMPLETE="complete_bash", COMP_WORDS="mavnav re", COMP_CWORD="1")
     out, _ = process.communicate(timeout=30)

@@ -27,7 +27,12 @@ def test_a_section_ends_where_the_next_one_begins(mavnav):
 
 @pytest.mark.parametrize(
     ("page", "advice"),
-    [("problem", "did you mean"), ("xyz", "names the pages"), ("cli#nothing", "no section 'nothing'")],
+    [
+        ("problem", "error: problem.md: no such file; did you mean problems.md?"),
+        ("xyz", "error: xyz.md: no such file; 'mavnav docs' names the pages"),
+        ("notes/xyz", "error: xyz.md: no such file; 'mavnav docs' names the pages"),
+        ("cli#nothing", "error: cli.md has no section 'nothing'; see 'mavnav docs cli'"),
+    ],
 )
 def test_what_there_is_not_is_answered_by_what_there_is(mavnav, page, advice):
     code, _, err = mavnav("docs", page)

@@ -36,6 +36,12 @@ def test_pages_of_help_without_a_command_of_their_own(page: Callable[..., str]) 
     assert page("config", "show").rstrip().endswith("mavnav docs cli#configuration")
 
 
+def test_help_says_why_it_has_no_descriptions_without_docstrings(spawn: Callable) -> None:
+    for level, said in (("2", True), ("1", False)):
+        out, _ = spawn("docs", "--help", PYTHONOPTIMIZE=level).communicate(timeout=60)
+        assert ("Show the page in the browser" not in out) == ("Without descriptions" in out) == said
+
+
 def test_help_shows_the_defaults_of_the_configuration(page: Callable[..., str]) -> None:
     lines = dict(re.findall(r"^│ --([a-z-]+) (.*)$", page("replay"), re.MULTILINE))
     config = Config()

@@ -64,8 +64,11 @@ def test_damaged_log_becomes_a_sound_one(tmp_path: Path) -> None:
 
 def test_encodings_of_others_are_copied(tmp_path: Path) -> None:
     scan = {"timestamp": {"sec": 1, "nsec": 0}, "start_angle": 0.0, "end_angle": 1.0, "ranges": [1.0, 2.0]}
-    convert_log(foxglove_json(tmp_path / "a", [scan]), tmp_path / "b.mcap")
+    result = convert_log(foxglove_json(tmp_path / "a", [scan]), tmp_path / "b.mcap")
     assert open_log(tmp_path / "b.mcap").topics[0].encoding == "json"
+    said = "/scan: copied as they are (json), no messages of ROS 2; 'ros2 bag' refuses the file"
+    assert result.warnings == (said,)
+    assert convert_log(write_bag1(tmp_path / "c.bag", drive()), tmp_path / "d.mcap").warnings == ()
 
 
 def test_the_same_log_gives_the_same_bytes(tmp_path: Path) -> None:

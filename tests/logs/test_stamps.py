@@ -139,14 +139,15 @@ def test_a_clock_that_is_set_forward_is_told_from_a_pause_by_the_times_of_record
 
 
 @pytest.mark.parametrize("recorded_ns", [PERIOD_NS, 0, 20], ids=["as scanned", "all at once", "copied at once"])
-@pytest.mark.parametrize("per_unit", [1, 1000, 10**6], ids=["ns", "us", "ms"])
+@pytest.mark.parametrize("per_unit", [1, 1000, 10**6, 0.001], ids=["ns", "us", "ms", "ms read as s"])
 def test_stamps_in_another_unit_give_way_to_the_times_of_recording(
-    per_unit: int, recorded_ns: int, tmp_path: Path
+    per_unit: float, recorded_ns: int, tmp_path: Path
 ) -> None:
-    times_ns = [START_NS + k * PERIOD_NS for k in range(60)]
-    messages = [at(k, t // per_unit, START_NS + k * recorded_ns) for k, t in enumerate(times_ns)]
+    start_ns = START_NS if per_unit >= 1 else 10**9
+    times_ns = [start_ns + k * PERIOD_NS for k in range(60)]
+    messages = [at(k, round(t / per_unit), START_NS + k * recorded_ns) for k, t in enumerate(times_ns)]
     log = open_log(write_mcap(tmp_path / "a", messages))
-    wrong = per_unit > 1 and recorded_ns == PERIOD_NS
+    wrong = per_unit != 1 and recorded_ns == PERIOD_NS
     assert (log.counts.usable, log.stamp_source) == (60, "log" if wrong else "header")
     assert any("recording 5.9 s: they are in another unit" in text for text in log.warnings) == wrong
 

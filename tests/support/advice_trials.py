@@ -271,6 +271,11 @@ TRIALS = [
         "replay truths.mcap --truth auto",
         f"replay truths.mcap --truth topic:/gt -o new {FAST}",
     ),
+    (
+        "No such option: --reslution; write --resolution",
+        "replay log.mcap --reslution 0.05",
+        f"replay log.mcap --resolution 0.05 -o new {FAST}",
+    ),
     ("see 'mavnav replay --help'", "replay log.mcap --resolve 0.05", "replay --help"),
     (
         "values of --azimuth for 1 grids",

@@ -72,6 +72,10 @@ def convert_log(
         if not topics:
             raise NoScansError(f"{source}: {_nothing_read(writing)}")
         _compare(unfinished, target, topics)
+    for encoding in sorted({topic.encoding for topic in topics} - {"cdr"}):
+        copied = [topic.name for topic in topics if topic.encoding == encoding]
+        names = ", ".join(copied[:3]) + (f" and {len(copied) - 3} more" if len(copied) > 3 else "")
+        report.warn(f"{names}: copied as they are ({encoding}), no messages of ROS 2; 'ros2 bag' refuses the file")
     return Conversion(topics, dict(sorted(writing.left_out.items())), report.damages(), tuple(report.warnings))
 
 

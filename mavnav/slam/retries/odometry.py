@@ -129,7 +129,8 @@ def contradiction(track: Track) -> str:
     if odometry and is_mirrored(odometry, path):
         return (
             "the laser turns the other way; if it is mounted upside down, or its scans are mirrored, replay with --set "
-            "upside_down=true; if the transforms have turned them over, with --extrinsic x,y,yaw instead"
+            "upside_down=true; if the transforms have turned them over, with --extrinsic x,y,yaw instead; if the "
+            "odometry is mirrored, this run is right"
         )
     best = fit_odometry(odometry, path, GOOD_ODOMETRY) if odometry and len(path) else None
     if best and best.error <= MOST_ERROR:
