@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ContextDecorator
+from functools import wraps
 from math import nan
 from time import perf_counter
-from typing import Self, TypeVar
+from typing import ParamSpec, TypeVar
 
+P = ParamSpec("P")
 R = TypeVar("R")
 
 Progress = Callable[[str, int, int | None], None]
@@ -72,16 +73,12 @@ def _switch(name: str) -> str:
     return before
 
 
-class Stage(ContextDecorator):
-    """A named stage of the work: ``with Stage("search"):``; it also decorates functions, of which each call is one."""
+class Stage:
+    """A named stage of the work: ``with Stage("search"):``."""
 
     def __init__(self, name: str) -> None:
         """Name the stage; it begins with the block."""
         self.name, self.before = name, OTHER
-
-    def _recreate_cm(self) -> Self:
-        """Return another stage for each call of a function: calls may lie within each other."""
-        return type(self)(self.name)
 
     def __enter__(self) -> None:
         """Pause the enclosing stage and begin this one."""
@@ -92,7 +89,21 @@ class Stage(ContextDecorator):
         _switch(self.before)
 
 
-timed = Stage
+def timed(name: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Make each call of a function a stage of the work."""
+
+    def decorate(function: Callable[P, R]) -> Callable[P, R]:
+        @wraps(function)
+        def call(*args: P.args, **kwargs: P.kwargs) -> R:
+            before = _switch(name)
+            try:
+                return function(*args, **kwargs)
+            finally:
+                _switch(before)
+
+        return call
+
+    return decorate
 
 
 def each(name: str, items: Iterable[R]) -> Iterator[R]:

@@ -153,11 +153,10 @@ class Visibility:
         return self.keys[middle].map_T_laser, part
 
 
-def squares(key: KeyFrame) -> list[int]:
+def squares(key: KeyFrame) -> set[int]:
     """Return the numbers of the squares with points of a key frame."""
     col, row = np.floor(transform_points(key.map_T_laser, key.points) / SQUARE_M).astype(np.int64).T
-    numbers: list[int] = np.unique(row * _ROW + col).tolist()
-    return numbers
+    return set((row * _ROW + col).tolist())
 
 
 DRIFT_M, DRIFT_RAD = (0.3, 0.06, 4.0), (5 * DEG, 0.8 * DEG, 30 * DEG)

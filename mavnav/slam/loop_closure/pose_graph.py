@@ -169,7 +169,8 @@ def velocities(map_T_laser: Trajectory) -> Floats:
 def usual_velocity(speeds: Floats, stamps_ns: NDArray[np.int64], around_ns: NDArray[np.int64]) -> Floats:
     """Return the median velocity (2,) about two stamps, m/s."""
     first, last = np.searchsorted(stamps_ns, around_ns + np.array((-USUAL_S, USUAL_S)) / NS)
-    return np.asarray(np.median(speeds[first:last], axis=0))
+    ordered = np.sort(speeds[first:last], axis=0)  # np.median() takes seven times as long
+    return np.asarray(ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2
 
 
 def weakest_translation(information: Floats, points: int) -> Weakest:

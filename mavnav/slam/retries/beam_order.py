@@ -22,7 +22,7 @@ from mavnav.slam.retries.odometry import LEAST_TURN_RAD
 from mavnav.units import NS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     from numpy.typing import NDArray
 
@@ -90,22 +90,26 @@ def has_reversed_order(track: Track) -> bool:
         for before, step, scan in sampled
         if before.tracked and step.tracked
     ]
-    return not cost_ratio(pairs) > LISTED_RATIO and cost_ratio(track_both(scans, stretch, track)) < BETTER
+    return not cost_ratio(pairs) > LISTED_RATIO and next(cost_ratios(scans, stretch, track, [reversed_scan])) < BETTER
 
 
-def track_both(scans: list[Scan], stretch: range, track: Track, change: Callable[[Scan], Scan] | None = None) -> Pairs:
-    """Track the scans of a stretch in both orders, on separate maps; return the matches of both.
+def cost_ratios(
+    scans: list[Scan], stretch: range, track: Track, changes: Iterable[Callable[[Scan], Scan]]
+) -> Iterator[float]:
+    """Track the scans of a stretch as listed and with each change, on separate maps; yield the `cost_ratio` of each.
 
-    Another ``change`` of the scans takes the place of the reverse order. The path of the track predicts the poses. The
-    tracks end where ``LOST_SCANS`` in a row do not match. None are returned with fewer than ``LEAST_COMPARED`` scans.
+    The path of the track predicts the poses. The tracks end where ``LOST_SCANS`` in a row do not match. The ratio is
+    NaN with fewer than ``LEAST_COMPARED`` scans.
     """
     some = [scans[row - stretch.start] for row in turning_scans(stretch, track)]
     path = partial(tracked_trajectory(track.steps).at, max_gap_ns=int(LONGEST_S / NS))
     alone = replace(track, prior_map=None, begin=0, motion=track.motion._replace(odometry=path))
     until = partial(until_missing, least_points=0, most_missed=LOST_SCANS, most_held=np.inf)
-    listed, other = (alone.over(s, until=until).steps for s in (some, map(change or reversed_scan, some)))
-    both = [(a.match, b.match) for a, b in zip(listed, other, strict=False) if a.tracked and b.tracked]
-    return both if len(both) >= LEAST_COMPARED else []
+    listed = alone.over(some, until=until).steps
+    for change in changes:
+        other = alone.over(map(change, some), until=until).steps
+        both = [(a.match, b.match) for a, b in zip(listed, other, strict=False) if a.tracked and b.tracked]
+        yield cost_ratio(both if len(both) >= LEAST_COMPARED else [])
 
 
 def turning_scans(stretch: range, track: Track) -> list[int]:

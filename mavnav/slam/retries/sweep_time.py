@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 from msgspec.structs import replace
 
 from mavnav.slam.retries.attempt import Attempt, is_sharper
-from mavnav.slam.retries.beam_order import BETTER, cost_ratio, track_both, turning_stretch
+from mavnav.slam.retries.beam_order import BETTER, cost_ratios, turning_stretch
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -32,10 +32,9 @@ def time_sweeps(track: Track) -> Track | None:
     if not scans or any(scan.times_s is not None or scan.spec.has_plausible_sweep(period_s) for scan in scans):
         return None
     turn_s = scans[0].spec.usual_turn_s(period_s)
-    ratios = {
-        turn: cost_ratio(track_both(scans, stretch, track, partial(timed_scan, turn_s=turn)))
-        for turn in (turn_s, -turn_s)
-    }
+    turns_s = turn_s, -turn_s
+    changes = [partial(timed_scan, turn_s=each_s) for each_s in turns_s]
+    ratios = dict(zip(turns_s, cost_ratios(scans, stretch, track, changes), strict=True))
     best_s = min(ratios, key=ratios.__getitem__)
     if not ratios[best_s] < BETTER:
         return None
