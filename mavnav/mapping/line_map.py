@@ -34,6 +34,7 @@ MOST_WAITING = 1 << 12
 _AT_ONCE = 1 << 14
 """Number of lines that are moved at a time."""
 
+NO_PULLS = np.zeros((6, 0))
 NOWHERE = (1e9, 1e9, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 """The line of index 0, so far away that the cost of every point is truncated."""
 
@@ -109,7 +110,19 @@ class LineMap(Struct):
         Both are described in `kernels.scans.observability`.
         """
         pose, information = map_T_laser.as_array(), np.empty(6)
-        return observability(points, pose, self.nearest, self.lines, self.geometry, information), information
+        arrays = self.nearest, self.lines, self.geometry, information, NO_PULLS
+        return observability(points, pose, np.inf, 0.0, *arrays), information
+
+    def pulls(self, points: Array, map_T_laser: Pose, within_m: float) -> tuple[Array, Array]:
+        """Return the information (6,) and the pulls (6, m) of points (n, 2) within a distance of lines of mapped areas.
+
+        Both are described in `kernels.scans.observability`; columns without points are 0.
+        """
+        pose, information = map_T_laser.as_array(), np.empty(6)
+        pulls = np.zeros((6, 1 << len(points).bit_length()))
+        arrays = self.nearest, self.lines, self.geometry, information, pulls
+        observability(points, pose, within_m, self.known_points, *arrays)
+        return information, pulls
 
     def cells_within(self, extent_m: Extent) -> float:
         """Return the approximate number of cells of the lattice within an extent."""

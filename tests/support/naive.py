@@ -378,24 +378,31 @@ def cost_floors(lines, box, step, truncate_m, levels):
     return out
 
 
-def observability(points, map_T_laser, line_map):
-    """Return the smallest eigenvalue of the mean information of points (n, 2), and the total information (3, 3).
+def observability(points, map_T_laser, line_map, within_m=np.inf, known_points=0.0):
+    """Return the smallest eigenvalue of the mean information of points (n, 2), the total (3, 3), and pulls by squares.
 
-    The information of a point comes from the normal of its line.
+    The information of a point comes from the normal of its line, and its pull (x, y, yaw) from its distance along that.
     """
     arm = np.linalg.norm(points, axis=1).mean()
-    information = np.zeros((3, 3))
+    information, pulls = np.zeros((3, 3)), {}
     for x, y in transform_points(map_T_laser, points):
         col, row = np.floor((np.array([x, y]) - line_map.geometry[:2]) / line_map.cell_m).astype(int)
         inside = 0 <= row < line_map.nearest.shape[0] and 0 <= col < line_map.nearest.shape[1]
-        if slot := line_map.nearest[row, col] // 128 if inside else 0:
-            axx, axy, ayy = line_map.lines[slot, 2:5]
-            (along_it, _), axes = np.linalg.eigh([[axx, axy], [axy, ayy]])
-            nx, ny = axes[:, 1]
-            jacobian = np.array([nx, ny, (ny * (x - map_T_laser.x_m) - nx * (y - map_T_laser.y_m)) / arm])
-            information += (1.0 - along_it) * np.outer(jacobian, jacobian) / len(points)
-    units = np.array([1.0, 1.0, arm])
-    return np.linalg.eigvalsh(information)[0], len(points) * information * np.outer(units, units)
+        slot = line_map.nearest[row, col] // 128 if inside else 0
+        if slot == 0 or line_map.lines[slot, 5] < known_points:
+            continue
+        (axx, axy, ayy), off = line_map.lines[slot, 2:5], (x, y) - line_map.lines[slot, :2]
+        metric = np.array([[axx, axy], [axy, ayy]])
+        if off @ metric @ off >= within_m**2:
+            continue
+        (along_it, _), axes = np.linalg.eigh(metric)
+        nx, ny = axes[:, 1]
+        jacobian = np.array([nx, ny, ny * (x - map_T_laser.x_m) - nx * (y - map_T_laser.y_m)])
+        information += (1.0 - along_it) * np.outer(jacobian, jacobian)
+        square = np.floor(x / 0.3), np.floor(y / 0.3)
+        pulls[square] = pulls.get(square, 0.0) - (1.0 - along_it) * (axes[:, 1] @ off) * jacobian
+    units = np.array([1.0, 1.0, 1.0 / arm])
+    return np.linalg.eigvalsh(information * np.outer(units, units) / len(points))[0], information, pulls
 
 
 def coarse_to_fine(terms, start, grid, limits, dense, few=None, on_known=None, hopeless=None):

@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mavnav.kernels.maps.layout import NEAR
 from mavnav.pose import Pose, wrap_angle
-from mavnav.slam.matching.observability import LEAST_SIGMA_M
+from mavnav.slam.matching.observability import LEAST_SIGMA_M, symmetric
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
@@ -23,9 +22,6 @@ if TYPE_CHECKING:
     from mavnav.mapping.line_map import LineMap
 
     Array = NDArray[np.float64]
-
-PIECE_M = 0.3
-"""Edge of a square of the map within which residuals have a common cause, m: results are alike from 0.1 to 1 m."""
 
 RATE, FIRST_SCANS = 0.01, 10
 """Least weight of a scan in the running variances, and weight of their first values in scans: the n-th one that is
@@ -49,28 +45,9 @@ def evidence_of(points: Array, map_T_laser: Pose, line_map: LineMap, truncate_m:
 
     Points on unmapped area and beyond the truncation show nothing.
     """
-    (x_m, y_m, yaw_rad), (cols_m, rows_m) = map_T_laser.as_array(), line_map.origin_xy_m
-    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
-    x, y = c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1]
-    at = np.floor(np.array((y + y_m - rows_m, x + x_m - cols_m)) / line_map.cell_m).astype(np.int64)
-    inside = ((at >= 0) & (at < np.array(line_map.nearest.shape)[:, None])).all(axis=0)
-    slots = np.where(inside, line_map.nearest[tuple(at * inside)] // NEAR, 0)
-    foot_x, foot_y, xx, xy, yy, count = line_map.lines[slots, :6].T
-    dx, dy = x + x_m - foot_x, y + y_m - foot_y
-    near = xx * dx * dx + 2.0 * xy * dx * dy + yy * dy * dy < truncate_m**2
-    used = (slots > 0) & near & (count >= line_map.known_points)
-    along = xx + yy - 1.0  # the metric along the line, which only holds points to its cells
-    xx, yy = xx - along, yy - along
-    # Columns of the metric times the motion of a point by x, y and yaw.
-    push = np.array(((xx, xy, xy * x - xx * y), (xy, yy, yy * x - xy * y)))[..., used]
-    turned = np.array((-y[used], x[used]))
-    turn = (turned[:, None] * push).sum(axis=0)
-    hessian = np.vstack((push.sum(axis=2), turn.sum(axis=1)))
-    pulls = -(push * np.array((dx[used], dy[used]))[:, None]).sum(axis=0)
-    piece = np.floor(np.array((x + x_m, y + y_m))[:, used] / PIECE_M).astype(np.int64)
-    _, piece = np.unique(piece[0] * (1 << 32) + piece[1], return_inverse=True)
-    of_pieces = np.array([np.bincount(piece, weights) for weights in pulls])
-    return Evidence(hessian, pulls.sum(axis=1), of_pieces @ of_pieces.T)
+    information, pulls = line_map.pulls(points, map_T_laser, truncate_m)
+    pulls = pulls[:3]
+    return Evidence(symmetric(information), pulls.sum(axis=1), pulls @ pulls.T)
 
 
 class Fusion(NamedTuple):

@@ -55,6 +55,13 @@ SINGULAR = 1e-9
 _ROWS, _COLS = (0, 0, 1, 0, 1, 2), (0, 1, 1, 2, 2, 2)
 
 
+def symmetric(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the symmetric matrices (..., 3, 3) of their values xx, xy, yy, x yaw, y yaw, yaw yaw, (..., 6)."""
+    full = np.empty((*values.shape[:-1], 3, 3))
+    full[..., _ROWS, _COLS] = full[..., _COLS, _ROWS] = values
+    return full
+
+
 def covariances_of(steps: Steps, hessians: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the covariances of the poses of steps in the map frame, (n, 6): xx, xy, yy, x yaw, y yaw, yaw yaw; m, rad.
 
@@ -63,8 +70,7 @@ def covariances_of(steps: Steps, hessians: NDArray[np.float64]) -> NDArray[np.fl
     Points are taken as independent and the map as exact, so this is a lower bound.
     """
     out, n = np.full((len(steps), 6), np.nan), len(hessians)
-    full = np.empty((n, 3, 3))
-    full[:, _ROWS, _COLS] = full[:, _COLS, _ROWS] = hessians
+    full = symmetric(hessians)
     eigenvalues = np.linalg.eigvalsh(full)
     known = eigenvalues[:, 0] > SINGULAR * np.maximum(eigenvalues[:, 2], 1e-300)
     variance_m2 = np.maximum(steps.column("cost_m2")[:n][known], LEAST_SIGMA_M**2)
@@ -74,7 +80,6 @@ def covariances_of(steps: Steps, hessians: NDArray[np.float64]) -> NDArray[np.fl
 
 def rotate_covariances(covariances: NDArray[np.float64], yaw_rad: float) -> NDArray[np.float64]:
     """Return covariances (n, 6), in the order of `covariances_of`, seen in a frame that is turned back by an angle."""
-    full, c, s = np.empty((len(covariances), 3, 3)), np.cos(yaw_rad), np.sin(yaw_rad)
-    full[:, _ROWS, _COLS] = full[:, _COLS, _ROWS] = covariances
+    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
     turn = np.array([(c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)])
-    return np.asarray((turn @ full @ turn.T)[:, _ROWS, _COLS])
+    return np.asarray((turn @ symmetric(covariances) @ turn.T)[:, _ROWS, _COLS])

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from mavnav.config.models import Config
-from mavnav.kernels.scans.observability import observability
 from mavnav.mapping.line_map import LineMap
 from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.scan import LaserSpec
-from mavnav.slam.matching.observability import LEAST_OBSERVABILITY, degeneracy_warning
+from mavnav.slam.matching.observability import LEAST_OBSERVABILITY, degeneracy_warning, symmetric
 from mavnav.slam.matching.scan_matching import first_match
 from mavnav.slam.matching.steps import Step, Steps
 from mavnav.slam.pipeline import run_slam
@@ -21,6 +20,7 @@ from support.synthetic import URG_04LX, Recording, along, drifting_odometry, fur
 
 CIRCLE = polyline(*((2.5 * np.cos(a), 2.5 * np.sin(a)) for a in np.arange(0.0, 2 * pi, pi / 60)), closed=True)
 CORRIDOR = polyline((-20, -1), (20, -1)), polyline((-20, 1), (20, 1))
+LASER = Pose(0.3, -0.2, 0.7)
 SHORT_SIGHTED = LaserSpec(URG_04LX.angle_min_rad, URG_04LX.angle_step_rad, 681, 0.02, 4.0, 0.0, 0.1)
 
 
@@ -105,24 +105,41 @@ def test_a_run_that_was_stopped_tells_of_the_scans_that_came() -> None:
     assert "25 % of the scans" in degeneracy_warning(steps, np.zeros(5))
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_the_kernel_is_its_twin(seed: int) -> None:
+def random_map(seed: int) -> tuple[LineMap, np.ndarray]:
+    """Return the map of random walls, and points on them, and off them, seen from ``LASER``."""
     rng = np.random.default_rng(seed)
-    line_map = LineMap(0.02, 0.06, 0.01)
+    line_map = LineMap(0.02, 0.06, 0.01, known_points=4.0)
     ends = np.repeat(rng.uniform(-2, 2, (8, 2, 2)), 50, axis=0)
     walls = ends[:, 0] + rng.random((400, 1)) * (ends[:, 1] - ends[:, 0]) + rng.normal(0, 0.01, (400, 2))
     line_map.insert(walls)
-    laser = Pose(0.3, -0.2, 0.7)
-    points = transform_points(laser.inverse(), np.vstack((walls[::3], rng.uniform(-5, 5, (20, 2)))))
-    sums = np.empty(6)
-    fast = observability(points, laser.as_array(), line_map.nearest, line_map.lines, line_map.geometry, sums)
-    slow, information = naive.observability(points, laser, line_map)
+    return line_map, transform_points(LASER.inverse(), np.vstack((walls[::3] + 0.02, rng.uniform(-5, 5, (20, 2)))))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_kernel_is_its_twin(seed: int) -> None:
+    line_map, points = random_map(seed)
+    fast, sums = line_map.observability(points, LASER)
+    slow, information, _ = naive.observability(points, LASER, line_map)
     assert slow > 0.01
     assert fast == pytest.approx(slow, abs=1e-9)
-    np.testing.assert_allclose(sums, information[(0, 0, 1, 0, 1, 2), (0, 1, 1, 2, 2, 2)], atol=1e-6)
+    np.testing.assert_allclose(symmetric(sums), information, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_pulls_are_those_of_the_twin(seed: int) -> None:
+    line_map, points = random_map(seed)
+    sums, table = line_map.pulls(points, LASER, 0.05)
+    _, all_information, _ = naive.observability(points, LASER, line_map)
+    _, information, pulls = naive.observability(points, LASER, line_map, 0.05, 4.0)
+    assert 20.0 < information[0, 0] + information[1, 1] < 0.9 * (all_information[0, 0] + all_information[1, 1])
+    np.testing.assert_allclose(symmetric(sums), information, atol=1e-6)
+    fast = {tuple(column[3:5].tolist()): column[:3] for column in table.T if column[5]}
+    assert fast.keys() == pulls.keys()
+    for square, pull in pulls.items():
+        np.testing.assert_allclose(fast[square], pull, atol=1e-6)
 
 
 def test_no_point_holds_nothing() -> None:
-    line_map = LineMap(0.02, 0.06, 0.01)
-    arrays = line_map.nearest, line_map.lines, line_map.geometry
-    assert observability(np.zeros((0, 2)), np.zeros(3), *arrays, np.empty(6)) == 0.0
+    line_map, nothing = LineMap(0.02, 0.06, 0.01), np.zeros((0, 2))
+    assert line_map.observability(nothing, Pose())[0] == 0.0
+    assert not line_map.pulls(nothing, Pose(), 1.0)[1].any()
