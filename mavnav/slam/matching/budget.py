@@ -39,27 +39,23 @@ class Budget:
         """Start with the first credit."""
         self.each_scan, self.most = each_scan, most
         self.credit, self.work = first, 0.0
-        self._refundable = 0.0
 
     @property
     def is_ready(self) -> bool:
         """Whether the credit covers a search like the last one requested, or has reached ``most``."""
         return self.credit >= min(self.work, self.most)
 
-    def earn(self, *, found: bool = False) -> None:
-        """Add the credit of a scan, and refund the refundable work of the last scan if that was ``found``."""
-        self.credit = min(self.credit + self.each_scan + (self._refundable if found else 0.0), self.most)
-        self._refundable = 0.0
+    def earn(self) -> None:
+        """Add the credit of a scan."""
+        self.credit = min(self.credit + self.each_scan, self.most)
 
-    def spend(self, work: float, *, refundable: bool = False) -> bool:
+    def spend(self, work: float) -> bool:
         """Spend the work of a search if the credit covers it; return whether it does.
 
-        A search of more work than ``most`` may leave a negative credit. Work that is ``refundable`` is returned by
-        ``earn``.
+        A search of more work than ``most`` may leave a negative credit.
         """
         self.work = work
         if not self.is_ready:
             return False
         self.credit -= work
-        self._refundable += work if refundable else 0.0
         return True
