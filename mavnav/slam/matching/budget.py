@@ -19,11 +19,6 @@ WHOLE_EACH, WHOLE_FIRST = 1.0, 50.0
 """Budgets of wide regions and of the whole map, in local searches: credit of each scan, first and maximum credit."""
 
 
-def is_lost(elapsed_s: float, period_s: float) -> bool:
-    """Return whether a laser is lost that long after its last accepted pose, at that period of its scans."""
-    return elapsed_s > DOUBTFUL_SCANS * period_s
-
-
 def search_work(poses: int, cells: float, minima: int) -> float:
     """Return the work of a search: ``minima`` to refine, ``poses`` to search, ``cells`` to bound."""
     return minima + poses / POSES + cells / CELLS
