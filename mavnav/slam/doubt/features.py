@@ -38,13 +38,11 @@ class TrackEvidence(Struct, frozen=True):
     used or not, NaN without one; ``tilt_rad`` (n,) the tilt by an inertial sensor, 0 without; ``second_motion`` (n,)
     the share of scans that fit another motion too, at those scans; ``by_odometry_m`` (n,) the error to be expected
     where odometry alone gives the pose, 0 elsewhere; ``odometry`` (n,): odometry predicts the pose. ``period_s`` is the
-    scan period; ``refused`` is the number of loops that were found and not used, ``closed`` of those that were used.
+    scan period.
     """
 
     period_s: float
     odometry: NDArray[np.bool_]
-    refused: int
-    closed: int
     stamps_ns: NDArray[np.int64]
     xyyaw: Floats
     points: NDArray[np.int64]
@@ -65,8 +63,6 @@ def evidence_of(track: Track, refiner: Refiner) -> TrackEvidence:
     return TrackEvidence(
         period_s=track.motion.period_s,
         odometry=track.motion.odometry_at(stamps_ns),
-        refused=findings.loops.refused,
-        closed=len(findings.loops.closed),
         stamps_ns=stamps_ns,
         xyyaw=xyyaw,
         points=track.steps.column("beams_used")[tracked],
@@ -242,11 +238,6 @@ def few_points(evidence: TrackEvidence) -> Floats:
     return FEW_POINTS / np.maximum(evidence.points, 1)
 
 
-def unclosed_loop(evidence: TrackEvidence) -> Floats:
-    """Return the number of refused loops, if none was closed; equal for all scans."""
-    return np.full(len(evidence.stamps_ns), 0.0 if evidence.closed else float(evidence.refused))
-
-
 def other_motion(evidence: TrackEvidence) -> Floats:
     """Return the share of scans that fit a second motion, at those scans, as a multiple of the bound."""
     return evidence.second_motion / LEAST_AGREEING
@@ -289,7 +280,6 @@ FEATURES: Final = {
     "odometry_disagrees": Feature("odometry contradicts", odometry_disagrees, MANY_SCANS, 0.45, 0.3),
     "placed_by_odometry": Feature("placed by odometry alone", placed_by_odometry, ONE_SCAN, 1.17, 0.79),
     "not_planar": Feature(NOT_PLANAR, not_planar, MANY_SCANS, 0.21, 0.1),
-    "unclosed_loop": Feature("unclosed loop", unclosed_loop, ONE_SCAN, 0.1, 0.1),
     "sparse_sampling": Feature("sampling too sparse for the motion", sparse, MANY_SCANS, 0.35, 0.0),
     "few_points": Feature("too few beams", few_points, MANY_SCANS, 0.72, 0.0),
 }
