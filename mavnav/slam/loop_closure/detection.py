@@ -32,8 +32,8 @@ from mavnav.slam.loop_closure.key_frames import (
 )
 from mavnav.slam.loop_closure.pose_graph import optimize, path_edges
 from mavnav.slam.matching.scan_matching import no_match
-from mavnav.slam.matching.steps import Step, Steps, tracked_trajectory
-from mavnav.slam.methods.registry import Method, Refiner, make_method
+from mavnav.slam.matching.steps import Steps, tracked_trajectory
+from mavnav.slam.methods.registry import Refiner, make_method
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -41,9 +41,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.config.models import Config
-    from mavnav.scan import Scan
     from mavnav.slam.loop_closure.pose_graph import InformationOf
-    from mavnav.slam.matching.motion_model import Motion
     from mavnav.slam.track import LogScans, Track
 
     PointsOf = Callable[[list[int]], Iterable[NDArray[np.float64]]]
@@ -264,9 +262,13 @@ def close_loops(track: Track, refiner: Refiner) -> Track:
 
 def rebuild_at(track: Track, map_T_laser: Trajectory) -> Track | None:
     """Return the track with these poses, and its map drawn at them; None if the run is stopped early."""
-    fresh = make_method(track.config)
-    rebuilt = Steps(rebuild(track.log_scans(), track.steps, map_T_laser, fresh, track.motion))
-    return replace(track, steps=rebuilt, method=fresh) if len(rebuilt) == len(track.steps) else None
+    poses, inserted = (map_T_laser[row] for row in range(len(map_T_laser))), 0
+    moved = (s._replace(match=s.match._replace(map_T_laser=next(poses))) if s.tracked else s for s in track.steps)
+    rebuilt = replace(track, steps=Steps(moved), method=make_method(track.config))
+    for step, scan, motion in rebuilt.placed_scans():
+        rebuilt.method.insert(scan, step.match.map_T_laser, motion)
+        inserted += 1
+    return rebuilt if inserted == len(map_T_laser) else None
 
 
 def points_of(log_scans: LogScans, steps: Steps, refiner: Refiner, rows: list[int]) -> Iterator[NDArray[np.float64]]:
@@ -279,18 +281,3 @@ def points_of(log_scans: LogScans, steps: Steps, refiner: Refiner, rows: list[in
 def information_of(refiner: Refiner, points: NDArray[np.float64], map_T_laser: Pose) -> NDArray[np.float64]:
     """Return what the map shows of a pose by points (n, 2), (6,): `Refiner.observability`."""
     return refiner.observability(points, no_match(map_T_laser))[1]
-
-
-def rebuild(
-    scans: Iterable[Scan], steps: Steps, map_T_laser: Trajectory, method: Method, motion: Motion
-) -> Iterator[Step]:
-    """Insert every tracked scan into a new map at its corrected pose, a row of ``map_T_laser``; yield the steps."""
-    poses = map(map_T_laser.__getitem__, range(len(map_T_laser)))
-    for step, scan in zip(steps, scans, strict=False):
-        if not step.tracked:
-            yield step
-            continue
-        pose = next(poses)
-        method.insert(scan, pose, motion)
-        motion = motion.moved_to(pose, step.stamp_ns) if motion.stamp_ns else motion.started_at(pose, step.stamp_ns)
-        yield step._replace(match=step.match._replace(map_T_laser=pose))
