@@ -56,6 +56,9 @@ NEVER = 10**9
 RULES: dict[str, dict[str, Any]] = {
     "methods.robust": {
         "NEAR_MINIMA": 6,
+        "FOUND_PERIODS": 0.0,
+        "FOUND_ANYWHERE_COST": 0.4,
+        "FOUND_COST": inf,
         "OBSERVED_SHARE": 0.0,
     },
     "recovery.across_gap": {"LONGEST_GAP_S": 0.0, "CONFLICT_WEIGHT": 0.0, "LEAST_AGREEMENT": 0.0, "MINIMA": 6},

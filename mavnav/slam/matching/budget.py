@@ -19,6 +19,11 @@ WHOLE_EACH, WHOLE_FIRST = 1.0, 50.0
 """Budgets of wide regions and of the whole map, in local searches: credit of each scan, first and maximum credit."""
 
 
+def is_lost(elapsed_s: float, period_s: float) -> bool:
+    """Return whether a laser is lost that long after its last accepted pose, at that period of its scans."""
+    return elapsed_s > DOUBTFUL_SCANS * period_s
+
+
 def search_work(poses: int, cells: float, minima: int) -> float:
     """Return the work of a search: ``minima`` to refine, ``poses`` to search, ``cells`` to bound."""
     return minima + poses / POSES + cells / CELLS
@@ -34,23 +39,27 @@ class Budget:
         """Start with the first credit."""
         self.each_scan, self.most = each_scan, most
         self.credit, self.work = first, 0.0
+        self._refundable = 0.0
 
     @property
     def is_ready(self) -> bool:
         """Whether the credit covers a search like the last one requested, or has reached ``most``."""
         return self.credit >= min(self.work, self.most)
 
-    def earn(self) -> None:
-        """Add the credit of a scan."""
-        self.credit = min(self.credit + self.each_scan, self.most)
+    def earn(self, *, found: bool = False) -> None:
+        """Add the credit of a scan, and refund the refundable work of the last scan if that was ``found``."""
+        self.credit = min(self.credit + self.each_scan + (self._refundable if found else 0.0), self.most)
+        self._refundable = 0.0
 
-    def spend(self, work: float) -> bool:
+    def spend(self, work: float, *, refundable: bool = False) -> bool:
         """Spend the work of a search if the credit covers it; return whether it does.
 
-        A search of more work than ``most`` may leave a negative credit.
+        A search of more work than ``most`` may leave a negative credit. Work that is ``refundable`` is returned by
+        ``earn``.
         """
         self.work = work
         if not self.is_ready:
             return False
         self.credit -= work
+        self._refundable += work if refundable else 0.0
         return True

@@ -45,6 +45,9 @@ SEPARATE_M, SEPARATE_RAD = 0.25, 12 * DEG
 SEPARATE = np.array((SEPARATE_M, SEPARATE_RAD))
 """Distance and rotation up to which two poses are the same minimum."""
 
+_ROW = 1 << 20
+"""Length of a row in the numbering of lattice positions."""
+
 START_M, START_RAD = 1.0, 45 * DEG
 """Radius and half-width of the search around a given start pose, m and rad."""
 
@@ -109,6 +112,20 @@ def within_reach(pose: Pose, elapsed_s: float) -> Region:
     return around(pose, radius_m, half_rad)
 
 
+def within_reach_of(poses: tuple[Pose, ...], elapsed_s: float) -> Region:
+    """Return the poses that a vehicle can reach from any of several poses: the union of the discs, and their yaws.
+
+    Positions are on the lattice of the first pose, and occur once where discs overlap.
+    """
+    first_xy, yaws_rad = within_reach(poses[0], elapsed_s)
+    cells = [np.round((within_reach(p, elapsed_s)[0] - first_xy[0]) / STEP_M).astype(np.int64) for p in poses]
+    col, row = np.concatenate(cells).T
+    row, col = np.divmod(np.unique(row * _ROW + col + _ROW // 2), _ROW)
+    more_rad = max(abs(wrap_angle(pose.yaw_rad - poses[0].yaw_rad)) for pose in poses)
+    half_rad = min(pi, 0.5 * (len(yaws_rad) - 1) * STEP_RAD + more_rad)
+    return first_xy[0] + STEP_M * np.column_stack((col - _ROW // 2, row)), around(poses[0], 0.0, half_rad)[1]
+
+
 def around(pose: Pose, radius_m: float, half_rad: float) -> Region:
     """Return the poses around a pose: a disc of positions, m, and yaws within ``half_rad``."""
     k = int(np.ceil(half_rad / STEP_RAD))
@@ -143,10 +160,11 @@ def candidates(
     region: Region,
     config: Config,
     most: int = CANDIDATES,
+    limit: float = np.inf,
     credit: Credit | None = None,
 ) -> list[Match]:
     """Return `refined_minima` with their visibility conflicts."""
-    matches = refined_minima(points, line_map, region, config, most, credit)
+    matches = refined_minima(points, line_map, region, config, most, limit, credit)
     return [with_conflicts(match, points, line_map, grid) for match in matches]
 
 
@@ -157,15 +175,17 @@ def refined_minima(
     region: Region,
     config: Config,
     most: int = CANDIDATES,
+    limit: float = np.inf,
     credit: Credit | None = None,
 ) -> list[Match]:
     """Search a region of poses; return up to ``most`` separate minima, refined.
 
-    ``points`` (n, 2) are those of the scan, laser frame, m, shuffled, so that any prefix is a fair sample. ``credit``
-    is that of this search by default.
+    Minima with a cost above ``limit``, a share of the worst cost, are left out. ``points`` (n, 2) are those of the
+    scan, laser frame, m, shuffled, so that any prefix is a fair sample. ``credit`` is that of this search by default.
     """
     few, truncate_m = points[: config.robust.expert.first_level_points], config.robust.expert.truncate_m
-    starts = lowest(few, line_map, region, truncate_m, most, credit, exhaustive=config.search == "exhaustive")
+    limit_m2, exhaustive = limit * truncate_m**2, config.search == "exhaustive"
+    starts = lowest(few, line_map, region, truncate_m, most, limit_m2, credit, exhaustive=exhaustive)
     schedule = Schedule.of(config, line_map, REFINED)
     return [search_lines(points, line_map, pose, schedule) for _, pose in starts]
 
@@ -176,11 +196,12 @@ def lowest(
     region: Region,
     truncate_m: float,
     most: int,
+    limit_m2: float = np.inf,
     credit: Credit | None = None,
     *,
     exhaustive: bool = False,
 ) -> list[Start]:
-    """Return the ``most`` lowest separate minima of the cost of points (n, 2) in a region.
+    """Return the ``most`` lowest separate minima of the cost of points (n, 2) in a region, up to ``limit_m2``.
 
     The pruned search returns the same minima as the exhaustive one. The exhaustive search is used for small regions,
     and if positions are not whole cells apart. The pruned one returns nothing if it uses up the credit.
@@ -190,12 +211,13 @@ def lowest(
     step = round(STEP_M / line_map.cell_m)
     small = len(xy_m) * len(yaws_rad) * len(points) < WORTH_PRUNING
     if exhaustive or small or abs(step * line_map.cell_m - STEP_M) > 1e-9:
-        return lowest_exhaustive(points, line_map, region, truncate_m, most)
+        starts = lowest_exhaustive(points, line_map, region, truncate_m, most)
+        return [start for start in starts if start[0] <= limit_m2]
     if not credit[0]:
         return []
     floors = line_map.cost_floors(truncate_m, step, reached_by(points, xy_m))
     bounds, lines = (floors.corner, floors.levels, floors.planes), (line_map.nearest, line_map.lines, line_map.geometry)
-    poses = lowest_poses(points, xy_m, yaws_rad, truncate_m, SEPARATE, np.inf, most, step, *bounds, *lines, credit)
+    poses = lowest_poses(points, xy_m, yaws_rad, truncate_m, SEPARATE, limit_m2, most, step, *bounds, *lines, credit)
     return starts_of(poses, xy_m, yaws_rad) if credit[0] else []
 
 

@@ -13,7 +13,17 @@ from mavnav.mapping.occupancy_grid import Grid, GridBuilder
 from mavnav.pose import Pose
 from mavnav.profiling import timed
 from mavnav.scan import LONGEST_SWEEP, Scan
-from mavnav.slam.matching.budget import WHOLE_EACH, WHOLE_FIRST, WIDE_EACH, WIDE_FIRST, WIDE_MOST, Budget, search_work
+from mavnav.slam.matching.budget import (
+    RARELY_SCANS,
+    WHOLE_EACH,
+    WHOLE_FIRST,
+    WIDE_EACH,
+    WIDE_FIRST,
+    WIDE_MOST,
+    Budget,
+    is_lost,
+    search_work,
+)
 from mavnav.slam.matching.observability import LEAST_OBSERVABILITY
 from mavnav.slam.matching.relocalization import (
     CANDIDATES,
@@ -26,6 +36,7 @@ from mavnav.slam.matching.relocalization import (
     refined_minima,
     with_conflicts,
     within_reach,
+    within_reach_of,
 )
 from mavnav.slam.matching.scan_matching import (
     Match,
@@ -53,6 +64,13 @@ if TYPE_CHECKING:
 
 NEAR_MINIMA = 3
 """Number of separate minima near the prediction that are refined: the lowest one of a coarse grid may be wrong."""
+
+FOUND_PERIODS = 1.5
+"""Time since the last accepted pose, in periods, below which the work of the previous scan is returned."""
+
+FOUND_COST, FOUND_ANYWHERE_COST = 0.4, 0.25
+"""Maximum cost, as a share of the worst, of a minimum that is refined when the laser is lost, in a wide region and in
+the whole map. Poses at which a lost laser was found cost up to 0.1 at 10 scans a second."""
 
 OBSERVED_SHARE = 1 / 30
 """Weight of the odometry where the walls show all directions, as a share of that along a corridor: a bias adds up."""
@@ -89,6 +107,7 @@ class Robust:
         self._wide_budget = Budget(WIDE_EACH, WIDE_FIRST, WIDE_MOST)
         self._whole_budget = Budget(WHOLE_EACH, WHOLE_FIRST)
         self._pauses = Pauses()
+        self._missed = 0, 0  # stamp of the last accepted pose, and number of scans matched since
 
     @property
     def refiner(self) -> Robust:
@@ -126,21 +145,53 @@ class Robust:
         self._pauses.note(scan.stamp_ns, motion)
         if len(points) < self.config.robust.min_points:
             return no_match(predicted, len(points))
-        self._wide_budget.earn()
+        self._wide_budget.earn(found=elapsed_s < FOUND_PERIODS * motion.period_s)
         self._whole_budget.earn()
+        if self._missed_before(motion) >= RARELY_SCANS and motion.odometry is None:
+            return self._search_rarely(points, predicted, motion, scan.stamp_ns)
         tried, good = self._search_near(points, predicted, motion, elapsed_s)
         if good:
             return tried[0]
+        expected, lost = motion.expected_poses(predicted, scan.stamp_ns), is_lost(elapsed_s, motion.period_s)
+        regions = self._lost_region(points, expected, elapsed_s) if lost else []
+        given_up = lost and not regions
+        if given_up and tried and motion.odometry is None:
+            return self._with_conflicts(tried[0], points)
         tried += self._search_around(points, predicted)
         best = self._of_least_cost(tried, points, predicted, motion)
-        if self.acceptance.is_acceptable(best, motion, elapsed_s):
+        if given_up or self.acceptance.is_acceptable(best, motion, elapsed_s):
             return with_effort(best, *tried)
         tried = [self._with_conflicts(match, points) for match in tried]
-        expected = motion.expected_poses(predicted, scan.stamp_ns)
-        for region in (within_reach(pose, elapsed_s) for pose in expected):
-            if elapsed_s <= motion.period_s or self._wide_budget.spend(self._work(points, region)):
-                tried += self._search_wide(points, region)
+        for region in regions or [within_reach(pose, elapsed_s) for pose in expected]:
+            if lost or self._wide_budget.spend(self._work(points, region), refundable=True):
+                tried += self._search_wide(points, region, FOUND_COST if lost else np.inf)
         return best_of(tried, expected, elapsed_s, self.config)
+
+    def _missed_before(self, motion: Motion) -> int:
+        """Return how many scans before this one had the same last accepted pose."""
+        last_ns, missed = self._missed
+        self._missed = motion.stamp_ns, missed + 1 if last_ns == motion.stamp_ns else 0
+        return self._missed[1]
+
+    def _search_rarely(self, points: NDArray[np.float64], predicted: Pose, motion: Motion, stamp_ns: int) -> Match:
+        """Search for a laser that has been lost for long, if the budget covers a wide region."""
+        expected, elapsed_s = motion.expected_poses(predicted, stamp_ns), motion.elapsed_s(stamp_ns)
+        regions = self._lost_region(points, expected, elapsed_s)
+        if not regions:
+            return no_match(predicted, len(points))
+        tried, good = self._search_near(points, predicted, motion, elapsed_s)
+        if good:
+            return tried[0]
+        tried = [self._with_conflicts(match, points) for match in tried]
+        tried += self._search_wide(points, regions[0], FOUND_COST)
+        return best_of(tried, expected, elapsed_s, self.config) if tried else no_match(predicted, len(points))
+
+    def _lost_region(self, points: NDArray[np.float64], expected: tuple[Pose, ...], elapsed_s: float) -> list[Region]:
+        """Return the region of a lost laser, around all expected poses; none if the budget does not cover a search."""
+        if not self._wide_budget.is_ready:
+            return []
+        region = within_reach_of(expected, elapsed_s)
+        return [region] if self._wide_budget.spend(self._work(points, region)) else []
 
     def _of_least_cost(self, tried: list[Match], points: NDArray[np.float64], predicted: Pose, motion: Motion) -> Match:
         """Return the match of least cost; distance from the odometry adds to it if the best match is not observable."""
@@ -184,10 +235,10 @@ class Robust:
         cells = 0.0 if self._bounded or not len(xy_m) else self.lines.cells_within(reached_by(some, xy_m))
         return search_work(len(xy_m) * len(yaws_rad), cells, CANDIDATES)
 
-    def _search_wide(self, points: NDArray[np.float64], region: Region) -> list[Match]:
+    def _search_wide(self, points: NDArray[np.float64], region: Region, limit: float) -> list[Match]:
         """Search a region that the laser can have reached."""
         self._bounded = True
-        return candidates(points, self.lines, self.known, region, self.config)
+        return candidates(points, self.lines, self.known, region, self.config, limit=limit)
 
     @timed("gate")
     def gate(self, match: Match, scan: Scan, motion: Motion) -> MatchVerdict:
@@ -211,7 +262,8 @@ class Robust:
             return None
         elapsed_s = motion.elapsed_s(scan.stamp_ns)
         self._free, self._bounded = self._free or everywhere(self.known), True
-        matches = [match, *candidates(points, self.lines, self.known, self._free, self.config)]
+        limit = FOUND_ANYWHERE_COST if is_lost(elapsed_s, motion.period_s) else np.inf
+        matches = [match, *candidates(points, self.lines, self.known, self._free, self.config, limit=limit)]
         expected = motion.expected_poses(motion.predict(scan.stamp_ns), scan.stamp_ns)
         best = best_of(matches, expected, elapsed_s, self.config)
         if best.ambiguous or self.acceptance.conflicts_after_gap(best, motion, elapsed_s):

@@ -16,6 +16,7 @@ from mavnav.slam import tracker
 from mavnav.slam.matching.budget import (
     CELLS,
     POSES,
+    RARELY_SCANS,
     WHOLE_EACH,
     WHOLE_FIRST,
     WIDE_EACH,
@@ -24,7 +25,7 @@ from mavnav.slam.matching.budget import (
     search_work,
 )
 from mavnav.slam.matching.motion_model import Motion
-from mavnav.slam.matching.relocalization import around
+from mavnav.slam.matching.relocalization import STEP_M, around, within_reach, within_reach_of
 from mavnav.slam.matching.scan_matching import MatchVerdict
 from mavnav.slam.matching.steps import Step
 from mavnav.slam.methods.robust import Robust
@@ -57,9 +58,36 @@ def test_a_search_above_the_maximum_credit_leaves_a_negative_one() -> None:
     assert not budget.spend(1.0)
 
 
+def test_what_is_lent_comes_back_if_the_scan_is_found() -> None:
+    budget = Budget(each_scan=2.0, first=50.0, most=60.0)
+    for _ in range(9):
+        assert budget.spend(20.0, refundable=True)
+        budget.earn(found=True)
+    assert budget.credit == 60.0
+    assert budget.spend(20.0)
+    budget.earn(found=True)
+    assert budget.spend(20.0, refundable=True)
+    budget.earn()
+    budget.earn(found=True)
+    assert budget.credit == 26.0
+
+
 def test_work_is_counted_in_local_searches() -> None:
     assert search_work(0, 0, 6) == 6
     assert search_work(3 * POSES, 2 * CELLS, 1) == 6
+
+
+def test_discs_about_several_poses_are_searched_once_where_they_overlap() -> None:
+    poses = Pose(1.03, 2.0, 0.5), Pose(1.5, 2.31, 0.7), Pose(1.03, 2.0, 0.5)
+    xy_m, yaws_rad = within_reach_of(poses, 0.9)
+    parts = [within_reach(pose, 0.9) for pose in poses]
+    assert len(parts[0][0]) < len(xy_m) < 1.5 * len(parts[0][0])
+    assert len(np.unique(np.round(xy_m / STEP_M, 3), axis=0)) == len(xy_m)
+    assert (np.diff(xy_m[:, 1]) > -1e-9).all()  # row by row
+    for part, _ in parts:
+        assert np.hypot(*(part[:, None] - xy_m).T).min(axis=0).max() < STEP_M
+    assert yaws_rad.min() <= min(q.min() for _, q in parts) + 1e-9
+    assert yaws_rad.max() >= max(q.max() for _, q in parts) - 1e-9
 
 
 @cache
@@ -85,6 +113,14 @@ def test_a_lost_laser_is_searched_as_its_scans_earn() -> None:
     assert method._whole_budget.credit >= 0
 
 
+def test_a_laser_lost_for_long_is_searched_only_when_its_budget_allows() -> None:
+    steps = lost_steps()[0][-LOST:]
+    searched = [bool(step.match.evaluations) for step in steps]
+    assert all(searched[:RARELY_SCANS])
+    rarely = searched[RARELY_SCANS + 1 :]
+    assert 2 < sum(rarely) < len(rarely) / 4
+
+
 def test_a_laser_lost_for_long_is_found_at_the_next_search() -> None:
     scans = record(furnished_rooms(), along(TOUR[:3], speed_m_s=0.8)).scans
     stamps_ns = (scans[-1].stamp_ns + 100_000_000 * np.arange(1, LOST + 31)).tolist()
@@ -97,18 +133,13 @@ def test_a_laser_lost_for_long_is_found_at_the_next_search() -> None:
     assert all(last.gap(step.match.map_T_laser)[0] < 0.02 for step in steps[-len(back) :] if step.tracked)
 
 
-@pytest.mark.parametrize(("periods", "free"), [(1, True), (2, False)])
-def test_wide_searches_are_free_right_after_an_accepted_scan(
-    periods: int, free: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    method, searched = Robust(Config()), list[object]()
-    motion, scan = Motion(0.1).started_at(Pose(1.0, 1.0), 1), scan_at(furnished_rooms(), Pose(1.0, 1.0))
-    method.insert(scan, Pose(1.0, 1.0), motion)
-    method._wide_budget = Budget(each_scan=0.0, first=0.0)
-    monkeypatch.setattr(method, "_search_wide", lambda *args: searched.append(args) or [])
-    monkeypatch.setattr(method.acceptance, "is_acceptable", lambda *_: False)
-    method.match(replace(scan, stamp_ns=1 + periods * 100_000_000), Pose(1.0, 1.0), motion)
-    assert bool(searched) is free
+@pytest.mark.slow
+def test_with_odometry_every_scan_of_a_laser_lost_for_long_is_searched() -> None:
+    scans = record(furnished_rooms(), along(TOUR[:3], speed_m_s=0.8)).scans
+    stamps_ns = scans[-1].stamp_ns + 100_000_000 * np.arange(1, LOST + 1)
+    other = [scan_at(ELSEWHERE, Pose(0.8, 0.8, 0.1e-9 * t), stamp_ns=t) for t in stamps_ns.tolist()]
+    steps = list(tracker.track([*scans, *other], Robust(Config()), Motion(0.1, lambda _: Pose())))
+    assert all(step.match.evaluations for step in steps[-LOST:])
 
 
 def test_without_credit_the_whole_map_is_not_searched() -> None:
