@@ -14,7 +14,6 @@ from mavnav.pose import motions
 from mavnav.slam.doubt.second_motion import LEAST_AGREEING, second_motion
 from mavnav.slam.findings import NOT_PLANAR, SECOND_LOST, SECOND_MOTION
 from mavnav.slam.matching.observability import LEAST_OBSERVABILITY
-from mavnav.slam.matching.steps import Steps
 from mavnav.slam.retries.attempt import COARSER, FEW_POINTS
 from mavnav.units import DEG, NS
 
@@ -96,19 +95,14 @@ def by_wheels(track: Track, stamps_ns: NDArray[np.int64]) -> Floats:
 def resampled_poses(track: Track) -> Floats | None:
     """Return the poses (n, 3) of the tracked scans in a track with coarser voxels, NaN for scans without a pose there.
 
-    The log is tracked once more unless that was done already. None if the run is stopped early.
+    Only these scans are tracked once more: others cannot be compared, and take most time. None if the run is stopped.
     """
-    tracked, opinion = track.steps.column("tracked"), track.findings.opinion
-    steps = _with_coarser_voxels(track, tracked) if opinion is None else Steps(compress(opinion, tracked))
+    tracked = track.steps.column("tracked")
+    other = replace(track, config=track.config.with_voxels(COARSER), begin=int(tracked[: track.begin].sum()))
+    steps = other.over(compress(track.log_scans(), tracked), "track again").steps
     if len(steps) < np.count_nonzero(tracked):
         return None
     return np.where(steps.column("tracked")[:, None], steps.column("map_T_laser"), np.nan)
-
-
-def _with_coarser_voxels(track: Track, tracked: NDArray[np.bool_]) -> Steps:
-    """Track the tracked scans with coarser voxels: lost ones cannot be compared, and take most time."""
-    config, begin = track.config.with_voxels(COARSER), int(tracked[: track.begin].sum())
-    return replace(track, config=config, begin=begin).over(compress(track.log_scans(), tracked), "track again").steps
 
 
 WINDOWS_S = (2.0, 10.0)
