@@ -25,10 +25,10 @@ from mavnav.slam.loop_closure.key_frames import (
     KeyFrame,
     KeyFrameMap,
     LocalMaps,
-    Paths,
     Visibility,
     drift_bound,
     key_rows,
+    shortest_path,
 )
 from mavnav.slam.loop_closure.pose_graph import optimize, path_edges
 from mavnav.slam.matching.scan_matching import no_match
@@ -167,9 +167,8 @@ def detect_closures(
     which also bounds the drift from there on; so do those ``known``. Where there can be little drift, local maps are
     searched, else the map of all.
     """
-    old, seen, paths, pace = KeyFrameMap(config), Visibility(keys, local), Paths(), Pace()
-    for each in known:
-        paths.join(keys[each.start].path_m, keys[each.end].path_m)
+    old, seen, pace = KeyFrameMap(config), Visibility(keys, local), Pace()
+    across = [(keys[each.start].path_m, keys[each.end].path_m) for each in known]
     xy_m, paths_m = np.array([k.map_T_laser[:2] for k in keys]), np.array([k.path_m for k in keys])
     for j, key in enumerate(keys):
         i = nearest_old(xy_m, paths_m, xy_m[j], key.path_m) if key.path_m >= pace.next_m else None
@@ -177,14 +176,14 @@ def detect_closures(
             continue
         count = int(np.searchsorted(paths_m, key.path_m - LOOP_M))
         seen.grow(count)
-        bound = drift_bound(paths.between(keys[i].path_m, key.path_m))
+        bound = drift_bound(shortest_path(keys[i].path_m, key.path_m, across))
         if wide := bound[0] > PART_M:
             old.grow(keys, count)
         closure = find_closure(keys, j, old if wide else None, seen, bound, config)
         confirms = closure is not None and is_small(closure.correction(keys))
         pace = pace.after(key.path_m, least_m, failed=closure is None, confirms=confirms)
         if closure and confirms:
-            paths.join(keys[closure.start].path_m, key.path_m)
+            across.append((keys[closure.start].path_m, key.path_m))
         yield closure
 
 
