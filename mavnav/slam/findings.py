@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.pose import Pose, Trajectory
-    from mavnav.slam.matching.steps import Step, Steps
+    from mavnav.slam.matching.steps import Step
 
 HIGH: Final = 0.5
 """Probability above which a track is marked as doubtful."""
@@ -45,8 +45,8 @@ class Edge(Struct, frozen=True):
 class Loop(Struct, frozen=True):
     """A closed loop: the scan of row ``end`` of the trajectory lies at ``start_T_end`` from that of row ``start``.
 
-    ``correction`` is the corrected pose of the later scan in its tracked frame, without the direction that is not
-    observable. ``inliers`` is the share of its points that agree.
+    ``correction`` is the corrected pose of the later scan in its tracked frame. ``inliers`` is the share of its points
+    that agree.
     """
 
     start: int
@@ -123,10 +123,9 @@ class Findings(Struct, frozen=True):
     map. ``by_odometry_m`` (n,) is the error to be expected of the steps that are placed by odometry alone, 0 for the
     others; empty without parts. ``observed`` and ``conflicts`` (n,) are the observability and the visibility conflicts
     of the steps in the finished map, ``hessians`` (n, 6) their Hessians, from which covariances are computed; empty
-    before the final pass. ``opinion`` are the steps of a track with coarser voxels that was not kept, if there was one.
-    ``doubt`` is None where it was not judged. ``map_T_begin`` is the pose at which the scan that begins the map was put
-    in the map frame, if it was. ``odometry`` is what corrects the odometry;
-    ``sweep_s`` the time of a sweep where it is another than stated, None where it is not.
+    before the final pass. ``doubt`` is None where it was not judged. ``map_T_begin`` is the pose at which the scan that
+    begins the map was put in the map frame, if it was. ``odometry`` is what corrects the odometry; ``sweep_s`` the time
+    of a sweep where it is another than stated, None where it is not.
     """
 
     warnings: tuple[str, ...] = ()
@@ -137,7 +136,6 @@ class Findings(Struct, frozen=True):
     observed: NDArray[np.float64] = field(default_factory=partial(np.zeros, 0))
     conflicts: NDArray[np.float64] = field(default_factory=partial(np.zeros, 0))
     hessians: NDArray[np.float64] = field(default_factory=partial(np.zeros, (0, 6)))
-    opinion: Steps | None = None
     doubt: Doubt | None = None
     map_T_begin: Pose | None = None
     sweep_s: float | None = None

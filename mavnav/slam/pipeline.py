@@ -14,7 +14,7 @@ from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, LogOdometry, in_met
 from mavnav.slam.methods.registry import make_method
 from mavnav.slam.recovery.own_map import or_with_own_map, place_in_given_map
 from mavnav.slam.recovery.parts import drop_late_poses, join_lost_parts
-from mavnav.slam.recovery.rematch import rematch_beginning, rematch_rejected
+from mavnav.slam.recovery.rematch import rematch_rejected
 from mavnav.slam.refinement.contradicted import drop_contradicted
 from mavnav.slam.refinement.place import place_map
 from mavnav.slam.refinement.refine import draw_map, match_deskewed, refine_poses, remove_dynamic_cells, smooth_jitter
@@ -41,7 +41,7 @@ SHORTEST_PERIOD_S = 1e-3
 ATTEMPTS: Final = (TIMED_SWEEPS, REVERSED_BEAMS, COARSER_VOXELS)
 """Attempts to track the log again, where an input check fails ("Input checks") or scans are sparse (step 10)."""
 
-RECOVERING: Final[tuple[Pass, ...]] = (rematch_beginning, drop_late_poses, rematch_rejected, join_lost_parts)
+RECOVERING: Final[tuple[Pass, ...]] = (drop_late_poses, rematch_rejected, join_lost_parts)
 """Passes that match the lost scans of a track once more: "Parts", and `rematch_rejected`, step 9."""
 
 CHECKING: Final[tuple[Pass, ...]] = (

@@ -77,7 +77,6 @@ MEANINGS: Final = {
     "sampling too sparse for the motion": "the laser moves too far between two scans",
     NOT_PLANAR: "the laser seems to have tilted, or the place to have changed",
     "too few beams": "the scans have few points",
-    "unclosed loop": "a place that is seen again does not fit",
     SECOND_MOTION: "something large moves with the laser or past it",
     "placed by odometry alone": "a part is placed by odometry alone",
     "odometry contradicts": "odometry contradicts the scans",

@@ -14,7 +14,6 @@ from mavnav.pose import motions
 from mavnav.slam.doubt.second_motion import LEAST_AGREEING, second_motion
 from mavnav.slam.findings import NOT_PLANAR, SECOND_LOST, SECOND_MOTION
 from mavnav.slam.matching.observability import LEAST_OBSERVABILITY
-from mavnav.slam.matching.steps import Steps
 from mavnav.slam.retries.attempt import COARSER, FEW_POINTS
 from mavnav.units import DEG, NS
 
@@ -38,13 +37,11 @@ class TrackEvidence(Struct, frozen=True):
     used or not, NaN without one; ``tilt_rad`` (n,) the tilt by an inertial sensor, 0 without; ``second_motion`` (n,)
     the share of scans that fit another motion too, at those scans; ``by_odometry_m`` (n,) the error to be expected
     where odometry alone gives the pose, 0 elsewhere; ``odometry`` (n,): odometry predicts the pose. ``period_s`` is the
-    scan period; ``refused`` is the number of loops that were found and not used, ``closed`` of those that were used.
+    scan period.
     """
 
     period_s: float
     odometry: NDArray[np.bool_]
-    refused: int
-    closed: int
     stamps_ns: NDArray[np.int64]
     xyyaw: Floats
     points: NDArray[np.int64]
@@ -65,8 +62,6 @@ def evidence_of(track: Track, refiner: Refiner) -> TrackEvidence:
     return TrackEvidence(
         period_s=track.motion.period_s,
         odometry=track.motion.odometry_at(stamps_ns),
-        refused=findings.loops.refused,
-        closed=len(findings.loops.closed),
         stamps_ns=stamps_ns,
         xyyaw=xyyaw,
         points=track.steps.column("beams_used")[tracked],
@@ -100,19 +95,14 @@ def by_wheels(track: Track, stamps_ns: NDArray[np.int64]) -> Floats:
 def resampled_poses(track: Track) -> Floats | None:
     """Return the poses (n, 3) of the tracked scans in a track with coarser voxels, NaN for scans without a pose there.
 
-    The log is tracked once more unless that was done already. None if the run is stopped early.
+    Only these scans are tracked once more: others cannot be compared, and take most time. None if the run is stopped.
     """
-    tracked, opinion = track.steps.column("tracked"), track.findings.opinion
-    steps = _with_coarser_voxels(track, tracked) if opinion is None else Steps(compress(opinion, tracked))
+    tracked = track.steps.column("tracked")
+    other = replace(track, config=track.config.with_voxels(COARSER), begin=int(tracked[: track.begin].sum()))
+    steps = other.over(compress(track.log_scans(), tracked), "track again").steps
     if len(steps) < np.count_nonzero(tracked):
         return None
     return np.where(steps.column("tracked")[:, None], steps.column("map_T_laser"), np.nan)
-
-
-def _with_coarser_voxels(track: Track, tracked: NDArray[np.bool_]) -> Steps:
-    """Track the tracked scans with coarser voxels: lost ones cannot be compared, and take most time."""
-    config, begin = track.config.with_voxels(COARSER), int(tracked[: track.begin].sum())
-    return replace(track, config=config, begin=begin).over(compress(track.log_scans(), tracked), "track again").steps
 
 
 WINDOWS_S = (2.0, 10.0)
@@ -242,11 +232,6 @@ def few_points(evidence: TrackEvidence) -> Floats:
     return FEW_POINTS / np.maximum(evidence.points, 1)
 
 
-def unclosed_loop(evidence: TrackEvidence) -> Floats:
-    """Return the number of refused loops, if none was closed; equal for all scans."""
-    return np.full(len(evidence.stamps_ns), 0.0 if evidence.closed else float(evidence.refused))
-
-
 def other_motion(evidence: TrackEvidence) -> Floats:
     """Return the share of scans that fit a second motion, at those scans, as a multiple of the bound."""
     return evidence.second_motion / LEAST_AGREEING
@@ -289,7 +274,6 @@ FEATURES: Final = {
     "odometry_disagrees": Feature("odometry contradicts", odometry_disagrees, MANY_SCANS, 0.45, 0.3),
     "placed_by_odometry": Feature("placed by odometry alone", placed_by_odometry, ONE_SCAN, 1.17, 0.79),
     "not_planar": Feature(NOT_PLANAR, not_planar, MANY_SCANS, 0.21, 0.1),
-    "unclosed_loop": Feature("unclosed loop", unclosed_loop, ONE_SCAN, 0.1, 0.1),
     "sparse_sampling": Feature("sampling too sparse for the motion", sparse, MANY_SCANS, 0.35, 0.0),
     "few_points": Feature("too few beams", few_points, MANY_SCANS, 0.72, 0.0),
 }

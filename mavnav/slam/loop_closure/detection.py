@@ -25,15 +25,15 @@ from mavnav.slam.loop_closure.key_frames import (
     KeyFrame,
     KeyFrameMap,
     LocalMaps,
-    Paths,
     Visibility,
     drift_bound,
     key_rows,
+    shortest_path,
 )
 from mavnav.slam.loop_closure.pose_graph import optimize, path_edges
 from mavnav.slam.matching.scan_matching import no_match
-from mavnav.slam.matching.steps import Step, Steps, tracked_trajectory
-from mavnav.slam.methods.registry import Method, Refiner, make_method
+from mavnav.slam.matching.steps import Steps, tracked_trajectory
+from mavnav.slam.methods.registry import Refiner, make_method
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -41,9 +41,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.config.models import Config
-    from mavnav.scan import Scan
     from mavnav.slam.loop_closure.pose_graph import InformationOf
-    from mavnav.slam.matching.motion_model import Motion
     from mavnav.slam.track import LogScans, Track
 
     PointsOf = Callable[[list[int]], Iterable[NDArray[np.float64]]]
@@ -64,8 +62,8 @@ MOST_FAILED = 40
 SIGHT_M = 4.0
 """Largest distance, besides the drift bound, of old key frames that may have seen the same walls."""
 
-SMALL_SHARE, FAR_OFF = 0.95, 3.0
-"""The track does not change if this share of its closures is small, and none exceeds the bounds by this factor."""
+SMALL_SHARE = 0.95
+"""The track does not change if this share of its closures is small."""
 
 ROUNDS = 3
 """Maximum number of rounds: a closed loop can bring other closures within the bounds."""
@@ -128,13 +126,13 @@ def find_closures(
     """
     searches = list(detect_closures(tracked, (), local, config, FAR_SEARCH_M))
     sparse = [closure for closure in searches if closure]
-    closures = consistent_closures(sparse, tracked, tracked)
+    closures = agreeing_closures(sparse, tracked)
     if (closures or len(searches) >= MOST_FAILED) and track_confirmed([c.correction(tracked) for c in closures]):
         return tracked, closures, len(sparse) - len(closures)
     keys, closures, refused = tracked, list[KeyClosure](), 0
     for _ in range(ROUNDS):
         latest = {c.end: c for c in (*closures, *detect_closures(keys, closures, local, config)) if c}
-        agreed = consistent_closures(list(latest.values()), keys, tracked)
+        agreed = agreeing_closures(list(latest.values()), keys)
         if len(agreed) < len(closures):
             break
         closures, refused = agreed, len(latest) - len(agreed)
@@ -143,15 +141,6 @@ def find_closures(
         poses = optimize([key.map_T_laser for key in tracked], [*path, *edges_of(closures)])
         keys = [replace(key, map_T_laser=pose) for key, pose in zip(tracked, poses, strict=True)]
     return keys, closures, refused
-
-
-def consistent_closures(
-    closures: Sequence[KeyClosure], keys: Sequence[KeyFrame], tracked: Sequence[KeyFrame]
-) -> list[KeyClosure]:
-    """Return the closures that agree; weak ones never refute others, and count only if they correct the track."""
-    full = agreeing_closures([c for c in closures if c.weak_rad is None], keys)  # constrained in all directions
-    weak = agreeing_closures([c for c in closures if c.weak_rad is not None], keys, full)
-    return sorted(full + [c for c in weak if not is_small(c.correction(tracked))], key=lambda c: c.end)
 
 
 def nearest_old(
@@ -175,13 +164,11 @@ def detect_closures(
     """Search key frames in the old part of the map; yield the closures, also those of no agreement, None without one.
 
     Searches are ``least_m`` of path apart or more. They are dense at first and sparse where closures confirm the track,
-    which also bounds the drift from there on; so do those ``known``. Weak closures confirm nothing, because the drift
-    along a corridor stays unknown. Where there can be little drift, local maps are searched, else the map of all.
+    which also bounds the drift from there on; so do those ``known``. Where there can be little drift, local maps are
+    searched, else the map of all.
     """
-    old, seen, paths, pace = KeyFrameMap(config), Visibility(keys, local), Paths(), Pace()
-    for each in known:
-        if each.weak_rad is None:
-            paths.join(keys[each.start].path_m, keys[each.end].path_m)
+    old, seen, pace = KeyFrameMap(config), Visibility(keys, local), Pace()
+    across = [(keys[each.start].path_m, keys[each.end].path_m) for each in known]
     xy_m, paths_m = np.array([k.map_T_laser[:2] for k in keys]), np.array([k.path_m for k in keys])
     for j, key in enumerate(keys):
         i = nearest_old(xy_m, paths_m, xy_m[j], key.path_m) if key.path_m >= pace.next_m else None
@@ -189,14 +176,14 @@ def detect_closures(
             continue
         count = int(np.searchsorted(paths_m, key.path_m - LOOP_M))
         seen.grow(count)
-        bound = drift_bound(paths.between(keys[i].path_m, key.path_m))
+        bound = drift_bound(shortest_path(keys[i].path_m, key.path_m, across))
         if wide := bound[0] > PART_M:
             old.grow(keys, count)
         closure = find_closure(keys, j, old if wide else None, seen, bound, config)
-        confirms = closure is not None and closure.weak_rad is None and is_small(closure.correction(keys))
+        confirms = closure is not None and is_small(closure.correction(keys))
         pace = pace.after(key.path_m, least_m, failed=closure is None, confirms=confirms)
         if closure and confirms:
-            paths.join(keys[closure.start].path_m, key.path_m)
+            across.append((keys[closure.start].path_m, key.path_m))
         yield closure
 
 
@@ -236,8 +223,7 @@ def revisits(frames: Frames, local: LocalMaps) -> Iterator[tuple[int, int]]:
 
 def track_confirmed(corrections: Sequence[Pose]) -> bool:
     """Return whether the corrections are so small that the track should not change."""
-    few = sum(not is_small(correction) for correction in corrections) <= (1.0 - SMALL_SHARE) * len(corrections)
-    return few and all(is_small(correction, FAR_OFF) for correction in corrections)
+    return sum(not is_small(correction) for correction in corrections) <= (1.0 - SMALL_SHARE) * len(corrections)
 
 
 def edges_of(closures: Sequence[KeyClosure]) -> list[Edge]:
@@ -275,9 +261,13 @@ def close_loops(track: Track, refiner: Refiner) -> Track:
 
 def rebuild_at(track: Track, map_T_laser: Trajectory) -> Track | None:
     """Return the track with these poses, and its map drawn at them; None if the run is stopped early."""
-    fresh = make_method(track.config, commanded=track.motion.commanded)
-    rebuilt = Steps(rebuild(track.log_scans(), track.steps, map_T_laser, fresh, track.motion))
-    return replace(track, steps=rebuilt, method=fresh) if len(rebuilt) == len(track.steps) else None
+    poses, inserted = (map_T_laser[row] for row in range(len(map_T_laser))), 0
+    moved = (s._replace(match=s.match._replace(map_T_laser=next(poses))) if s.tracked else s for s in track.steps)
+    rebuilt = replace(track, steps=Steps(moved), method=make_method(track.config, commanded=track.motion.commanded))
+    for step, scan, motion in rebuilt.placed_scans():
+        rebuilt.method.insert(scan, step.match.map_T_laser, motion)
+        inserted += 1
+    return rebuilt if inserted == len(map_T_laser) else None
 
 
 def points_of(log_scans: LogScans, steps: Steps, refiner: Refiner, rows: list[int]) -> Iterator[NDArray[np.float64]]:
@@ -290,18 +280,3 @@ def points_of(log_scans: LogScans, steps: Steps, refiner: Refiner, rows: list[in
 def information_of(refiner: Refiner, points: NDArray[np.float64], map_T_laser: Pose) -> NDArray[np.float64]:
     """Return what the map shows of a pose by points (n, 2), (6,): `Refiner.observability`."""
     return refiner.observability(points, no_match(map_T_laser))[1]
-
-
-def rebuild(
-    scans: Iterable[Scan], steps: Steps, map_T_laser: Trajectory, method: Method, motion: Motion
-) -> Iterator[Step]:
-    """Insert every tracked scan into a new map at its corrected pose, a row of ``map_T_laser``; yield the steps."""
-    poses = map(map_T_laser.__getitem__, range(len(map_T_laser)))
-    for step, scan in zip(steps, scans, strict=False):
-        if not step.tracked:
-            yield step
-            continue
-        pose = next(poses)
-        method.insert(scan, pose, motion)
-        motion = motion.moved_to(pose, step.stamp_ns) if motion.stamp_ns else motion.started_at(pose, step.stamp_ns)
-        yield step._replace(match=step.match._replace(map_T_laser=pose))

@@ -40,9 +40,6 @@ class Refiner(Protocol):
     def relocalize(self, scan: Scan, match: Match, motion: Motion) -> Match | None:
         """Find the scan anywhere in the map; None unless exactly one pose fits. ``match`` is a further hypothesis."""
 
-    def match_between(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
-        """Match a rejected scan between two accepted ones that are far apart in time, without wide searches."""
-
     def match_points(self, scan: Scan, motion: Motion | None = None) -> NDArray[np.float64]:
         """Return the points (n, 2) of the scan for matching, m, laser frame; de-skewed if the motion is given."""
 

@@ -193,17 +193,6 @@ class Robust:
         region = within_reach_of(expected, elapsed_s)
         return [region] if self._wide_budget.spend(self._work(points, region)) else []
 
-    def match_between(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
-        """Match a scan between two accepted ones: close to the prediction, or within the second window."""
-        points, elapsed_s = self.match_points(scan, motion), motion.elapsed_s(scan.stamp_ns)
-        if len(points) < self.config.robust.min_points:
-            return no_match(predicted, len(points))
-        tried, good = self._search_near(points, predicted, motion, elapsed_s)
-        if good:
-            return tried[0]
-        tried += self._search_around(points, predicted)
-        return with_effort(self._of_least_cost(tried, points, predicted, motion), *tried)
-
     def _of_least_cost(self, tried: list[Match], points: NDArray[np.float64], predicted: Pose, motion: Motion) -> Match:
         """Return the match of least cost; distance from the odometry adds to it if the best match is not observable."""
         best = min(tried, key=lambda match: match.cost_m2)

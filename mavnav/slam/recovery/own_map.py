@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Final
 from msgspec.structs import replace
 
 from mavnav.mapping.occupancy_grid import GridBuilder
+from mavnav.slam.loop_closure.detection import rebuild_at
 from mavnav.slam.loop_closure.key_frames import key_rows
 from mavnav.slam.matching.placement import place_together
 from mavnav.slam.matching.scan_matching import empty_line_map
-from mavnav.slam.matching.steps import Steps, evenly, lost_intervals, tracked_trajectory
+from mavnav.slam.matching.steps import evenly, lost_intervals, tracked_trajectory
 from mavnav.slam.methods.acceptance import Acceptance
 from mavnav.slam.methods.registry import Refiner, make_method
 from mavnav.slam.recovery.parts import lost_for_good
@@ -76,11 +77,8 @@ def place_in_given_map(track: Track, _refiner: Refiner) -> Track:
     map_T_own = place_of(track)
     if map_T_own is None:
         return track
-    moved = (s._replace(match=s.match._replace(map_T_laser=map_T_own @ s.match.map_T_laser)) for s in track.steps)
-    other = replace(track, method=make_method(track.config), steps=Steps(moved))
-    for step, scan, motion in other.placed_scans():
-        other.method.insert(scan, step.match.map_T_laser, motion)
-    return other.with_warning(
+    other = rebuild_at(track, tracked_trajectory(track.steps).seen_from(map_T_own))
+    return (other or track).with_warning(
         "scan by scan the laser was lost in the given map: the log was mapped alone, and its map placed in the "
         "given one as a whole; where that is bent, poses are off by as much: see both with mavnav diff"
     )

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from array import array
-from functools import partial
 from itertools import chain, islice
 from math import hypot
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec.structs import replace
@@ -17,7 +16,6 @@ from mavnav.profiling import timed
 from mavnav.slam.matching.motion_model import LONGEST_S, Motion, motions_along
 from mavnav.slam.matching.observability import UNMEASURED, degeneracy_warning
 from mavnav.slam.matching.steps import Step, Steps, jumps, tracked_trajectory
-from mavnav.slam.retries.beam_order import WARNING, is_costlier, match_both, reversed_scans
 from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
@@ -119,35 +117,16 @@ def draw_map(track: Track, refiner: Refiner) -> Track:
     return track
 
 
-TURNING_RAD_S: Final = 15 * DEG
-"""At this rate and above a scan shows in which order its beams were fired."""
-
-COMPARED_EVERY, MOST_COMPARED = 4, 100
-"""Step between the scans in turns that are matched in both orders, and their maximum number."""
-
-
 def match_deskewed(track: Track, refiner: Refiner) -> Track:
     """Match every tracked scan once more against the finished map, de-skewed by the motion along the track.
 
-    In turns both beam orders are compared, now that the motion is known. Where the run is being stopped, the later
-    steps stay as they are.
+    Where the run is being stopped, the later steps stay as they are.
     """
-    if WARNING not in track.findings.warnings and _fits_backwards(track, refiner):
-        track = replace(track.with_warning(WARNING), log_scans=partial(reversed_scans, track.log_scans))
     steps = Steps(track.steps)
     for step, scan, motion in track.placed_scans():
         match = refiner.refine(refiner.match_points(scan, motion), step.match)
         steps[step.index] = step._replace(match=match)
     return replace(track, steps=steps)
-
-
-def _fits_backwards(track: Track, refiner: Refiner) -> bool:
-    """Return whether the scans in turns fit the map better with their last beam fired first."""
-    if track.config.robust.deskew != "auto":
-        return False
-    turning = (each for each in track.placed_scans() if each[1].sweep_s and abs(each[2].twist[2]) >= TURNING_RAD_S)
-    some = list(islice(turning, 0, COMPARED_EVERY * MOST_COMPARED, COMPARED_EVERY))
-    return is_costlier([match_both(scan, motion, step.match, refiner) for step, scan, motion in some])
 
 
 FEWEST = 10

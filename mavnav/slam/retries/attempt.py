@@ -23,14 +23,12 @@ class Attempt(Struct, frozen=True):
     """Another track of the same log.
 
     ``change`` returns the track with its new settings and its warnings, None where the attempt does not apply.
-    ``better`` returns whether the new track (first) is better than the old one; without it the new one is kept. Else
-    it may be an ``opinion`` on the old one.
+    ``better`` returns whether the new track (first) is better than the old one; without it the new one is kept.
     """
 
     name: str
     change: Callable[[Track], Track | None]
     better: Callable[[Track, Track], bool] | None = None
-    opinion: bool = False
 
 
 def try_again(track: Track, attempts: Iterable[Attempt]) -> Track:
@@ -43,8 +41,7 @@ def try_again(track: Track, attempts: Iterable[Attempt]) -> Track:
         if other is None or len(other.steps) < len(track.steps):
             continue
         kept = attempt.better is None or attempt.better(other, track)
-        opinion = None if kept or not attempt.opinion else other.steps
-        track = (other if kept else track).with_attempt(attempt.name, kept=kept).with_findings(opinion=opinion)
+        track = (other if kept else track).with_attempt(attempt.name, kept=kept)
     return track
 
 
@@ -69,7 +66,7 @@ def is_sharper(other: Track, track: Track) -> bool:
     return rank(other) < rank(track)
 
 
-COARSER_VOXELS: Final = Attempt("coarser voxels", coarsen_voxels, is_sharper, opinion=True)
+COARSER_VOXELS: Final = Attempt("coarser voxels", coarsen_voxels, is_sharper)
 
 
 def has_sparse_scans(steps: Steps) -> bool:

@@ -156,17 +156,6 @@ def turning_stretch(
 
 def cost_ratio(pairs: Pairs) -> float:
     """Return the ratio of the mean costs, other to listed order, of scans matched in both; NaN without any."""
-    costs = _costs(pairs)
-    return float(costs[:, 1].mean() / costs[:, 0].mean()) if len(costs) else nan
-
-
-def is_costlier(pairs: Pairs) -> bool:
-    """Return whether the listed order costs more, by matches of the same scans in one map."""
-    costs = _costs(pairs)
-    return len(costs) >= LEAST_COMPARED and bool(costs[:, 1].mean() < costs[:, 0].mean())
-
-
-def _costs(pairs: Pairs) -> Floats:
-    """Return the costs (n, 2) of the scans that were matched in both orders, m2."""
     both = np.array([(listed.cost_m2, other.cost_m2) for listed, other in pairs]).reshape(-1, 2)
-    return np.asarray(both[np.isfinite(both).all(axis=1)])
+    costs = both[np.isfinite(both).all(axis=1)]
+    return float(costs[:, 1].mean() / costs[:, 0].mean()) if len(costs) else nan

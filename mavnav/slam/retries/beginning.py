@@ -12,7 +12,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from mavnav.slam.matching.budget import DOUBTFUL_SCANS, LONG_LOST_SCANS
-from mavnav.slam.matching.steps import LOST_SCANS, Step
+from mavnav.slam.matching.steps import LOST_SCANS, Step, Steps
 from mavnav.slam.retries.odometry import while_odometry_fits
 
 if TYPE_CHECKING:
@@ -54,14 +54,14 @@ def track_from_good_beginning(track: Track) -> Track:
         return first
     for tried in range(MOST_TRIES):
         other = while_odometry_fits(replace(track, begin=begin), "track again", until(DOUBTFUL_SCANS))
-        lost = early_loss(other.steps, least_points, DOUBTFUL_SCANS)
+        lost = early_loss(other.steps, least_points)
         enough = max(LEAST_TRACKED_SHARE * (len(other.steps) - begin), count_accepted(first) + 1)
         whole = lost is None and count_accepted(other) >= enough
         best = other if whole or count_accepted(other) > count_accepted(best) else best
         if lost is None:
             break
         begin = max(lost, begin + (1 << tried))
-    if early_loss(best.steps, least_points, DOUBTFUL_SCANS if best.begin else LONG_LOST_SCANS) is not None:
+    if early_loss(best.steps, least_points) is not None:
         best = while_odometry_fits(best, "track again")
     return after_another(best, first).with_attempt(LATER_BEGINNING, kept=best.begin > 0)
 
@@ -77,22 +77,16 @@ def count_accepted(track: Track) -> int:
     return int(np.count_nonzero(track.steps.column("tracked")))
 
 
-def early_loss(steps: Iterable[Step], least_points: int, most_missed: int = LONG_LOST_SCANS) -> int | None:
-    """Return the first of the scans that do not match a map of few scans; None if the map is kept.
+def early_loss(steps: Steps, least_points: int) -> int | None:
+    """Return the first of the scans at the end of a track that do not match a map of few scans; None if it is kept.
 
-    Scans of fewer than ``least_points`` points do not count. At the end of a log ``LOST_SCANS`` in a row are enough.
+    Scans of fewer than ``least_points`` points do not count.
     """
-    held, first, missed = 0, 0, 0
-    for step in steps:
-        if step.tracked:
-            held, missed = held + 1, 0
-        elif held and step.match.beams_used >= least_points:
-            first, missed = first if missed else step.index, missed + 1
-        if held > EARLY_SCANS:
-            return None
-        if missed >= most_missed:
-            return first
-    return first if missed >= LOST_SCANS else None
+    held = np.flatnonzero(steps.column("tracked"))
+    if not 0 < len(held) <= EARLY_SCANS:
+        return None
+    missed = held[-1] + 1 + np.flatnonzero(steps.column("beams_used")[held[-1] + 1 :] >= least_points)
+    return int(missed[0]) if len(missed) >= LOST_SCANS else None
 
 
 def until_missing(

@@ -105,8 +105,8 @@ def test_the_cause_is_the_strongest_stretch_of_the_first_reason_that_is_no_sympt
 
 
 def test_a_reason_that_holds_everywhere_has_no_place() -> None:
-    assert verdict_of(doubtful(0.6, ("unclosed loop", 0.0, 60.0, 2.0))).reason.endswith("seen again does not fit")
-    assert verdict_of(doubtful(0.6, ("unclosed loop", 0.0, 50.0, 2.0))).reason.endswith("fit, from 0.0 to 50.0 s")
+    assert verdict_of(doubtful(0.6, ("too few beams", 0.0, 60.0, 2.0))).reason.endswith("have few points")
+    assert verdict_of(doubtful(0.6, ("too few beams", 0.0, 50.0, 2.0))).reason.endswith("points, from 0.0 to 50.0 s")
 
 
 def test_a_mission_has_no_options_that_cut_it_and_its_truth_is_known() -> None:

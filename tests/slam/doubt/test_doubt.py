@@ -36,8 +36,6 @@ def clean(*, compared: bool = False, **changes: object) -> TrackEvidence:
     good = TrackEvidence(
         period_s=0.1,
         odometry=np.zeros(N, np.bool_),
-        refused=0,
-        closed=0,
         stamps_ns=np.arange(N, dtype=np.int64) * PERIOD_NS,
         xyyaw=xyyaw,
         points=np.full(N, 300),
@@ -81,7 +79,6 @@ PLANTED = {
     "a second track is lost": clean(resampled=missed()),
     NOT_PLANAR: clean(conflicts=np.full(N, 0.08), tilt_rad=np.full(N, 0.2)),
     "too few beams": clean(points=np.full(N, 50)),
-    "unclosed loop": clean(refused=30),
     SECOND_MOTION: clean(second_motion=some(0.4, 0.0)),
     "placed by odometry alone": clean(by_odometry_m=some(0.3, 0.0)),
     "odometry contradicts": clean(wheels=jumped(x_m=1.0)),
@@ -165,7 +162,7 @@ def test_stretches_that_are_apart_are_told_apart() -> None:
 def test_only_a_high_doubt_marks_scans() -> None:
     stamps_ns = clean().stamps_ns
     here = Reason("slip", int(stamps_ns[AT.start]), int(stamps_ns[AT.stop]), 2.0)
-    everywhere = Reason("unclosed loop", 0, int(stamps_ns[-1]), 2.0)
+    everywhere = Reason("too few beams", 0, int(stamps_ns[-1]), 2.0)
     assert not Doubt(0.4, (here,)).marks(stamps_ns).any()
     assert Doubt(0.9, (everywhere, here)).marks(stamps_ns).sum() == 4
     assert Doubt(0.9, (everywhere,)).marks(stamps_ns).all()

@@ -13,7 +13,6 @@ from msgspec.structs import replace
 from mavnav.config.models import Config
 from mavnav.pose import Pose
 from mavnav.scan import Scan
-from mavnav.slam.doubt.features import resampled_poses
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.scan_matching import Match
 from mavnav.slam.matching.steps import Step, Steps
@@ -21,15 +20,7 @@ from mavnav.slam.methods.registry import make_method
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.result import SlamResult
 from mavnav.slam.retries import attempt
-from mavnav.slam.retries.attempt import (
-    COARSER,
-    COARSER_VOXELS,
-    FEW_POINTS,
-    SPARSE_SCANS,
-    has_sparse_scans,
-    rank,
-    try_again,
-)
+from mavnav.slam.retries.attempt import COARSER, FEW_POINTS, SPARSE_SCANS, has_sparse_scans, rank
 from mavnav.slam.track import Track
 from support.synthetic import TOUR, Recording, along, furnished_rooms, record
 
@@ -73,21 +64,6 @@ def test_the_crisper_of_two_tracks_is_kept(sparse: list[Scan], monkeypatch: pyte
     assert (both.tracks_compared, alone[0].tracks_compared) == (2, 1)
     assert blurs[0] != blurs[1]
     np.testing.assert_array_equal(both.trajectory.xyyaw, kept.trajectory.xyyaw)
-
-
-def test_a_coarser_track_that_is_not_kept_is_the_second_opinion_of_the_doubt(
-    sparse: list[Scan], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    first = tracked(sparse)
-    worse = replace(COARSER_VOXELS, better=lambda other, track: False)
-    compared = try_again(first, [worse])
-    with_own, with_opinion = resampled_poses(first), resampled_poses(compared)
-    assert with_own is not None
-    np.testing.assert_array_equal(with_opinion, with_own)
-    monkeypatch.setattr(Track, "over", None)  # nothing is tracked again
-    np.testing.assert_array_equal(resampled_poses(compared), with_own)
-    monkeypatch.undo()
-    assert try_again(first, [replace(COARSER_VOXELS, better=None)]).findings.opinion is None
 
 
 def tracked(scans: list[Scan]) -> Track:
