@@ -20,8 +20,8 @@ from mavnav.config.models import Config
 from mavnav.pose import Pose, Trajectory
 from mavnav.sessions.group import APART_M, GroupMap, Join, Session, SessionGroup, frame_of, own_edges
 from mavnav.slam.findings import Edge
-from mavnav.slam.loop_closure.closure import KeyClosure, agree, agreeing_closures, find_closure
-from mavnav.slam.loop_closure.detection import LOOP_M, SIGHT_M, edges_of, track_confirmed
+from mavnav.slam.loop_closure.closure import KeyClosure, agree, find_closure
+from mavnav.slam.loop_closure.detection import LOOP_M, SIGHT_M, consistent_closures, edges_of, track_confirmed
 from mavnav.slam.loop_closure.key_frames import KEY_M, KeyFrame, KeyFrameMap
 from mavnav.slam.loop_closure.pose_graph import PATH_SIGMA_M, PATH_SIGMA_RAD, optimize, root_information
 from mavnav.slam.matching.relocalization import with_conflicts
@@ -194,7 +194,7 @@ def search_closures(
     for _ in range(ROUNDS):
         here, numbers = here.with_keys(moved[:first]), keys_to_search(moved, first, config)
         matches = [find_closure(moved, k, here.map, here.seen, BOUND, config) for k in numbers]
-        agreed_on = supported_closures(agreeing_closures([c for c in matches if c], moved), moved)
+        agreed_on = supported_closures(consistent_closures([c for c in matches if c], moved, moved), moved)
         if len(agreed_on) < max(len(closures), least):
             return moved, closures or agreed_on, tested or numbers
         closures, tested = agreed_on, numbers

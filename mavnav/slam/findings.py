@@ -45,8 +45,8 @@ class Edge(Struct, frozen=True):
 class Loop(Struct, frozen=True):
     """A closed loop: the scan of row ``end`` of the trajectory lies at ``start_T_end`` from that of row ``start``.
 
-    ``correction`` is the corrected pose of the later scan in its tracked frame. ``inliers`` is the share of its points
-    that agree.
+    ``correction`` is the corrected pose of the later scan in its tracked frame, without the direction that is not
+    observable. ``inliers`` is the share of its points that agree.
     """
 
     start: int

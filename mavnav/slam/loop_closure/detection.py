@@ -62,8 +62,8 @@ MOST_FAILED = 40
 SIGHT_M = 4.0
 """Largest distance, besides the drift bound, of old key frames that may have seen the same walls."""
 
-SMALL_SHARE = 0.95
-"""The track does not change if this share of its closures is small."""
+SMALL_SHARE, FAR_OFF = 0.95, 3.0
+"""The track does not change if this share of its closures is small, and none exceeds the bounds by this factor."""
 
 ROUNDS = 3
 """Maximum number of rounds: a closed loop can bring other closures within the bounds."""
@@ -126,13 +126,13 @@ def find_closures(
     """
     searches = list(detect_closures(tracked, (), local, config, FAR_SEARCH_M))
     sparse = [closure for closure in searches if closure]
-    closures = agreeing_closures(sparse, tracked)
+    closures = consistent_closures(sparse, tracked, tracked)
     if (closures or len(searches) >= MOST_FAILED) and track_confirmed([c.correction(tracked) for c in closures]):
         return tracked, closures, len(sparse) - len(closures)
     keys, closures, refused = tracked, list[KeyClosure](), 0
     for _ in range(ROUNDS):
         latest = {c.end: c for c in (*closures, *detect_closures(keys, closures, local, config)) if c}
-        agreed = agreeing_closures(list(latest.values()), keys)
+        agreed = consistent_closures(list(latest.values()), keys, tracked)
         if len(agreed) < len(closures):
             break
         closures, refused = agreed, len(latest) - len(agreed)
@@ -141,6 +141,15 @@ def find_closures(
         poses = optimize([key.map_T_laser for key in tracked], [*path, *edges_of(closures)])
         keys = [replace(key, map_T_laser=pose) for key, pose in zip(tracked, poses, strict=True)]
     return keys, closures, refused
+
+
+def consistent_closures(
+    closures: Sequence[KeyClosure], keys: Sequence[KeyFrame], tracked: Sequence[KeyFrame]
+) -> list[KeyClosure]:
+    """Return the closures that agree; weak ones never refute others, and count only if they correct the track."""
+    full = agreeing_closures([c for c in closures if c.weak_rad is None], keys)  # constrained in all directions
+    weak = agreeing_closures([c for c in closures if c.weak_rad is not None], keys, full)
+    return sorted(full + [c for c in weak if not is_small(c.correction(tracked))], key=lambda c: c.end)
 
 
 def nearest_old(
@@ -164,11 +173,11 @@ def detect_closures(
     """Search key frames in the old part of the map; yield the closures, also those of no agreement, None without one.
 
     Searches are ``least_m`` of path apart or more. They are dense at first and sparse where closures confirm the track,
-    which also bounds the drift from there on; so do those ``known``. Where there can be little drift, local maps are
-    searched, else the map of all.
+    which also bounds the drift from there on; so do those ``known``. Weak closures confirm nothing, because the drift
+    along a corridor stays unknown. Where there can be little drift, local maps are searched, else the map of all.
     """
     old, seen, pace = KeyFrameMap(config), Visibility(keys, local), Pace()
-    across = [(keys[each.start].path_m, keys[each.end].path_m) for each in known]
+    across = [(keys[each.start].path_m, keys[each.end].path_m) for each in known if each.weak_rad is None]
     xy_m, paths_m = np.array([k.map_T_laser[:2] for k in keys]), np.array([k.path_m for k in keys])
     for j, key in enumerate(keys):
         i = nearest_old(xy_m, paths_m, xy_m[j], key.path_m) if key.path_m >= pace.next_m else None
@@ -180,7 +189,7 @@ def detect_closures(
         if wide := bound[0] > PART_M:
             old.grow(keys, count)
         closure = find_closure(keys, j, old if wide else None, seen, bound, config)
-        confirms = closure is not None and is_small(closure.correction(keys))
+        confirms = closure is not None and closure.weak_rad is None and is_small(closure.correction(keys))
         pace = pace.after(key.path_m, least_m, failed=closure is None, confirms=confirms)
         if closure and confirms:
             across.append((keys[closure.start].path_m, key.path_m))
@@ -223,7 +232,8 @@ def revisits(frames: Frames, local: LocalMaps) -> Iterator[tuple[int, int]]:
 
 def track_confirmed(corrections: Sequence[Pose]) -> bool:
     """Return whether the corrections are so small that the track should not change."""
-    return sum(not is_small(correction) for correction in corrections) <= (1.0 - SMALL_SHARE) * len(corrections)
+    few = sum(not is_small(correction) for correction in corrections) <= (1.0 - SMALL_SHARE) * len(corrections)
+    return few and all(is_small(correction, FAR_OFF) for correction in corrections)
 
 
 def edges_of(closures: Sequence[KeyClosure]) -> list[Edge]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from math import pi
+from math import atan2, pi
 from operator import itemgetter
 from typing import TYPE_CHECKING
 
@@ -87,6 +87,9 @@ AGREEING_SCANS = 3
 
 DIRECTIONS_RAD = np.arange(8, dtype=np.float64) * (pi / 4)
 """Directions of the steps that test whether a pose is observable."""
+
+ACROSS = 0.2
+"""Minimum increase of the cost, as a share of the worst cost, ``SEPARATE_M`` across an unobservable direction."""
 
 CONFLICT_POINTS = 150
 """Number of points, a sample of the scan, for the visibility conflicts."""
@@ -272,11 +275,34 @@ def least_growth(points: Floats, map_T_laser: Pose, line_map: LineMap, config: C
     It is a share of the worst cost, and nearly 0 between parallel walls, where the position along them is not
     observable.
     """
+    return float(growth(points, map_T_laser, line_map, DIRECTIONS_RAD, SEPARATE_M, config).min())
+
+
+def growth(
+    points: Floats, map_T_laser: Pose, line_map: LineMap, angles_rad: Floats, step_m: float, config: Config
+) -> Floats:
+    """Return the increase of the cost a step away from a pose in some directions (k,), as shares of the worst cost."""
     truncate_m = config.robust.expert.truncate_m
-    steps = SEPARATE_M * np.column_stack((np.cos(DIRECTIONS_RAD), np.sin(DIRECTIONS_RAD)))
+    steps = step_m * np.column_stack((np.cos(angles_rad), np.sin(angles_rad)))
     xy_m, yaw_rad = np.vstack(([(0.0, 0.0)], steps)) + map_T_laser.as_array()[:2], np.array([map_T_laser.yaw_rad])
     costs = line_map.costs(points, xy_m, yaw_rad, truncate_m)[0]
-    return float((costs[1:] - costs[0]).min() / truncate_m**2)
+    return np.asarray((costs[1:] - costs[0]) / truncate_m**2)
+
+
+def unobservable_direction(
+    points: Floats, map_T_laser: Pose, line_map: LineMap, least: float, config: Config
+) -> float | None:
+    """Return the direction (rad, map frame) in which a pose can be moved at a cost below ``least``.
+
+    None if there is no such direction, or if moving across it costs less than ``ACROSS``. The cost of small steps is a
+    quadratic form, whose axis is the second harmonic of its values around the pose.
+    """
+    if least_growth(points, map_T_laser, line_map, config) >= least:
+        return None
+    small = growth(points, map_T_laser, line_map, DIRECTIONS_RAD, STEP_M, config)
+    along_rad = 0.5 * atan2(-float(small @ np.sin(2 * DIRECTIONS_RAD)), -float(small @ np.cos(2 * DIRECTIONS_RAD)))
+    across = along_rad + np.array((0.5, -0.5)) * pi
+    return along_rad if growth(points, map_T_laser, line_map, across, SEPARATE_M, config).min() >= ACROSS else None
 
 
 def motion_cost(expected: Pose, pose: Pose, elapsed_s: float) -> float:

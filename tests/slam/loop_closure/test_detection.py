@@ -179,6 +179,20 @@ def test_a_ring_is_closed() -> None:
     assert rmse_m(loops.map_T_laser, ring_walk.truth) < 0.35 * rmse_m(tracked, ring_walk.truth)
 
 
+@pytest.mark.slow
+def test_a_loop_is_closed_across_a_plain_corridor_and_left_as_tracked_along_it() -> None:
+    ring_walk = walk("plain ring")
+    tracked = ring_walk.sheared((0.2, 0.63))
+    loops = ring_walk.closed(tracked)
+    assert len(loops.closed) >= 3
+    assert all(abs(c.correction.y_m + 0.62) < 0.05 for c in loops.closed)
+    assert all(abs(c.correction.x_m) < 0.05 for c in loops.closed)
+    assert loops.map_T_laser is not None
+    end, truth, before = (t.xyyaw[-1] for t in (loops.map_T_laser, ring_walk.truth, tracked))
+    assert abs(end[1] - truth[1]) < 0.06
+    assert abs(end[0] - before[0]) < 0.05
+
+
 def test_a_good_track_round_plain_corridors_stays_as_it_is() -> None:
     ring_walk = walk("plain ring")
     assert ring_walk.closed(ring_walk.truth).map_T_laser is None
