@@ -18,6 +18,7 @@ from mavnav.simulation.planner.potential_field import MotionCommand, Planner
 from mavnav.simulation.vehicle import Vehicle, disturbance, sweeping, tilts_over, vehicle_of
 from mavnav.simulation.world import LaserModel, Scenario, laser_model, take_scan
 from mavnav.slam.matching.motion_model import Motion
+from mavnav.slam.matching.steps import tracked_trajectory
 from mavnav.slam.methods.registry import make_method
 from mavnav.slam.pipeline import finish
 from mavnav.slam.track import Track
@@ -102,7 +103,10 @@ def fly(scenario: Scenario, on_step: OnStep | None = None) -> Flight:
     navigator = Navigator(scenario, coming, seen, Track(lambda: seen, config, motion, method))
     executing: Iterator[None] = iter(())
     while True:
+        flown = navigator.flown
         step = navigator.locate()
+        if navigator.flown is not flown:
+            pilot.review(tracked_trajectory(navigator.steps))
         if on_step:
             on_step("fly", step.index + 1)
         here = pilot.locate(step, vehicle.odometry(step.stamp_ns))
@@ -138,7 +142,8 @@ class Pilot:
     def __init__(self, scenario: Scenario) -> None:
         """Bring the goals to the map frame."""
         map_T_world = (scenario.world_T_base @ scenario.base_T_laser).inverse()
-        self.goals = [map_T_world @ Pose(x, y) for x, y in scenario.goals_xy_m]
+        self.places = [map_T_world @ Pose(x, y) for x, y in scenario.goals_xy_m]
+        self.goals = [*self.places]
         self.radius_m = scenario.goal_radius_m
         self.max_steps = scenario.max_steps
         self.recovery = scenario.recovery
@@ -154,6 +159,12 @@ class Pilot:
             return step.match.map_T_laser
         map_T_laser, then = self.accepted or (Pose(), odom_T_laser)
         return map_T_laser @ then.between(odom_T_laser)
+
+    def review(self, map_T_laser: Trajectory) -> None:
+        """Go back to places that the corrected path did not pass after all."""
+        visited = self.places[: len(self.places) - len(self.goals)]
+        xy_m = [(pose.x_m, pose.y_m) for pose in visited]
+        self.goals = self.places[count_passed(map_T_laser.xyyaw[:, :2], xy_m, TOLERANCE_RADII * self.radius_m) :]
 
     def decide(self, step: Step, here: Pose, grid: GridBuilder) -> MotionCommand | End:
         """Plan the next command from a pose of `locate`, or end the mission.
@@ -217,18 +228,18 @@ def _closest_m(scenario: Scenario, poses: list[Pose]) -> float:
     return min([sampled_m, *(scenario.obstacles.least_clearance_m(a, b) for a, b in long)])
 
 
-def _passes_all(xy_m: NDArray[np.float64], places: Sequence[XY], within_m: float) -> bool:
-    """Return whether the straight path through points (n, 2) passes all places in order, each within a distance."""
+def count_passed(xy_m: NDArray[np.float64], places: Sequence[XY], within_m: float) -> int:
+    """Return how many of the places the straight path through points (n, 2) passes in order, within a distance."""
     before, moves = np.vstack((xy_m[:1], xy_m[:-1])), np.diff(xy_m, axis=0, prepend=xy_m[:1])
     squared = np.maximum((moves**2).sum(axis=1), np.finfo(np.float64).tiny)
     step = 0
-    for place in places:
+    for number, place in enumerate(places):
         share = np.clip(((place - before) * moves).sum(axis=1) / squared, 0.0, 1.0)
         near = np.hypot(*(before + share[:, None] * moves - place).T) <= within_m
         if not near[step:].any():
-            return False
+            return number
         step += int(near[step:].argmax())
-    return True
+    return len(places)
 
 
 def _sum_up(scenario: Scenario, vehicle: Vehicle, scans: list[Scan], end: End, outcome: SlamResult) -> Flight:
@@ -243,7 +254,7 @@ def _sum_up(scenario: Scenario, vehicle: Vehicle, scans: list[Scan], end: End, o
     tolerance_m = TOLERANCE_RADII * scenario.goal_radius_m
     if end is End.GOAL and goal_distance_m > tolerance_m:
         end = End.WRONG_PLACE
-    elif end is End.GOAL and not _passes_all(xy_m, scenario.via_m, tolerance_m):
+    elif end is End.GOAL and count_passed(xy_m, scenario.via_m, tolerance_m) < len(scenario.via_m):
         end = End.WRONG_WAY
     base = Trajectory.of(list(range(len(world_T_base))), world_T_base)
     mission = Mission(end, n, base.length_m, _closest_m(scenario, world_T_base), goal_distance_m)

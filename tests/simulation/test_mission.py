@@ -11,10 +11,10 @@ from msgspec import convert
 
 from mavnav.outputs.documents.run_json import TruthErrors
 from mavnav.pipelines.simulate import truth_errors
-from mavnav.pose import Pose, transform_points
+from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.scan import Scan
 from mavnav.simulation import mission as flying
-from mavnav.simulation.mission import End, Flight, fly
+from mavnav.simulation.mission import End, Flight, count_passed, fly
 from mavnav.simulation.planner.potential_field import MotionCommand, Planner
 from mavnav.simulation.vehicle import START_NS, Vehicle, disturbance, sweeping
 from mavnav.simulation.world import Scenario, load_scenario
@@ -24,6 +24,8 @@ from mavnav.units import DEG
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
+
+    from numpy.typing import NDArray
 
 CLEAN = {
     "laser.noise_percent": 0,
@@ -224,14 +226,31 @@ def test_a_place_that_only_the_estimate_visited_is_none(monkeypatch: pytest.Monk
 
 def test_places_are_visited_in_order_and_between_scans() -> None:
     path = np.array([(0.0, 0.0), (4.0, 0.0), (4.0, 4.0)])
-    assert flying._passes_all(path, [(2.0, 0.4), (4.4, 2.0)], 0.5)
-    assert not flying._passes_all(path, [(4.4, 2.0), (2.0, 0.4)], 0.5)
-    assert not flying._passes_all(path, [(2.0, 0.6)], 0.5)
-    assert flying._passes_all(path[:1], [], 0.5)
-    assert flying._passes_all(path[:1], [(0.0, 0.4)], 0.5)
+    assert count_passed(path, [(2.0, 0.4), (4.4, 2.0)], 0.5) == 2
+    assert count_passed(path, [(4.4, 2.0), (2.0, 0.4)], 0.5) == 1
+    assert count_passed(path, [(2.0, 0.6)], 0.5) == 0
+    assert count_passed(path[:1], [], 0.5) == 0
+    assert count_passed(path[:1], [(0.0, 0.4)], 0.5) == 1
 
 
 # ---- the seed decides ------------------------------------------------------------------------------------------------
+
+
+def test_a_place_that_the_corrected_path_missed_is_a_goal_again() -> None:
+    pilot = flying.Pilot(load_scenario("loop"))
+    places, (first, second) = pilot.places, (place.as_array()[:2] for place in pilot.places[:2])
+    pilot.goals = places[2:]
+    past = np.vstack((np.zeros(2), first, second))
+    pilot.review(_path(past))
+    assert pilot.goals == places[2:]
+    pilot.review(_path(past[:2]))
+    assert pilot.goals == places[1:]
+    pilot.review(_path(np.zeros((2, 2))))
+    assert pilot.goals == places
+
+
+def _path(xy_m: NDArray[np.float64]) -> Trajectory:
+    return Trajectory(np.arange(len(xy_m)), np.column_stack((xy_m, np.zeros(len(xy_m)))))
 
 
 def test_one_seed_one_flight() -> None:
