@@ -278,7 +278,7 @@ def test_where_something_else_answers(tmp_path: Path, monkeypatch: pytest.Monkey
 
 def test_without_dask(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(UsageError, match=r"install mavnav\[cluster\]"), connect(LOCAL, tmp_path, 1, None, 1):
+    with pytest.raises(UsageError, match=r"pip install 'mavnav\[cluster\]'"), connect(LOCAL, tmp_path, 1, None, 1):
         pass
 
 
