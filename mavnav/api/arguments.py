@@ -180,7 +180,7 @@ def with_python_names(function: Function) -> Function:
 
     @wraps(function)
     def call(*args: Any, **values: Any) -> Any:  # noqa: ANN401  those of the function
-        for name in values.keys() - {*names}:
+        for name in (name for name in values if name not in names):
             usual = _NAMES.get(f"--{name.replace('_', '-')}", name)
             near = [usual] if usual in names else get_close_matches(name, names, cutoff=0.75)
             advice = f"did you mean {near[0]}?" if near else f"help(mavnav.{function.__name__}) lists those it has"

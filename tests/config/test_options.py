@@ -112,5 +112,7 @@ def test_python_shows_the_options(function) -> None:  # type: ignore[no-untyped-
 def test_python_refuses_options_that_a_function_does_not_have() -> None:
     with pytest.raises(TypeError, match="no argument topik; did you mean topic"):
         mavnav.replay("a.mcap", topik="/scan")  # type: ignore[call-arg]
+    with pytest.raises(TypeError, match="no argument b;"):  # the first of them
+        mavnav.replay("a.mcap", **dict.fromkeys("badcef"))  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="simulate has no argument topic"):
         mavnav.simulate("corner", topic="/scan")  # type: ignore[call-arg]
