@@ -87,6 +87,8 @@ LEVELS: dict[str, tuple[object, ...]] = {
     "slam.paper.expert.refine_factor": (1, 2),
     "recovery.fly_on_steps": (0, 3, 6),
     "recovery.hover_noise": ("false", "true"),
+    "slam.paper.expert.gate_occlusion_mm": (60, 80, 150, 300),
+    "slam.paper.expert.gate_share": (0, 0.4, 0.55),
 }
 
 A = {
