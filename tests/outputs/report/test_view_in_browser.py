@@ -207,6 +207,14 @@ def test_a_reason_of_doubt_leads_to_its_scans(page):
     assert page.state("scan") == "5"
 
 
+def test_stretches_are_marked_in_the_plots_that_do_not_hold_everywhere(page):
+    marked = "const p = viewer.plots; return p.isMarked({kind: 'doubt', from_s: p.start, to_s: p.start + arguments[0]})"
+    duration_s = page.script("return viewer.plots.end - viewer.plots.start")
+    assert page.script(marked, 0.5 * duration_s)
+    assert not page.script(marked, 0.95 * duration_s)
+    assert not page.script("viewer.plots.run = {verdict: {word: 'good'}};" + marked, 0.5 * duration_s)
+
+
 def test_a_closed_loop_leads_to_its_scans_and_is_drawn(page):
     summary = next(s for s in page.driver.find_elements("css selector", "#places summary") if "Loops" in s.text)
     page.script("arguments[0].click()", summary)

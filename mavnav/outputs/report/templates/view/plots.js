@@ -2,6 +2,7 @@
 "use strict";
 
 const STRIP = 74, GAP = 22, LEFT = 52, RIGHT = 8, TOP = 16; // pixels
+const EVERYWHERE = 0.9; // of the log, as in verdicts
 const QUANTITIES = [
   { key: "cost", title: "cost [mm²], logarithmic", log: true },
   { key: "speed", title: "speed [m/s]" },
@@ -57,11 +58,15 @@ class Plots {
     return LEFT + (seconds - this.start) / (this.end - this.start) * (this.width - LEFT - RIGHT);
   }
 
+  // What holds everywhere marks nothing, neither do weak reasons of doubt.
+  isMarked({ kind, from_s, to_s }) {
+    const weak = kind === "loop" || (kind === "doubt" && this.run.verdict.word === "good");
+    return from_s !== undefined && !weak && to_s - from_s < EVERYWHERE * (this.end - this.start);
+  }
+
   drawStrip(pen, { key, title, log, low, high }, top, style) {
     const y = (value) => top + STRIP * (1 - ((log ? Math.log10(Math.max(value, low)) : value) - scaled(low, log)) / (scaled(high, log) - scaled(low, log)));
-    for (const place of this.run.places) {
-      const everywhere = place.from_s <= this.start && place.to_s >= this.end;
-      if (place.kind === "loop" || place.from_s === undefined || everywhere) continue;
+    for (const place of this.run.places.filter((each) => this.isMarked(each))) {
       const from = this.x(place.from_s), to = this.x(place.to_s);
       pen.fillStyle = place.kind === "lost" ? "rgb(128 128 128 / .35)" : "rgb(224 32 32 / .16)";
       pen.fillRect(from, top, Math.max(to - from, 3), STRIP);

@@ -110,7 +110,7 @@ class Viewer {
       const places = this.run.places.filter((place) => place.kind === kind);
       if (!places.length) return "";
       const group = document.createElement("details"), summary = document.createElement("summary"), list = document.createElement("ol");
-      group.open = OPEN_AT_FIRST.has(kind);
+      group.open = OPEN_AT_FIRST.has(kind) && !(kind === "doubt" && this.run.verdict.word === "good");
       const share = kind === "doubt" && this.run.doubt !== null ? `Doubt ${(100 * this.run.doubt).toFixed(0)} %: reasons` : title;
       summary.textContent = `${share} (${places.length})`;
       list.append(...places.map((place) => this.placeButton(place)));
