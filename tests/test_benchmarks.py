@@ -56,6 +56,18 @@ def test_the_table_of_wrong_matches_is_made(benchmark_module, monkeypatch: pytes
     assert int(rows[0][2]) <= int(rows[1][2])
 
 
+def test_the_table_of_the_search_has_the_named_readings_and_the_best_designs(
+    benchmark_module, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    readings: ModuleType = benchmark_module("readings")
+    monkeypatch.setattr(readings, "NAMED", readings.NAMED[:1])
+    monkeypatch.setattr(readings, "ABLATED", ("corner-paper",))
+    with ThreadPoolExecutor(1) as ex:
+        _, _, paper, design, _, values = readings.search(ex, None, 3, (2,), range(1))
+    assert paper.startswith("| paper | 100 (21 to 100) | 1 of 1, 100 %, ") and design.startswith("| design 2 | ")
+    assert values.startswith("* design 2: expert.gate_occlusion_mm=80, expert.gate_share=0.55, gate_mm2=")
+
+
 def test_wrong_pairs_are_apart_and_alike_only_where_the_world_is(benchmark_module) -> None:
     readings: ModuleType = benchmark_module("readings")
     for pair in readings.wrong_pairs("corner", 1, 3):
