@@ -19,7 +19,7 @@ from mavnav.config.named_files import read_json
 from mavnav.config.options import reference_files, run_options
 from mavnav.errors import ExitCode, OutputError
 from mavnav.ground_truth.references import References
-from mavnav.outputs.directory import RUN_FILE, check_link, file_sha256
+from mavnav.outputs.directory import RUN_FILE, check_no_file, file_sha256
 from mavnav.outputs.documents.run_json import RunDocument
 from mavnav.outputs.writers import REPORT_FILE
 from mavnav.pipelines.replay import ReplayRequest
@@ -63,7 +63,7 @@ def check_cache_directory(directory: Path, own_files: Sequence[str]) -> None:
 
     Raises OutputError if it cannot be used, or if it contains files, but none of ``own_files``.
     """
-    check_link(directory)
+    check_no_file(directory)
     try:
         directory.mkdir(parents=True, exist_ok=True)
         foreign = bool(names := {path.name for path in directory.iterdir()}) and not names & set(own_files)

@@ -64,7 +64,7 @@ def check_file(path: Path) -> None:
     if made and not (path / METADATA).is_file():
         raise UsageError(f"{path} is no log, but a finished {made}")
     if not (path.is_file() or path.is_dir()):
-        raise UsageError(f"{path}: neither a regular file nor a folder; give the path of a log")
+        raise UsageError(f"{path}: neither a file nor a folder; name a log, or pipe one into 'mavnav replay -'")
     if path.is_file() and (holes_bytes := _holes(path)) > _MOST_HOLES_BYTES:
         text = f"{holes_bytes / 1e9:.0f} GB of the file are holes that no recorder wrote"
         raise NoScansError(f"{path}: no usable scans; {text}; get a whole copy, or cut it with truncate")

@@ -98,11 +98,9 @@ def check_directory(
     What exists stays, unless ``force`` is set and it is an earlier run, which has the file ``marker``, or empty. Raises
     UsageError for an earlier run that contains one of the ``inputs``: replacing it would delete them.
     """
-    check_link(directory)
+    check_no_file(directory)
     if not os.path.lexists(directory):
         check_parent(directory)
-    elif not directory.is_dir():
-        raise OutputError(f"{directory} is a file; choose another directory with -o")
     elif any(directory.iterdir()) and not (directory / marker).is_file():
         raise OutputError(f"{directory} holds other files (no {marker}); choose another directory with -o")
     elif inside := [path for path in inputs if path and _contains(directory, path)]:
@@ -113,10 +111,12 @@ def check_directory(
         raise OutputError(f"{directory} exists; choose another directory with -o, or --force to replace it")
 
 
-def check_link(directory: Path) -> None:
-    """Raise OutputError for a link to nothing, or to itself."""
+def check_no_file(directory: Path) -> None:
+    """Raise OutputError for a file, and for a link to nothing, or to itself."""
     if directory.is_symlink() and not directory.exists():
         raise OutputError(f"{directory} is a link that leads nowhere; remove it, or choose another directory with -o")
+    if os.path.lexists(directory) and not directory.is_dir():
+        raise OutputError(f"{directory} is a file; choose another directory with -o")
 
 
 def _contains(directory: Path, path: Path) -> bool:

@@ -100,7 +100,7 @@ def test_paths_that_cannot_be_read_are_refused_at_once(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no such file"):
         open_log(tmp_path / "absent")
     os.mkfifo(tmp_path / "fifo")
-    with pytest.raises(UsageError, match="neither a regular file nor a folder"):
+    with pytest.raises(UsageError, match="or pipe one into 'mavnav replay -'"):
         open_log(tmp_path / "fifo")
     (tmp_path / "folder").mkdir()
     with pytest.raises(NoScansError, match="holds no ROS 2 bag"):

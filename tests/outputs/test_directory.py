@@ -107,6 +107,8 @@ def test_a_file_in_the_way_stays(run, tmp_path, light, force):
     (tmp_path / "x").write_text("precious")
     with pytest.raises(OutputError, match="is a file"):
         write_run(run, tmp_path / "x", force=force)
+    with pytest.raises(OutputError, match="is a file"):
+        check_cache_directory(tmp_path / "x", ["batch.json"])
     with pytest.raises(OutputError, match="no directory"):
         write_run(run, tmp_path / "x" / "y", force=force)
     assert (tmp_path / "x").read_text() == "precious"

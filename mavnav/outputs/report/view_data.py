@@ -111,7 +111,8 @@ def _places(entry: Entry) -> Iterator[dict[str, Any]]:
     """Yield what is worth a look, the worst first: its kind, a text, and from when to when (s), or where (m)."""
     tracking = entry.document.get("tracking") or {}
     for lost in tracking.get("intervals") or []:
-        yield _stretch("lost", f"track lost, {lost['scans']} scans", lost["start_s"], lost["end_s"])
+        text = f"track lost, {lost['scans']} scans" if lost["scans"] else "the path jumps"
+        yield _stretch("lost", text, lost["start_s"], lost["end_s"])
     for reason in (tracking.get("doubt") or {}).get("reasons") or []:
         text = f"{reason['reason']}, strength {reason['value']:.2f}"
         yield _stretch("doubt", text, reason["from_s"], reason["to_s"])

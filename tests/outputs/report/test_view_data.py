@@ -178,3 +178,10 @@ def test_the_library_names_its_license_and_no_file():
     assert page.leaflet_script().startswith("/* @preserve\n * Leaflet 1.9")
     assert "sourceMappingURL" not in page.leaflet_script() and "</script" not in page.leaflet_script().lower()
     assert "url(" not in page.leaflet_style()
+
+
+def test_a_jump_between_two_scans_is_no_lost_track(run, tmp_path):
+    lost = {"start_s": 1.0, "end_s": 1.5, "scans": 5, "recovered": True}
+    tracking = {"intervals": [lost, lost | {"scans": 0}], "doubt": None, "tracked_share": 1.0, "lost": False}
+    (seen,) = view_data([load(leave(run, tmp_path / "a", tracking=tracking), tmp_path)], {})
+    assert [place["text"] for place in seen["places"]] == ["track lost, 5 scans", "the path jumps"]
