@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.pose import Pose, Trajectory
-    from mavnav.slam.matching.steps import Step
+    from mavnav.slam.matching.steps import Step, Steps
 
 HIGH: Final = 0.5
 """Probability above which a track is marked as doubtful."""
@@ -119,17 +119,19 @@ class TrackedAgain(NamedTuple):
 class Findings(Struct, frozen=True):
     """What is found out about a track.
 
-    ``warnings`` are lines for the user. ``parts`` are the accepted steps of each stretch that was tracked on a separate
-    map. ``by_odometry_m`` (n,) is the error to be expected of the steps that are placed by odometry alone, 0 for the
-    others; empty without parts. ``observed`` and ``conflicts`` (n,) are the observability and the visibility conflicts
-    of the steps in the finished map, ``hessians`` (n, 6) their Hessians, from which covariances are computed; empty
-    before the final pass. ``doubt`` is None where it was not judged. ``map_T_begin`` is the pose at which the scan that
-    begins the map was put in the map frame, if it was. ``odometry`` is what corrects the odometry; ``sweep_s`` the time
-    of a sweep where it is another than stated, None where it is not.
+    ``warnings`` are lines for the user. ``refused_steps`` are those of the last attempt if it was not kept. ``parts``
+    are the accepted steps of each stretch that was tracked on a separate map. ``by_odometry_m`` (n,) is the error to be
+    expected of the steps that are placed by odometry alone, 0 for the others; empty without parts. ``observed`` and
+    ``conflicts`` (n,) are the observability and the visibility conflicts of the steps in the finished map, ``hessians``
+    (n, 6) their Hessians, from which covariances are computed; empty before the final pass. ``doubt`` is None where it
+    was not judged. ``map_T_begin`` is the pose at which the scan that begins the map was put in the map frame, if it
+    was. ``odometry`` is what corrects the odometry; ``sweep_s`` the time of a sweep where it is another than stated,
+    None where it is not.
     """
 
     warnings: tuple[str, ...] = ()
     attempts: tuple[TrackedAgain, ...] = ()
+    refused_steps: Steps | None = None
     parts: tuple[tuple[Step, ...], ...] = ()
     by_odometry_m: NDArray[np.float64] = field(default_factory=partial(np.zeros, 0))
     loops: Loops = Loops()

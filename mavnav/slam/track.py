@@ -82,9 +82,10 @@ class Track(Struct, frozen=True):
         """Return the track with one more warning for the user."""
         return self.with_findings(warnings=(*self.findings.warnings, text))
 
-    def with_attempt(self, name: str, *, kept: bool) -> Track:
-        """Return the track with one more attempt to track the log again."""
-        return self.with_findings(attempts=(*self.findings.attempts, TrackedAgain(name, kept)))
+    def with_attempt(self, name: str, *, kept: bool, refused_steps: Steps | None = None) -> Track:
+        """Return the track with one more attempt to track the log again, and its steps if they are of use later."""
+        attempts = (*self.findings.attempts, TrackedAgain(name, kept))
+        return self.with_findings(attempts=attempts, refused_steps=refused_steps)
 
     def over(self, scans: Iterable[Scan], phase: str = "", until: Until | None = None) -> Track:
         """Track scans from an empty map, or in the prior map; report progress if the phase has a name.

@@ -14,7 +14,7 @@ from mavnav.pose import motions
 from mavnav.slam.doubt.second_motion import LEAST_AGREEING, second_motion
 from mavnav.slam.findings import NOT_PLANAR, SECOND_LOST, SECOND_MOTION
 from mavnav.slam.matching.observability import LEAST_OBSERVABILITY
-from mavnav.slam.retries.attempt import COARSER, FEW_POINTS
+from mavnav.slam.retries.attempt import COARSER, COARSER_VOXELS, FEW_POINTS
 from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
@@ -95,11 +95,13 @@ def by_wheels(track: Track, stamps_ns: NDArray[np.int64]) -> Floats:
 def resampled_poses(track: Track) -> Floats | None:
     """Return the poses (n, 3) of the tracked scans in a track with coarser voxels, NaN for scans without a pose there.
 
-    Only these scans are tracked once more: others cannot be compared, and take most time. None if the run is stopped.
+    Only these scans are tracked once more: others cannot be compared, and take most time. Where all have a pose, such
+    a track may have been refused before. None if the run is stopped.
     """
-    tracked = track.steps.column("tracked")
-    other = replace(track, config=track.config.with_voxels(COARSER), begin=int(tracked[: track.begin].sum()))
-    steps = other.over(compress(track.log_scans(), tracked), "track again").steps
+    tracked, steps = track.steps.column("tracked"), track.findings.refused_steps
+    if steps is None or track.findings.attempts[-1].name != COARSER_VOXELS.name or not tracked.all():
+        other = replace(track, config=track.config.with_voxels(COARSER), begin=int(tracked[: track.begin].sum()))
+        steps = other.over(compress(track.log_scans(), tracked), "track again").steps
     if len(steps) < np.count_nonzero(tracked):
         return None
     return np.where(steps.column("tracked")[:, None], steps.column("map_T_laser"), np.nan)

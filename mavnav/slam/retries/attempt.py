@@ -41,7 +41,8 @@ def try_again(track: Track, attempts: Iterable[Attempt]) -> Track:
         if other is None or len(other.steps) < len(track.steps):
             continue
         kept = attempt.better is None or attempt.better(other, track)
-        track = (other if kept else track).with_attempt(attempt.name, kept=kept)
+        refused_steps = None if kept else other.steps
+        track = (other if kept else track).with_attempt(attempt.name, kept=kept, refused_steps=refused_steps)
     return track
 
 

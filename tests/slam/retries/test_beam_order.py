@@ -85,6 +85,15 @@ def test_a_wrong_order_is_found_out_and_said(right: tuple[SlamResult, int], wron
     np.testing.assert_array_equal(wrong[0].trajectory.xyyaw, right[0].trajectory.xyyaw)
 
 
+def test_the_map_decides_with_odometry_too(
+    sweeps: list[Scan], right: tuple[SlamResult, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(beam_order, "cost_ratios", lambda *_: pytest.fail("both orders were tracked"))
+    outcome = run_slam(lambda: sweeps, Config(loop_closure="off"), 0.1, right[0].trajectory)
+    assert outcome.odometry is not None
+    assert outcome.warnings == ()
+
+
 @pytest.mark.parametrize(
     "config",
     [Config(robust=RobustConfig(deskew="on")), Config(robust=RobustConfig(deskew="off")), Config(method="paper")],

@@ -13,6 +13,7 @@ from msgspec.structs import replace
 from mavnav.config.models import Config
 from mavnav.pose import Pose
 from mavnav.scan import Scan
+from mavnav.slam.doubt.features import resampled_poses
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.scan_matching import Match
 from mavnav.slam.matching.steps import Step, Steps
@@ -101,3 +102,18 @@ def test_a_stopped_run_keeps_the_first_track(sparse: list[Scan]) -> None:
 
     outcome = run_slam(scans, Config(), PERIOD_S)
     assert (outcome.tracks_compared, len(outcome.steps)) == (1, 40)
+
+
+def test_a_refused_coarser_track_is_not_tracked_once_more_for_the_doubt(sparse: list[Scan]) -> None:
+    track = tracked(sparse[:30])
+    never = replace(attempt.COARSER_VOXELS, better=lambda _, __: False)
+    refused = replace(attempt.try_again(track, [never]), log_scans=lambda: pytest.fail("the scans were read again"))
+    np.testing.assert_array_equal(resampled_poses(refused), resampled_poses(track))
+
+
+def test_a_track_of_other_scans_is_tracked_once_more_for_the_doubt(sparse: list[Scan]) -> None:
+    track = attempt.try_again(tracked(sparse[:30]), [replace(attempt.COARSER_VOXELS, better=lambda _, __: False)])
+    lost = Steps(step._replace(tracked=step.index != 20) for step in track.steps)
+    poses = resampled_poses(replace(track, steps=lost))
+    assert poses is not None
+    assert len(poses) == 29
