@@ -153,10 +153,11 @@ def bar(number: float, largest: float) -> str:
 
 
 def _state(cell: dict[str, Any]) -> str:
-    """Return the status of a run in words: failed, reused, not meaningful."""
+    """Return the status of a run in words: failed, reused, no map, not meaningful."""
     if cell["status"] == "failed":
         return "failed"
     remarks = ["reused"] if cell["status"] == "cached" else []
+    remarks += [] if "map" in cell["run"] else ["no map"]
     quality = cell["run"].get("map_quality") or {}
     if quality.get("meaningful", True) is False:
         remarks.append("not meaningful")

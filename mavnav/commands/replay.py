@@ -78,6 +78,7 @@ def replay(
         with reporting(quiet=quiet, stages=REPLAY) as progress:
             startup_s, started_s = process_time(), perf_counter()
             with loading_modules():
+                from mavnav.metrics.gates import MAP_SECTIONS
                 from mavnav.outputs.documents.provenance import Typed
                 from mavnav.pipelines.replay import ReplayRequest, replay_directory, replay_log
             compile_s = perf_counter() - started_s
@@ -85,6 +86,7 @@ def replay(
             target = directory or shared.free_directory(usual, force=force)
             fields = {"typed": Typed(context.obj, config, tuple(sets or ())), **written, **fields}
             fields |= {"address": source.address} if source else {}
+            fields |= {"gated": any(gate.name.startswith(MAP_SECTIONS) for gate in bounds)}
             request = ReplayRequest(path, target, chosen, options, force, **fields)
             _, document = replay_log(request, progress, compile_s, signals.deferring, startup_s)
         if directory is None:

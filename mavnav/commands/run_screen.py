@@ -120,21 +120,23 @@ def _odometry_text(document: dict[str, Any]) -> str:
 
 def map_rows(document: dict[str, Any]) -> Rows:
     """Yield the rows on the size of the map, its walls and the path."""
-    drawn, ghosts = document["map"], document["map_quality"]["ghost_walls"]
-    width_m, height_m = drawn["size_m"]
-    yield "map", f"{width_m:.1f} x {height_m:.1f} m, cells of {drawn['cell_mm']:g} mm"
-    if "spread" in document["wall_thickness"]:
-        yield "walls", spread_text(document["wall_thickness"]["spread"])
-    if ghosts["count"]:
-        length = f"{ghosts['length_m']:.1f} m, up to {ghosts['worst_offset_mm']:.0f} mm apart"
-        yield "ghost walls", f"{ghosts['count']}, {length}"
+    if "map" in document:
+        drawn, ghosts = document["map"], document["map_quality"]["ghost_walls"]
+        width_m, height_m = drawn["size_m"]
+        yield "map", f"{width_m:.1f} x {height_m:.1f} m, cells of {drawn['cell_mm']:g} mm"
+        if "spread" in document["wall_thickness"]:
+            yield "walls", spread_text(document["wall_thickness"]["spread"])
+        if ghosts["count"]:
+            length = f"{ghosts['length_m']:.1f} m, up to {ghosts['worst_offset_mm']:.0f} mm apart"
+            yield "ghost walls", f"{ghosts['count']}, {length}"
     yield "path", f"{document['tracking']['path_length_m']:.2f} m"
 
 
 def _more(document: dict[str, Any]) -> Rows:
     """Yield the rows that only ``-v`` shows."""
     timing = document["timing"]
-    yield from chain(wall_rows(document), quality_rows(document["map_quality"]), more_rows(document["map_quality"]))
+    if quality := document.get("map_quality"):
+        yield from chain(wall_rows(document), quality_rows(quality), more_rows(quality))
     yield "speed", f"{timing['scans_per_s']:.0f} scans/s, {timing['realtime_factor']:.1f} times real time"
     if "scan" in timing:
         yield "a scan takes", scan_time_text(timing)

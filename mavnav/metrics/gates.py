@@ -49,7 +49,12 @@ HEADLINES: Final = (
 )  # fmt: skip
 """The names that a hint prefers where several are near."""
 
-MAP_SECTIONS: Final = ("wall_thickness.", "map_quality.", "map.", "slices.", "reference.map_distance.")
+OF_MAP: Final = ("wall_thickness", "map_quality", "map")
+"""Sections that a run has if its map is drawn and measured."""
+
+NO_MAP: Final = "the run has no map; repeat its command with --force, without --outputs"
+
+MAP_SECTIONS: Final = (*(f"{name}." for name in OF_MAP), "slices.", "reference.map_distance.")
 """Beginnings of the names of sections, or parts of them, that are not meaningful if the map is not."""
 
 SKIPPED: Final = "scans.skipped"
@@ -327,6 +332,8 @@ def _unknown(name: str, known: Sequence[str], example: str = _EXAMPLE) -> str:
     """
     if name.startswith("reference") and not any(k.startswith("reference.") for k in known):
         return f"no number {name} in run.json; it needs --truth, --truth-map or --relations"
+    if name.startswith(MAP_SECTIONS) and not any(k.startswith(MAP_SECTIONS) for k in known):
+        return f"no number {name} in run.json; {NO_MAP}"
     shown = list(dict.fromkeys(map(clear_name, known)))
     headlines = [k for k in HEADLINES if k in shown]
     shown = [*headlines, *(k for k in shown if k not in headlines)]

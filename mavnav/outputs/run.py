@@ -101,12 +101,12 @@ def half_sweep_s(log: Log, outcome: SlamResult) -> float:
 class RunResult(Struct, frozen=True, dict=True):
     """A log, how it was run, what came out, and what was measured on its map.
 
-    A mission of the simulator knows the truth besides. ``reference`` is the comparison with references,
-    and ``true_map`` the one among them. ``stopped`` is the code of the signal that stopped
-    the run before the log ended. ``localisation`` says where the laser was found in a given map, ``external`` at
-    whose poses the scans were drawn instead of being tracked. ``slices`` is the map
-    by height, None if heights are unknown or hardly vary. ``continued`` says which run was continued, and ``earlier``
-    are its sessions, in the map frame.
+    ``metrics`` are None where no map was asked for. A mission of the simulator knows the truth besides. ``reference``
+    is the comparison with references, and ``true_map`` the one among them. ``stopped`` is the code of the signal that
+    stopped the run before the log ended. ``localisation`` says where the laser was found in a given map, ``external``
+    at whose poses the scans were drawn instead of being tracked. ``slices`` is the map by height, None if heights are
+    unknown or hardly vary. ``continued`` says which run was continued, and ``earlier`` are its sessions, in the map
+    frame.
     ``address`` is where the log was fetched from, if it was; ``provenance`` says when and how the run was made.
     ``position_errors_m`` (n,) are those of the poses of the trajectory, NaN without a truth at that time; None without.
     """
@@ -114,7 +114,7 @@ class RunResult(Struct, frozen=True, dict=True):
     log: Log
     config: Config
     slam: SlamResult
-    measured: MeasuredMap
+    metrics: MeasuredMap | None
     timing: Timing
     provenance: Provenance
     truth: Truth | None = None
@@ -139,6 +139,13 @@ class RunResult(Struct, frozen=True, dict=True):
     def method(self) -> MethodName | Literal["external"]:
         """The method that made the poses."""
         return EXTERNAL if self.external else self.config.method
+
+    @property
+    def measured(self) -> MeasuredMap:
+        """What was measured on its map; raises ValueError where no map was asked for."""
+        if self.metrics is None:
+            raise ValueError("the map is not measured")
+        return self.metrics
 
     @cached_property
     def walls(self) -> WallThicknessReport:

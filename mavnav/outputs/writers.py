@@ -69,6 +69,9 @@ _IF_NAMED: Final = {"report", "svg", "scale", "graph"}
 _OF_PAGE: Final = {"trajectory", "map"}
 """The groups that a page is drawn from."""
 
+WITHOUT_MAP: Final = {"trajectory", "graph"}
+"""The groups for which no map is drawn or measured."""
+
 
 def check_groups(names: Collection[str]) -> None:
     """Raise UsageError for a name that is no group of files, and for a page without the files that it is drawn from."""

@@ -25,7 +25,7 @@ from mavnav.outputs.directory import check_directory
 from mavnav.outputs.documents.provenance import Typed, provenance, utc_now
 from mavnav.outputs.documents.sections import options_section
 from mavnav.outputs.run import RunResult, Timing, half_sweep_s
-from mavnav.outputs.writers import check_groups, write_run
+from mavnav.outputs.writers import WITHOUT_MAP, check_groups, write_run
 from mavnav.pipelines.again import replay_words
 from mavnav.pipelines.maps import (
     check_references,
@@ -42,7 +42,7 @@ from mavnav.pose import Pose, correct_path
 from mavnav.profiling import Progress, Stage, new_profile, scans_s, timed
 from mavnav.slam.findings import TrackedAgain
 from mavnav.slam.methods.registry import load_kernels, uses_odometry
-from mavnav.slam.pipeline import run_slam
+from mavnav.slam.pipeline import FINISHING, SMOOTHING, run_slam
 from mavnav.slam.retries.levelling import AS_RECORDED
 from mavnav.units import DEG, NS
 
@@ -53,7 +53,6 @@ if TYPE_CHECKING:
     from mavnav.sessions.group import Session
     from mavnav.slam.matching.prior_map import PriorMap
     from mavnav.slam.result import SlamResult
-    from mavnav.slam.track import Placement
 
 
 Stop = Callable[[], ExitCode | None]
@@ -63,9 +62,10 @@ Stop = Callable[[], ExitCode | None]
 class ReplayRequest(Struct, frozen=True):
     """One run: the log, which part of it, with what configuration, and where its results go.
 
-    ``report`` writes the page as well; ``outputs`` are the groups of files to write, None for all. ``address`` is where
-    the log was fetched from, for run.json; ``log_sha256`` is the content that the log must have, if the run is to be
-    known by it. ``typed`` is the command line, ``more`` are the further parts of the log.
+    ``report`` writes the page as well; ``outputs`` are the groups of files to write, None for all. With ``gated`` the
+    map is measured whatever is written. ``address`` is where the log was fetched from, for run.json; ``log_sha256`` is
+    the content that the log must have, if the run is to be known by it. ``typed`` is the command line, ``more`` are the
+    further parts of the log.
     """
 
     log: Path
@@ -75,6 +75,7 @@ class ReplayRequest(Struct, frozen=True):
     force: bool = False
     report: bool = False
     outputs: tuple[str, ...] | None = None
+    gated: bool = False
     address: str | None = None
     log_sha256: str | None = None
     typed: Typed = field(default_factory=Typed)
@@ -84,6 +85,12 @@ class ReplayRequest(Struct, frozen=True):
     def usual_name(self) -> str:
         """The usual name of the run's directory."""
         return replay_directory(self.log, self.config).name
+
+    @property
+    def has_map(self) -> bool:
+        """Whether anything that was asked for needs a map, which is drawn and measured then."""
+        asked = self.outputs is None or not {*self.outputs} <= WITHOUT_MAP
+        return asked or self.report or self.gated or "truth_map" in self.options
 
     @property
     def recorded_truth(self) -> str | None:
@@ -219,7 +226,7 @@ def _track_and_write(
 ) -> tuple[RunResult, dict[str, Any]]:
     """Track, measure and write; ``began`` holds the clocks as they stood at the start."""
     config, warnings = with_reach(request.config, log)
-    outcome = _track(log, config, given.known, progress, stop, placement_of(request.options.get("align")))
+    outcome = _track(request, log, config, given.known, progress, stop)
     outcome = changed(outcome, warnings=(*warnings, *outcome.warnings))
     log = log.as_recorded() if TrackedAgain(AS_RECORDED, kept=True) in outcome.attempts else log
     stopped = stop()
@@ -227,22 +234,23 @@ def _track_and_write(
         raise StoppedError(f"{request.log}: stopped before the first pose; nothing is written", stopped)
     continuation = _continue(outcome, log, given, config, progress, stopped=stopped is not None)
     outcome = continuation.outcome if continuation else outcome
-    progress("measuring", 0, None)
+    if request.has_map:
+        progress("measuring", 0, None)
     held = in_time_of_truth(outcome.trajectory, half_sweep_s(log, outcome), config.truth_at)
     later_ns = held.stamps_ns[:1].sum() - outcome.trajectory.stamps_ns[:1].sum()
     begin_ns = outcome.begin_ns + int(later_ns) if given.own_frame and outcome.begin_ns is not None else None
     references, warnings = references_in_map(given.references, log, begin_ns, outcome.map_T_begin)
     references = with_true_map_placed(references, outcome.grid, config)
     outcome = changed(outcome, warnings=(*outcome.warnings, *warnings))
-    measured = measured_map(outcome, log)
+    metrics = measured_map(outcome, log) if request.has_map else None
     timing = changed(began, wall_s=perf_counter() - began.wall_s, cpu_s=process_time() - began.cpu_s)
-    slices = slices_of(outcome, log, config)
+    slices = slices_of(outcome, log, config) if request.has_map else None
     truth, known = references.truth, request.options.get("map")
     run = RunResult(
         log=log,
         config=config,
         slam=outcome,
-        measured=measured,
+        metrics=metrics,
         timing=timing,
         reference=compare_to(references, held, occupied_xy_m(outcome.grid)),
         true_map=references.true_map,
@@ -304,7 +312,7 @@ def with_corrected_odometry(log: Log, config: Config) -> Log:
 
 
 def _track(
-    log: Log, config: Config, known: PriorMap | None, progress: Progress, stop: Stop, placement: Placement | None
+    request: ReplayRequest, log: Log, config: Config, known: PriorMap | None, progress: Progress, stop: Stop
 ) -> SlamResult:
     """Run the method; odometry is taken at the middle of the sweeps, where the poses hold."""
     going, plain = lambda _: stop() is None, log.as_recorded()
@@ -316,8 +324,9 @@ def _track(
         rotation=log.imu.rotation if log.imu else None,
         on_step=lambda phase, done: progress(phase, done, log.counts.usable),
         prior_map=known,
+        last=FINISHING if request.has_map else SMOOTHING,
         base_T_laser=log.base_T_laser or Pose(),
         scans_ns=log.stamps_ns,
-        placement=placement,
+        placement=placement_of(request.options.get("align")),
         recorded=(lambda: takewhile(going, plain.scans())) if log.attitude and config.attitude == "auto" else None,
     )

@@ -233,12 +233,12 @@ def _score(
     references = with_true_map_placed(references, outcome.grid, config)
     outcome = replace(outcome, warnings=(*outcome.warnings, *poses.warnings, *warnings))
     origin = StartPose(world_T_map.x_m, world_T_map.y_m, world_T_map.yaw_rad / DEG)
-    measured = measured_map(outcome, log)
+    metrics = measured_map(outcome, log)
     run = RunResult(
         log=log,
         config=config,
         slam=outcome,
-        measured=measured,
+        metrics=metrics,
         timing=Timing(perf_counter() - wall_s, process_time() - cpu_s, 0.0, stages),
         provenance=provenance(utc_now(), request.typed, [*_again(request, source)]),
         external=External(

@@ -103,7 +103,7 @@ def simulate_mission(
             log=log,
             config=request.scenario.slam,
             slam=flight.slam,
-            measured=measured_map(flight.slam, log),
+            metrics=measured_map(flight.slam, log),
             slices=slices_of(flight.slam, log, request.scenario.slam),
             timing=timing,
             truth=(truth := _truth(flight)),

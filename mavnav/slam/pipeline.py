@@ -55,7 +55,10 @@ CHECKING: Final[tuple[Pass, ...]] = (
 )
 """Passes that correct and judge the finished track, and make the final map."""
 
-FINISHING: Final[tuple[Pass, ...]] = (smooth_jitter, draw_map)
+SMOOTHING: Final[tuple[Pass, ...]] = (smooth_jitter,)
+"""What makes the final poses, where no map is asked for: step 14."""
+
+FINISHING: Final[tuple[Pass, ...]] = (*SMOOTHING, draw_map)
 """What makes the final poses and the map of the scans there: steps 14 and 15."""
 
 MEASURING: Final[tuple[Pass, ...]] = (match_deskewed,)

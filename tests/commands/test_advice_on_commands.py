@@ -69,6 +69,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, repo_root: Path) -> Path:
         patch.setattr("mavnav.batch.runner.run_jobs", run_here)
         for line in (
             "replay log.mcap -o run -q",
+            f"replay log.mcap -o bare --outputs trajectory {SHORT}",
             "simulate short.yaml -o mission -q",
             "merge run next.mcap -o merged -q",
             f"batch log.mcap --baseline kept.json --update-baseline {SHORT} -o first -j 1",

@@ -218,6 +218,12 @@ TRIALS = [
         "metrics small",
     ),
     (
+        "the run has no map; repeat its command with --force, without --outputs",
+        "check bare --gate map.cells>=1",
+        "replay log.mcap -o bare --force -q",
+        "check bare --gate map.cells>=1",
+    ),
+    (
         "--truth and --relations need a run directory",
         "metrics run/map.yaml --truth run/trajectory.tum",
         "metrics run --truth run/trajectory.tum",

@@ -9,7 +9,7 @@ from msgspec import Struct
 
 from mavnav.errors import ExitCode
 from mavnav.metrics import gates
-from mavnav.metrics.gates import VERDICTS, stored_verdict
+from mavnav.metrics.gates import NO_MAP, VERDICTS, stored_verdict
 from mavnav.outputs.documents.schema import number_schema
 
 Run = Mapping[str, Any]
@@ -129,6 +129,8 @@ def why_not_meaningful(run: Run) -> str:
         return "; ".join([*why, f"{word}: {reason}"] if word in UNUSABLE else why)
     if run.get("exit_code") == ExitCode.TRACKING_LOST or number(run, "tracking.lost"):
         return "the track was lost for good"
+    if "map" not in run:
+        return NO_MAP
     share = number(run, "map.accepted_share") or 0.0
     return "" if share >= LEAST_MAPPED_SHARE else f"only {100 * share:.0f} % of the scans were accepted"
 

@@ -309,8 +309,9 @@ class Provenance(Struct, frozen=True):
 class RunDocument(Struct, frozen=True, kw_only=True):
     """A run: input, configuration, results and how it ended.
 
-    ``outputs`` are the files written with their SHA-256. A ``partial`` run was stopped before the log ended. The same
-    log, configuration and version give the same bytes of all sections but ``timing`` and ``provenance``.
+    ``wall_thickness``, ``map_quality`` and ``map`` are absent where no map was asked for. ``outputs`` are the files
+    written with their SHA-256. A ``partial`` run was stopped before the log ended. The same log, configuration and
+    version give the same bytes of all sections but ``timing`` and ``provenance``.
     """
 
     schema_version: Annotated[int, number("version of this format")]
@@ -333,10 +334,10 @@ class RunDocument(Struct, frozen=True, kw_only=True):
     external: External = OPTIONAL
     continued: Continued = OPTIONAL
     search: Search
-    wall_thickness: WallThicknessReport
-    map_quality: MapQuality
+    wall_thickness: WallThicknessReport = OPTIONAL
+    map_quality: MapQuality = OPTIONAL
     reference: Reference = OPTIONAL
-    map: Map
+    map: Map = OPTIONAL
     slices: Annotated[list[MapSlice], text("the maps by height, the lowest first")] = OPTIONAL
     mission: MissionResult = OPTIONAL
     truth: TruthErrors = OPTIONAL

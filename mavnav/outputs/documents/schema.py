@@ -10,6 +10,7 @@ from typing import Any, Final, get_type_hints
 from msgspec import defstruct
 from msgspec.json import schema as json_schema
 
+from mavnav.metrics.gates import OF_MAP
 from mavnav.outputs.documents.run_json import RunDocument
 
 Schema = dict[str, Any]
@@ -97,7 +98,7 @@ def _keys(node: Schema, name: str = "") -> Iterator[tuple[str, Schema]]:
 
 def number_names(*, reference: bool = False) -> list[str]:
     """Return the names of the numbers and truth values of a replay's run.json, with those of references if asked."""
-    sections = {*run_schema()["required"], *(["reference"] if reference else [])}
+    sections = {*run_schema()["required"], *OF_MAP, *(["reference"] if reference else [])}
     return [
         name
         for name, node in run_keys().items()

@@ -98,7 +98,8 @@ def verdict_of(run: Run) -> Verdict:
         if (known := cause(run)) is not None:
             reason, advice = known
             return Verdict(word, reason, IN_MISSIONS if run.get("mission") else advice)
-    return Verdict("good", "no sign of an error in path or map", "")
+    judged = "path or map" if run.get("map_quality") else "the path"
+    return Verdict("good", f"no sign of an error in {judged}", "")
 
 
 def worst_verdict(verdicts: Iterable[Verdict]) -> Verdict | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
+from mavnav.metrics.gates import NO_MAP
 from mavnav.outputs.documents import quantities
 from mavnav.outputs.documents.quantities import Quantity, number
 from mavnav.outputs.documents.verdict import EXTERNAL
@@ -61,6 +62,8 @@ def _of_one(run: NamedRun) -> str:
     accepted = f"{verdict}{run.name} accepted {scans['accepted']} of {scans['processed']} scans"
     quality = run.document.get("map_quality") or {}
     p95_mm = P95.of(run.document)
+    if "map" not in run.document:
+        return f"{accepted}; {NO_MAP}."
     if not quality.get("meaningful", True) or word in quantities.UNUSABLE:
         return f"{accepted}; measures of the map say nothing."
     thin = "" if p95_mm is None else f"95 % of the wall length is at most {_mm(p95_mm)} thick"

@@ -15,6 +15,7 @@ from mavnav.batch.document import SECTIONS
 from mavnav.batch.files import FIGURES
 from mavnav.cli import run as command
 from mavnav.errors import ExitCode
+from mavnav.metrics.gates import OF_MAP
 from mavnav.outputs.documents.quantities import PATH, QUANTITIES, TIME
 from mavnav.outputs.documents.run_json import METRICS, RunDocument
 from mavnav.outputs.documents.schema import number_schema, run_keys, run_schema
@@ -110,16 +111,24 @@ def test_partial_and_lost_runs(run) -> None:
     check(lost)
 
 
+def test_a_run_that_draws_no_map_has_nothing_of_one(run) -> None:
+    document = plain(run_document(replace(run, metrics=None), {}))
+    check(document)
+    assert set(OF_MAP).isdisjoint(document)
+    with pytest.raises(ValueError, match="not measured"):
+        _ = replace(run, metrics=None).measured
+
+
 def test_what_breaks_the_schema_is_found(run) -> None:
     document = plain(run_document(run, {}))
     wrong = document | {"partial": 1, "scans": document["scans"] | {"total": "9"}, "extra": 1, "method": "other"}
-    del wrong["map"]
+    del wrong["search"]
     assert sorted(problems(wrong, run_schema())) == [
         ".extra is unknown",
-        ".map is missing",
         ".method is none of ['paper', 'robust']",
         ".partial is no boolean",
         ".scans.total is no integer",
+        ".search is missing",
     ]
 
 
@@ -141,7 +150,7 @@ def test_every_number_has_a_title_a_description_and_a_unit() -> None:
 
 def test_keys_that_not_every_run_has() -> None:
     schema = run_schema()
-    assert set(schema["properties"]) - set(schema["required"]) == OPTIONAL
+    assert set(schema["properties"]) - set(schema["required"]) == OPTIONAL | {*OF_MAP}
     assert list(schema["properties"]) == [field.name for field in fields(RunDocument)]
 
 

@@ -58,6 +58,8 @@ def lost(share: float = 0.3, **more: Any) -> dict[str, Any]:
 
 def test_a_run_without_a_sign_of_an_error_is_good_and_needs_no_advice() -> None:
     assert verdict_of(GOOD) == Verdict("good", "no sign of an error in path or map", "")
+    undrawn = {name: section for name, section in GOOD.items() if name != "map_quality"}
+    assert verdict_of(undrawn) == Verdict("good", "no sign of an error in the path", "")
     back = {"start_s": 3.0, "end_s": 4.0, "scans": 10, "recovered": True}
     assert verdict_of(run(intervals=[back])).word == "good"
 

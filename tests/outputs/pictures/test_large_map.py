@@ -50,5 +50,5 @@ def test_a_large_map_is_measured_in_few_masks(large: Grid, measured: MeasuredMap
 def test_a_large_map_is_written_in_few_masks(
     name: str, most_mb: float, run: RunResult, large: Grid, measured: MeasuredMap, tmp_path
 ) -> None:
-    shown = replace(run, slam=replace(run.slam, grid=large), measured=measured)
+    shown = replace(run, slam=replace(run.slam, grid=large), metrics=measured)
     assert added_mb(lambda: WRITERS[name](shown, tmp_path / name)) < most_mb

@@ -36,7 +36,7 @@ WRITERS = pytest.mark.parametrize("write", [map_picture.write, wall_picture.writ
 def with_map(run, hits, trajectory=None, cell_m=0.02):
     grid = Grid(cell_m, (0.0, 0.0), hits.astype(np.int32), np.zeros(hits.shape, np.int32))
     slam = replace(run.slam, grid=grid, trajectory=trajectory or run.slam.trajectory)
-    return replace(run, slam=slam, measured=measure_map(grid))
+    return replace(run, slam=slam, metrics=measure_map(grid))
 
 
 def size_of(path):
@@ -349,7 +349,7 @@ def test_a_turned_picture_says_so(run, write, tmp_path, monkeypatch):
     for off_deg, said in ((0.0, "x [m]"), (20.0, "x [m] along the grey lines; picture turned by -20.0° to the walls")):
         drawn.clear()
         walls = cuts_along(off_deg, off_deg + 90)
-        write(replace(run, measured=replace(run.measured, cuts=walls)), tmp_path / "p.png")
+        write(replace(run, metrics=replace(run.measured, cuts=walls)), tmp_path / "p.png")
         assert said in drawn
 
 
