@@ -54,13 +54,7 @@ REPORTS = ("sparse_90_beams", "hall_360_beams_slow_odom", "odometry_reset_near_s
 NEVER = 10**9
 
 RULES: dict[str, dict[str, Any]] = {
-    "methods.robust": {
-        "NEAR_MINIMA": 6,
-        "FOUND_PERIODS": 0.0,
-        "FOUND_ANYWHERE_COST": 0.4,
-        "FOUND_COST": inf,
-        "OBSERVED_SHARE": 0.0,
-    },
+    "methods.robust": {"NEAR_MINIMA": 6, "FOUND_PERIODS": 0.0, "FOUND_ANYWHERE_COST": 0.4, "FOUND_COST": inf},
     "recovery.across_gap": {"LONGEST_GAP_S": 0.0, "CONFLICT_WEIGHT": 0.0, "LEAST_AGREEMENT": 0.0, "MINIMA": 6},
     "recovery.parts": {"MOST_TRACKED": 0, "SEARCHED_SCANS": 0},
     "recovery.part_by_odometry": {"MOST_CONFLICTS": -1.0},

@@ -181,7 +181,6 @@ class RobustExpert(Strict, frozen=True):
     hold_below_mm: Annotated[float, setting("narrower levels keep correspondences", ge=0, le=100_000)] = 51.0
     overlap_mm: Annotated[float, setting("farthest points used within a cell; 0: all", ge=0, le=100_000)] = 120.0
     overlap_points: Annotated[float, setting("and least points of the line there", ge=0, le=1e6)] = 8.0
-    prior: Annotated[float, setting("motion-prior cost of a square meter off a log's odometry", ge=0, le=1e6)] = 0.3
     first_level_points: Annotated[int, setting("sample of points on the first levels", ge=10, le=100_000)] = 100
     sparse_points: Annotated[int, setting("fewer points keep no correspondences", ge=0, le=1_000_000)] = 225
     retry_below: Annotated[float, setting("search wider under this share of inliers", ge=0, le=1)] = 0.8

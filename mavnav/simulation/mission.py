@@ -94,7 +94,7 @@ def fly(scenario: Scenario, on_step: OnStep | None = None) -> Flight:
     noise = np.random.default_rng([scenario.seed, 1])
     vehicle = vehicle_of(scenario, laser.spec.scan_time_s)
     pilot = Pilot(scenario)
-    method = make_method(config, commanded=scenario.uses_odometry)
+    method = make_method(config)
     odometry = vehicle.odometry if scenario.uses_odometry else None
     motion = Motion(laser.spec.scan_time_s, odometry, method.expects_rest, commanded=scenario.uses_odometry)
     scans: list[Scan] = []

@@ -92,7 +92,7 @@ class Track(Struct, frozen=True):
 
         The steps of the scans before ``begin`` have no pose. ``until`` may end the track early.
         """
-        method, coming = make_method(self.config, self.prior_map, commanded=self.motion.commanded), iter(scans)
+        method, coming = make_method(self.config, self.prior_map), iter(scans)
         skipped = enumerate(islice(coming, self.begin))
         before = (Step(k, scan.stamp_ns, no_match(Pose()), tracked=False) for k, scan in skipped)
         steps: Iterator[Step] = chain(before, track(coming, method, self.motion, self.begin))

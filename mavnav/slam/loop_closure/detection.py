@@ -273,7 +273,7 @@ def rebuild_at(track: Track, map_T_laser: Trajectory) -> Track | None:
     """Return the track with these poses, and its map drawn at them; None if the run is stopped early."""
     poses, inserted = (map_T_laser[row] for row in range(len(map_T_laser))), 0
     moved = (s._replace(match=s.match._replace(map_T_laser=next(poses))) if s.tracked else s for s in track.steps)
-    rebuilt = replace(track, steps=Steps(moved), method=make_method(track.config, commanded=track.motion.commanded))
+    rebuilt = replace(track, steps=Steps(moved), method=make_method(track.config))
     for step, scan, motion in rebuilt.placed_scans():
         rebuilt.method.insert(scan, step.match.map_T_laser, motion)
         inserted += 1

@@ -1,13 +1,15 @@
-"""Fusion of a match with the motion by commands, each weighed by its information (docs/method.md, "Local search").
+"""Fusion of a match with the predicted motion, each weighed by its information (docs/method.md, "Local search").
 
 Where walls leave a direction open, the least cost slides along them, by more than its Hessian shows: residuals on one
 piece of wall have a common cause. The covariance of a match is the sandwich of Hessian and covariance of the gradient
-(White 1980; of clusters: Liang and Zeger 1986). Its factor and the variances of commands follow from what both differ
-by: steps of expectation maximization over the scans, which change nothing where a scan shows nothing.
+(White 1980; of clusters: Liang and Zeger 1986). Its factor and the variances of predictions follow from what both
+differ by: steps of expectation maximization over the scans, which change nothing where a scan shows nothing. Wheels
+slip, so their errors have Student's t distribution (Lange, Little and Taylor 1989).
 """
 
 from __future__ import annotations
 
+from math import inf
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -26,6 +28,10 @@ if TYPE_CHECKING:
 RATE, FIRST_SCANS = 0.01, 10
 """Least weight of a scan in the running variances, and weight of their first values in scans: the n-th one that is
 accepted weighs 1 / (n + ``FIRST_SCANS``)."""
+
+MEMORY, MOST_EXCESS, IGNORED = 0.9, 10.0, 1e-9
+"""Weight of the past in the running mean of excess, excess from which a prediction hardly weighs, and its weight then:
+the wheels of a carried vehicle show nothing."""
 
 
 class Evidence(NamedTuple):
@@ -51,35 +57,50 @@ def evidence_of(points: Array, map_T_laser: Pose, line_map: LineMap, truncate_m:
 
 
 class Fusion(NamedTuple):
-    """Variances of commands over a scan period, m2 and rad2, and the factor on the covariance of a match.
+    """Variances of a prediction over a unit of motion, m2 and rad2, and the factor on the covariance of a match.
 
-    They begin with the 20 mm of the paper and 2 deg; matches are believed once they are seen to agree. ``scans`` is the
-    number of scans that they are learnt from.
+    The unit is a scan period of commands, or a meter or radian of wheels. The variances of commands begin with the
+    20 mm of the paper and 2 deg; matches are believed once they are seen to agree. ``scans`` is the number of scans
+    that they are learnt from, ``excess`` a running mean of what predictions and matches differ by, squared, as a
+    multiple of the expected one (normalized innovation squared; Bar-Shalom, Li and Kirubarajan 2001, 5.4), and
+    ``freedom`` the degrees of freedom of Student's t: the fewer, the less a prediction weighs far from the match.
     """
 
     position_m2: float = 0.02**2
     yaw_rad2: float = (2 * DEG) ** 2
     factor: float = 4.0
     scans: int = 0
+    excess: float = 1.0
+    freedom: float = inf
 
-    def fuse(self, evidence: Evidence, matched: Pose, predicted: Pose, periods: float) -> tuple[Pose, Fusion]:
-        """Return the mean of a matched pose and that which commands predict after some scan periods; what it shows."""
+    def fuse(self, evidence: Evidence, matched: Pose, predicted: Pose, units: float) -> tuple[Pose, Fusion]:
+        """Return the mean of a matched pose and that which is predicted after some motion; what it shows."""
         hessian, pull, spread = evidence
         shift = np.array(matched.as_array()) - predicted.as_array()
         shift[2] = wrap_angle(shift[2])
         floor = hessian + 1e-6 * max(float(np.trace(hessian)), 1.0) * np.eye(3)
         gain = np.linalg.solve(spread + LEAST_SIGMA_M**2 * floor, hessian)
         information = hessian @ gain
-        variances = periods * np.array((self.position_m2, self.position_m2, self.yaw_rad2))
-        covariance = np.linalg.inv(information / self.factor + np.diag(1.0 / variances))
-        moved = covariance @ (information @ shift + gain.T @ pull) / self.factor
-        off = shift + np.linalg.solve(floor, pull) - moved
-        of_commands = (moved**2 + np.diag(covariance)) / periods
+        known = information / self.factor
+        precision = np.diag(1.0 / (units * np.array((self.position_m2, self.position_m2, self.yaw_rad2))))
+        apart, toward = shift + np.linalg.solve(floor, pull), information @ shift + gain.T @ pull
+        usual = np.linalg.inv(known + precision) @ toward / self.factor
+        unlikely = float(toward @ (apart - usual)) / self.factor
+        excess = MEMORY * self.excess + (1.0 - MEMORY) * unlikely / 3.0
+        weight = (1.0 + 3.0 / self.freedom) / (1.0 + unlikely / self.freedom) if excess < MOST_EXCESS else IGNORED
+        covariance = np.linalg.inv(known + weight * precision)
+        moved = covariance @ toward / self.factor
+        off = apart - moved
+        of_prediction = weight * (moved**2 + np.diag(covariance)) / units
         of_match = (off @ information @ off + np.trace(information @ covariance)) / 3.0
-        new = np.array((of_commands[:2].mean(), of_commands[2], of_match))
+        new = np.array((of_prediction[:2].mean(), of_prediction[2], of_match))
         least = (LEAST_SIGMA_M**2, LEAST_SIGMA_M**2, 0.1)
         x_m, y_m, yaw_rad = moved.tolist()
         fused = Pose(predicted.x_m + x_m, predicted.y_m + y_m, wrap_angle(predicted.yaw_rad + yaw_rad))
         rate = max(RATE, 1.0 / (FIRST_SCANS + self.scans + 1))
         position_m2, yaw_rad2, factor = np.maximum(np.array(self[:3]) + rate * (new - self[:3]), least).tolist()
-        return fused, Fusion(position_m2, yaw_rad2, factor, self.scans + 1)
+        return fused, Fusion(position_m2, yaw_rad2, factor, self.scans + 1, excess, self.freedom)
+
+
+WHEELS = Fusion(position_m2=1e-3, yaw_rad2=1e-3, freedom=4.0)
+"""What is known of wheels at first: the error of a motion of 0.1 m or 0.1 rad is a tenth of it."""

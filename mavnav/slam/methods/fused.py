@@ -1,11 +1,11 @@
-"""The robust method beside commands, whose errors are independent: each match is fused with them by its information."""
+"""The robust method beside odometry or commands: each match is fused with what they predict, by its information."""
 
 from __future__ import annotations
 
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from mavnav.slam.matching.fusion import Fusion, evidence_of
+from mavnav.slam.matching.fusion import WHEELS, Fusion, evidence_of
 from mavnav.slam.matching.scan_matching import Match, MatchVerdict, Schedule, search_lines
 from mavnav.slam.methods.robust import Robust
 
@@ -18,19 +18,19 @@ if TYPE_CHECKING:
     from mavnav.slam.matching.motion_model import Motion
 
 PRIOR = 0.05
-"""Cost of a square meter off the commands: it keeps a search from running along a wall, and decides little else."""
+"""Cost of a square meter off the prediction: it keeps a search from running along a wall, and decides little else."""
+
+LEAST_UNITS = 0.005
+"""Least motion of wheels over a scan period of which the error counts, m and rad: their stamps err, too."""
 
 
 class Fused(Robust):
-    """Fuse every match with the pose by the commands of a vehicle (`Fusion`); for simulated missions.
-
-    Wheels of recorded logs have biases, which the filter takes for noise: there a fixed weight loses less.
-    """
+    """Fuse every match with the pose that odometry or commands predict, if any do (`Fusion`)."""
 
     def _begin(self) -> None:
         super()._begin()
-        self._fusion = self._learnt = Fusion()
-        self._periods = 1.0  # since the last accepted pose
+        self._fusion = self._used = self._learnt = Fusion()
+        self._units = 0.0  # of the motion since the last accepted pose, see `Fusion`; 0 if nothing predicts it
 
     @cached_property
     def _guided(self) -> Schedule:
@@ -38,13 +38,30 @@ class Fused(Robust):
         expert = self.config.robust.expert
         return Schedule.of(self.config, self.lines, (expert.near_window_m, expert.near_window_rad), prior=PRIOR)
 
+    def match(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
+        """Match the scan as `Robust` does, fused with the prediction."""
+        self._used, self._units = self._prediction(scan, predicted, motion)
+        return super().match(scan, predicted, motion)
+
+    def _prediction(self, scan: Scan, predicted: Pose, motion: Motion) -> tuple[Fusion, float]:
+        """Return what is known of the prediction of a scan, and the motion to it in units of that."""
+        periods = motion.elapsed_s(scan.stamp_ns) / motion.period_s
+        if motion.odometry is None:
+            return self._fusion, 0.0
+        if motion.by_odometry(scan.stamp_ns) is None:  # constant velocity bridges gaps of the odometry
+            return Fusion(), periods
+        if motion.commanded:
+            return self._fusion, periods
+        wheels = self._fusion if self._fusion.scans else WHEELS
+        return wheels, max(sum(motion.map_T_laser.gap(predicted)), LEAST_UNITS * periods)
+
     def _search_near(
         self, points: NDArray[np.float64], predicted: Pose, motion: Motion, elapsed_s: float
     ) -> tuple[list[Match], bool]:
         """Search close to the prediction, and again round a clear match; return whether it is enough."""
-        expert, self._periods = self.config.robust.expert, elapsed_s / motion.period_s
-        if not expert.near_window_mm:
-            return [], False
+        expert = self.config.robust.expert
+        if not self._units or not expert.near_window_mm:
+            return super()._search_near(points, predicted, motion, elapsed_s)
         match, start = search_lines(points, self.lines, predicted, self._guided), predicted
         if match.inliers >= expert.retry_below and not self.acceptance.is_inside(match, start):
             start = self._fuse(match, points, predicted).map_T_laser
@@ -54,20 +71,22 @@ class Fused(Robust):
         match = self._with_conflicts(self._fuse(match, points, predicted), points)
         return [match], self.acceptance.is_acceptable(match, motion, elapsed_s)
 
-    def _of_least_cost(self, tried: list[Match], points: NDArray[np.float64], predicted: Pose, _: Motion) -> Match:
+    def _of_least_cost(self, tried: list[Match], points: NDArray[np.float64], predicted: Pose) -> Match:
         """Return the match of least cost, to which distance from the prediction adds, fused with that."""
+        if not self._units:
+            return super()._of_least_cost(tried, points, predicted)
         best = min(tried, key=lambda match: match.cost_m2 + PRIOR * predicted.gap(match.map_T_laser)[0] ** 2)
         return self._with_conflicts(self._fuse(best, points, predicted), points)
 
     def _fuse(self, match: Match, points: NDArray[np.float64], predicted: Pose) -> Match:
         """Return a match at the mean of its pose and the predicted one; what that shows is learnt if it is accepted."""
         evidence = evidence_of(points, match.map_T_laser, self.lines, self.config.robust.expert.truncate_m)
-        pose, self._learnt = self._fusion.fuse(evidence, match.map_T_laser, predicted, self._periods)
+        pose, self._learnt = self._used.fuse(evidence, match.map_T_laser, predicted, self._units)
         return match._replace(map_T_laser=pose)
 
     def gate(self, match: Match, scan: Scan, motion: Motion) -> MatchVerdict:
         """Decide whether to accept the match, from which the fusion learns then."""
         verdict = super().gate(match, scan, motion)
-        if verdict is MatchVerdict.SURE:
+        if verdict is MatchVerdict.SURE and motion.by_odometry(scan.stamp_ns) is not None:
             self._fusion = self._learnt
         return verdict

@@ -17,7 +17,7 @@ from mavnav.slam.matching.relocalization import (
     unambiguous,
 )
 from mavnav.slam.matching.scan_matching import Match, empty_line_map, no_match
-from mavnav.slam.methods.robust import Robust
+from mavnav.slam.methods.fused import Fused
 
 if TYPE_CHECKING:
     import numpy as np
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from mavnav.slam.matching.relocalization import Region
 
 
-class Localizer(Robust):
+class Localizer(Fused):
     """The robust method in a given map; ``grid`` counts hits and crossings of the scans, in the frame of that map."""
 
     builds_map = False

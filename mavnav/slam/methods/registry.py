@@ -9,7 +9,6 @@ from mavnav.kernels.machine.building import prepare
 from mavnav.slam.methods.fused import Fused
 from mavnav.slam.methods.localization import Localizer
 from mavnav.slam.methods.paper import Paper
-from mavnav.slam.methods.robust import Robust
 
 if TYPE_CHECKING:
     import numpy as np
@@ -95,22 +94,13 @@ class Method(Protocol):
         """Return the map and release the working copy: two copies of a large map may not fit into memory."""
 
 
-METHODS: dict[str, type[Robust | Paper]] = {"robust": Robust, "paper": Paper}
+METHODS: dict[str, type[Fused | Paper]] = {"robust": Fused, "paper": Paper}
 LOCALIZERS: dict[str, type[Localizer]] = {"robust": Localizer}
 """The methods that can localize in a prior map."""
 
 
-FUSED: dict[str, type[Fused]] = {"robust": Fused}
-"""The methods that fuse matches with commands."""
-
-
-def make_method(config: Config, prior_map: PriorMap | None = None, *, commanded: bool = False) -> Method:
-    """Return the configured method with an empty map, or its localizer if there is a prior map.
-
-    ``commanded``: odometry is that of commands, as `Motion` has it.
-    """
-    if commanded and config.method in FUSED:
-        return FUSED[config.method](config)
+def make_method(config: Config, prior_map: PriorMap | None = None) -> Method:
+    """Return the configured method with an empty map, or its localizer if there is a prior map."""
     return METHODS[config.method](config) if prior_map is None else LOCALIZERS[config.method](config, prior_map)
 
 

@@ -24,7 +24,6 @@ from mavnav.slam.matching.budget import (
     is_lost,
     search_work,
 )
-from mavnav.slam.matching.observability import LEAST_OBSERVABILITY
 from mavnav.slam.matching.relocalization import (
     CANDIDATES,
     REFINED,
@@ -72,9 +71,6 @@ FOUND_COST, FOUND_ANYWHERE_COST = 0.4, 0.25
 """Maximum cost, as a share of the worst, of a minimum that is refined when the laser is lost, in a wide region and in
 the whole map. Poses at which a lost laser was found cost up to 0.1 at 10 scans a second."""
 
-OBSERVED_SHARE = 1 / 30
-"""Weight of the odometry where the walls show all directions, as a share of that along a corridor: a bias adds up."""
-
 AT_REST = np.zeros(3)
 """Twist of a laser at rest, for scans that are not de-skewed."""
 
@@ -115,12 +111,10 @@ class Robust:
         return self
 
     @cached_property
-    def _near(self) -> tuple[Schedule, Schedule, Schedule, Schedule]:
-        """Schedules near the prediction: without odometry, with it, where walls leave it open; and of a minimum."""
-        expert = self.config.robust.expert
-        schedule = partial(Schedule.of, self.config, self.lines, (expert.near_window_m, expert.near_window_rad))
-        weakly, strongly = schedule(prior=OBSERVED_SHARE * expert.prior), schedule(prior=expert.prior)
-        return schedule(), weakly, strongly, Schedule.of(self.config, self.lines, REFINED)
+    def _near(self) -> tuple[Schedule, Schedule]:
+        """Schedules near the prediction, and of a minimum."""
+        expert, schedule = self.config.robust.expert, partial(Schedule.of, self.config, self.lines)
+        return schedule((expert.near_window_m, expert.near_window_rad)), schedule(REFINED)
 
     @cached_property
     def _final(self) -> Schedule:
@@ -158,7 +152,7 @@ class Robust:
         if given_up and tried and motion.odometry is None:
             return self._with_conflicts(tried[0], points)
         tried += self._search_around(points, predicted)
-        best = self._of_least_cost(tried, points, predicted, motion)
+        best = self._of_least_cost(tried, points, predicted)
         if given_up or self.acceptance.is_acceptable(best, motion, elapsed_s):
             return with_effort(best, *tried)
         tried = [self._with_conflicts(match, points) for match in tried]
@@ -193,13 +187,9 @@ class Robust:
         region = within_reach_of(expected, elapsed_s)
         return [region] if self._wide_budget.spend(self._work(points, region)) else []
 
-    def _of_least_cost(self, tried: list[Match], points: NDArray[np.float64], predicted: Pose, motion: Motion) -> Match:
-        """Return the match of least cost; distance from the odometry adds to it if the best match is not observable."""
-        best = min(tried, key=lambda match: match.cost_m2)
-        if motion.odometry and self.observability(points, best)[0] < LEAST_OBSERVABILITY:
-            prior = self.config.robust.expert.prior
-            best = min(tried, key=lambda match: match.cost_m2 + prior * predicted.gap(match.map_T_laser)[0] ** 2)
-        return self._with_conflicts(best, points)
+    def _of_least_cost(self, tried: list[Match], points: NDArray[np.float64], _: Pose) -> Match:
+        """Return the match of least cost."""
+        return self._with_conflicts(min(tried, key=lambda match: match.cost_m2), points)
 
     def _search_around(self, points: NDArray[np.float64], predicted: Pose) -> list[Match]:
         """Search the second window around the prediction; the visibility conflicts are not counted yet."""
@@ -211,17 +201,15 @@ class Robust:
     ) -> tuple[list[Match], bool]:
         """Search close to the prediction, unless the configuration disables that; also return whether it is enough.
 
-        Without odometry a clear match near the edge is refined first. Conflicts may be uncounted if it is not enough.
+        A clear match near the edge is refined first. Conflicts may be uncounted if it is not enough.
         """
         expert = self.config.robust.expert
         if not expert.near_window_mm:
             return [], False
-        blind, weakly, strongly, again = self._near
-        match = search_lines(points, self.lines, predicted, weakly if motion.odometry else blind)
-        if motion.odometry and self.observability(points, match)[0] < LEAST_OBSERVABILITY:
-            match = search_lines(points, self.lines, predicted, strongly, match)
-        start, is_clear = predicted, len(points) >= expert.sparse_points and match.inliers >= expert.retry_below
-        if is_clear and not motion.odometry and not self.acceptance.is_inside(match, start):
+        near, again = self._near
+        match, start = search_lines(points, self.lines, predicted, near), predicted
+        is_clear = len(points) >= expert.sparse_points and match.inliers >= expert.retry_below
+        if is_clear and not self.acceptance.is_inside(match, start):
             start = match.map_T_laser
             match = search_lines(points, self.lines, start, again, match)
         if not self.acceptance.is_inside(match, start):

@@ -7,7 +7,7 @@ import pytest
 
 from mavnav.config.models import Config
 from mavnav.pose import Pose
-from mavnav.slam.matching.fusion import Evidence, Fusion, evidence_of
+from mavnav.slam.matching.fusion import WHEELS, Evidence, Fusion, evidence_of
 from mavnav.slam.matching.scan_matching import empty_line_map
 
 RNG = np.random.default_rng(0)
@@ -51,3 +51,21 @@ def test_the_errors_of_commands_and_of_matches_are_learnt(noise_m: float, factor
     assert fusion.position_m2**0.5 == pytest.approx(noise_m, rel=0.2)
     assert fusion.yaw_rad2**0.5 == pytest.approx(0.02, rel=0.2)
     assert fusion.factor == pytest.approx(factor, rel=0.3)
+
+
+def test_wheels_that_go_on_contradicting_are_ignored_until_they_agree_again() -> None:
+    hessian, stated, fusion = 100.0 * np.eye(3), np.array((0.03, 0.003, 0.003)), WHEELS
+    evidence = Evidence(hessian, np.zeros(3), hessian @ np.diag(stated**2) @ hessian)
+    for _ in range(10):  # carried: every scan is 0.3 rad off
+        carried, fusion = fusion.fuse(evidence, Pose(0.1, 0.0, 0.3), Pose(), 0.01)
+    assert carried.x_m == pytest.approx(0.1, abs=1e-3)
+    for _ in range(50):
+        on_the_floor, fusion = fusion.fuse(evidence, Pose(0.1), Pose(0.06), 0.01)
+    assert on_the_floor.x_m == pytest.approx(0.06, abs=0.01)
+
+
+def test_an_error_of_wheels_beyond_the_usual_counts_less() -> None:
+    hessian = 100.0 * np.eye(3)
+    evidence = Evidence(hessian, np.zeros(3), hessian @ np.diag((1e-4, 1e-4, 1e-4)) @ hessian)
+    small, large = (WHEELS.fuse(evidence, Pose(x_m), Pose(), 0.1)[0].x_m / x_m for x_m in (0.01, 0.1))
+    assert 2.0 * small < large

@@ -1,4 +1,4 @@
-"""Matches fused with commands: walls decide where they show the pose, commands where walls leave it open."""
+"""Matches fused with predictions: walls decide where they show the pose, predictions where walls leave it open."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import pytest
 
 from mavnav.config.models import Config
 from mavnav.pose import Pose
+from mavnav.slam.matching.fusion import MOST_EXCESS
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.scan_matching import Match, MatchVerdict, no_match
 from mavnav.slam.methods.fused import Fused
@@ -52,3 +53,27 @@ def test_a_refused_match_is_not_learnt_from() -> None:
     method.match(scan, step, motion)
     assert method.gate(no_match(step), scan, motion) is MatchVerdict.REFUSED
     assert method._fusion.scans == 1
+
+
+@pytest.mark.parametrize("moved", [Pose(0.05, 0.01, 0.03), Pose()], ids=["wheels", "wheels in the air"])
+def test_where_walls_show_the_pose_wheels_are_learnt_from(moved: Pose) -> None:
+    step, method = Pose(0.05, 0.01, 0.03), Fused(Config())
+    motion = Motion(0.1, lambda stamp_ns: moved if stamp_ns else Pose())
+    method.insert(scan_at(furnished_rooms(), START), Pose(), motion)
+    scan = scan_at(furnished_rooms(), START @ step, stamp_ns=PERIOD_NS)
+    match = method.match(scan, motion.predict(PERIOD_NS), motion)
+    assert max(match.map_T_laser.gap(step)) < 0.004
+    assert method.gate(match, scan, motion) is MatchVerdict.SURE
+    assert method._fusion.scans == 1
+    assert (method._fusion.excess > MOST_EXCESS) == (moved == Pose())
+
+
+def test_where_odometry_pauses_the_velocity_goes_on_along_a_hallway_and_nothing_is_learnt() -> None:
+    method = Fused(Config())
+    motion = Motion(0.1, lambda stamp_ns: None, twist=(1.0, 0.0, 0.0))
+    method.insert(scan_at(HALLWAY, Pose()), Pose(), motion)
+    scan = scan_at(HALLWAY, Pose(0.05), stamp_ns=PERIOD_NS)
+    match = method.match(scan, motion.predict(PERIOD_NS), motion)
+    assert match.map_T_laser.x_m == pytest.approx(0.1, abs=0.01)
+    assert method.gate(match, scan, motion) is MatchVerdict.SURE
+    assert method._fusion.scans == 0

@@ -52,10 +52,3 @@ def test_what_is_not_clear_is_searched_in_the_second_window(
     robust = Config().robust
     config = replace(Config(), robust=replace(robust, expert=replace(robust.expert, **limit)))
     assert match_after(Pose(0.04, 0.01, 0.06), Motion(0.1), monkeypatch, config)[1] == 1
-
-
-def test_a_match_far_from_the_odometry_is_searched_in_the_second_window(monkeypatch: pytest.MonkeyPatch) -> None:
-    at_rest = Motion(0.1, odometry=lambda stamp_ns: Pose())
-    pose, searches = match_after(Pose(0.04, 0.01, 0.06), at_rest, monkeypatch)
-    assert max(pose.gap(Pose(0.04, 0.01, 0.06))) < 0.003
-    assert searches == 1
