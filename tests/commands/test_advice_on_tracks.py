@@ -44,6 +44,19 @@ def blinded(messages: list[Message], first_s: float, last_s: float) -> list[Mess
     ]
 
 
+def test_a_clock_that_was_set_back_is_explained_by_info(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    messages = sorted(drive_log(6.0, beams=180, odometry=True), key=lambda m: m.time_ns)
+    half = len(messages) // 2
+    back = [replace(m, stamp_ns=m.stamp_ns - 2 * 10**9) for m in messages[half:]]
+    log = write_mcap(tmp_path / "log.mcap", messages[:half] + back)
+    _, document = replayed(log, tmp_path / "a")
+    assert document["verdict"]["word"] == "suspect"
+    assert document["verdict"]["advice"].startswith("see whether its stamps ascend with mavnav info")
+    capsys.readouterr()
+    assert run(["info", str(log)]) == 0
+    assert "check the clock of the driver: it jumps" in capsys.readouterr().out
+
+
 def test_what_has_poses_of_a_lost_log_is_mapped_alone(tmp_path: Path) -> None:
     log = write_mcap(tmp_path / "log.mcap", blinded(drive_log(8.0, beams=120), 4.0, 99.0))
     code, document = replayed(log, tmp_path / "a")

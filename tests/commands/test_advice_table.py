@@ -23,7 +23,10 @@ TRIED = {
     "batch/test_batch.py": {
         "add it with --update-baseline and": "test_a_tolerance_for_a_metric_that_the_baseline_lacks_fails_its_gate"
     },
-    "commands/test_sources.py": {"write mavnav replay - <": "test_a_terminal_is_no_log_but_a_pipe_is"},
+    "commands/test_sources.py": {
+        "write mavnav replay - <": "test_a_terminal_is_no_log_but_a_pipe_is",
+        "name a log, or pipe one into": "test_a_terminal_is_no_log_but_a_pipe_is",
+    },
     "commands/test_advice.py": {
         "see what publishes them, or give the mounting with": "test_a_mounting_that_is_given_takes_the_warning_away",
         "give where the laser mostly is with": "test_a_mounting_that_is_given_takes_the_warning_away",
@@ -71,6 +74,7 @@ TRIED = {
     },
     "commands/test_advice_on_tracks.py": {
         "look at the ranges with mavnav info, and at near_mm": "test_too_few_beams_are_told_by_info",
+        "see whether its stamps ascend with mavnav info": "test_a_clock_that_was_set_back_is_explained_by_info",
         "look at the sensor with mavnav info; record": "test_a_blind_log_is_explained_and_drawn_as_the_error_says",
         "of a run with --outputs pictures": "test_a_blind_log_is_explained_and_drawn_as_the_error_says",
         "out of memory; try larger cells, narrower windows": "test_a_map_too_large_fits_in_larger_cells",

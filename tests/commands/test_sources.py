@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -88,6 +89,9 @@ def test_a_terminal_is_no_log_but_a_pipe_is(
     words = ["-o", str(tmp_path / "run"), "-q", "--outputs", "trajectory"]
     assert run(["replay", "-", *words]) == 2
     assert "write mavnav replay - < drive.mcap, or name a log" in capsys.readouterr().err
+    os.mkfifo(tmp_path / "fifo")
+    assert run(["replay", str(tmp_path / "fifo"), *words]) == 2
+    assert "name a log, or pipe one into 'mavnav replay -'" in capsys.readouterr().err
     assert run(["replay", by_stdin(log, monkeypatch), *words]) == 0
 
 

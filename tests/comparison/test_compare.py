@@ -259,7 +259,7 @@ def test_a_directory_of_something_else_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("")
     with pytest.raises(OutputError, match="holds other files"):
         plan(request(tmp_path))
-    with pytest.raises(OutputError, match="cannot be used"):
+    with pytest.raises(OutputError, match="is a file; choose another"):
         plan(request(tmp_path / "thesis.tex"))
 
 
