@@ -33,6 +33,10 @@ MEMORY, MOST_EXCESS, IGNORED = 0.9, 10.0, 1e-9
 """Weight of the past in the running mean of excess, excess from which a prediction hardly weighs, and its weight then:
 the wheels of a carried vehicle show nothing."""
 
+EYE = np.eye(3)
+LEAST = np.array((LEAST_SIGMA_M**2, LEAST_SIGMA_M**2, 0.1))
+"""Least variances and factor that are learnt."""
+
 
 class Evidence(NamedTuple):
     """Quadratic cost of a match in x, y (m, map frame) and yaw (rad) about the laser.
@@ -76,13 +80,13 @@ class Fusion(NamedTuple):
     def fuse(self, evidence: Evidence, matched: Pose, predicted: Pose, units: float) -> tuple[Pose, Fusion]:
         """Return the mean of a matched pose and that which is predicted after some motion; what it shows."""
         hessian, pull, spread = evidence
-        shift = np.array(matched.as_array()) - predicted.as_array()
-        shift[2] = wrap_angle(shift[2])
-        floor = hessian + 1e-6 * max(float(np.trace(hessian)), 1.0) * np.eye(3)
+        (x_m, y_m, yaw_rad), old = predicted, np.array(self[:3])
+        shift = np.array((matched.x_m - x_m, matched.y_m - y_m, wrap_angle(matched.yaw_rad - yaw_rad)))
+        floor = hessian + 1e-6 * max(float(hessian.trace()), 1.0) * EYE
         gain = np.linalg.solve(spread + LEAST_SIGMA_M**2 * floor, hessian)
         information = hessian @ gain
         known = information / self.factor
-        precision = np.diag(1.0 / (units * np.array((self.position_m2, self.position_m2, self.yaw_rad2))))
+        precision = EYE / (units * old[[0, 0, 1]])
         apart, toward = shift + np.linalg.solve(floor, pull), information @ shift + gain.T @ pull
         usual = np.linalg.inv(known + precision) @ toward / self.factor
         unlikely = float(toward @ (apart - usual)) / self.factor
@@ -91,14 +95,14 @@ class Fusion(NamedTuple):
         covariance = np.linalg.inv(known + weight * precision)
         moved = covariance @ toward / self.factor
         off = apart - moved
-        of_prediction = weight * (moved**2 + np.diag(covariance)) / units
-        of_match = (off @ information @ off + np.trace(information @ covariance)) / 3.0
-        new = np.array((of_prediction[:2].mean(), of_prediction[2], of_match))
-        least = (LEAST_SIGMA_M**2, LEAST_SIGMA_M**2, 0.1)
-        x_m, y_m, yaw_rad = moved.tolist()
-        fused = Pose(predicted.x_m + x_m, predicted.y_m + y_m, wrap_angle(predicted.yaw_rad + yaw_rad))
+        of_prediction = weight * (moved**2 + covariance.diagonal()) / units
+        of_match = (off @ information @ off + (information @ covariance).trace()) / 3.0
+        x_m2, y_m2, yaw_rad2 = of_prediction.tolist()
         rate = max(RATE, 1.0 / (FIRST_SCANS + self.scans + 1))
-        position_m2, yaw_rad2, factor = np.maximum(np.array(self[:3]) + rate * (new - self[:3]), least).tolist()
+        new = np.array((0.5 * (x_m2 + y_m2), yaw_rad2, of_match))
+        position_m2, yaw_rad2, factor = np.maximum(old + rate * (new - old), LEAST).tolist()
+        across_m, up_m, turned_rad = moved.tolist()
+        fused = Pose(x_m + across_m, y_m + up_m, wrap_angle(yaw_rad + turned_rad))
         return fused, Fusion(position_m2, yaw_rad2, factor, self.scans + 1, excess, self.freedom)
 
 

@@ -24,6 +24,10 @@ LEAST_UNITS = 0.005
 """Least motion of wheels over a scan period of which the error counts, m and rad: their stamps err, too."""
 
 
+VELOCITY = Fusion()
+"""What is known of constant velocity, which bridges gaps of the odometry."""
+
+
 class Fused(Robust):
     """Fuse every match with the pose that odometry or commands predict, if any do (`Fusion`)."""
 
@@ -41,6 +45,7 @@ class Fused(Robust):
     def match(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
         """Match the scan as `Robust` does, fused with the prediction."""
         self._used, self._units = self._prediction(scan, predicted, motion)
+        self._learnt = self._fusion
         return super().match(scan, predicted, motion)
 
     def _prediction(self, scan: Scan, predicted: Pose, motion: Motion) -> tuple[Fusion, float]:
@@ -48,8 +53,8 @@ class Fused(Robust):
         periods = motion.elapsed_s(scan.stamp_ns) / motion.period_s
         if motion.odometry is None:
             return self._fusion, 0.0
-        if motion.by_odometry(scan.stamp_ns) is None:  # constant velocity bridges gaps of the odometry
-            return Fusion(), periods
+        if motion.by_odometry(scan.stamp_ns) is None:
+            return VELOCITY, periods
         if motion.commanded:
             return self._fusion, periods
         wheels = self._fusion if self._fusion.scans else WHEELS
@@ -81,12 +86,13 @@ class Fused(Robust):
     def _fuse(self, match: Match, points: NDArray[np.float64], predicted: Pose) -> Match:
         """Return a match at the mean of its pose and the predicted one; what that shows is learnt if it is accepted."""
         evidence = evidence_of(points, match.map_T_laser, self.lines, self.config.robust.expert.truncate_m)
-        pose, self._learnt = self._used.fuse(evidence, match.map_T_laser, predicted, self._units)
+        pose, learnt = self._used.fuse(evidence, match.map_T_laser, predicted, self._units)
+        self._learnt = self._fusion if self._used is VELOCITY else learnt
         return match._replace(map_T_laser=pose)
 
     def gate(self, match: Match, scan: Scan, motion: Motion) -> MatchVerdict:
         """Decide whether to accept the match, from which the fusion learns then."""
         verdict = super().gate(match, scan, motion)
-        if verdict is MatchVerdict.SURE and motion.by_odometry(scan.stamp_ns) is not None:
+        if verdict is MatchVerdict.SURE:
             self._fusion = self._learnt
         return verdict
