@@ -91,7 +91,8 @@ class Fusion(NamedTuple):
         usual = np.linalg.inv(known + precision) @ toward / self.factor
         unlikely = float(toward @ (apart - usual)) / self.factor
         excess = MEMORY * self.excess + (1.0 - MEMORY) * unlikely / 3.0
-        weight = (1.0 + 3.0 / self.freedom) / (1.0 + unlikely / self.freedom) if excess < MOST_EXCESS else IGNORED
+        ignored = excess >= MOST_EXCESS
+        weight = IGNORED if ignored else (1.0 + 3.0 / self.freedom) / (1.0 + unlikely / self.freedom)
         covariance = np.linalg.inv(known + weight * precision)
         moved = covariance @ toward / self.factor
         off = apart - moved
@@ -103,6 +104,8 @@ class Fusion(NamedTuple):
         position_m2, yaw_rad2, factor = np.maximum(old + rate * (new - old), LEAST).tolist()
         across_m, up_m, turned_rad = moved.tolist()
         fused = Pose(x_m + across_m, y_m + up_m, wrap_angle(yaw_rad + turned_rad))
+        if ignored:
+            return fused, self._replace(excess=excess)
         return fused, Fusion(position_m2, yaw_rad2, factor, self.scans + 1, excess, self.freedom)
 
 
