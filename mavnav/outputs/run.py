@@ -141,7 +141,7 @@ class RunResult(Struct, frozen=True, dict=True):
         return EXTERNAL if self.external else self.config.method
 
     @property
-    def measured(self) -> MeasuredMap:
+    def measures(self) -> MeasuredMap:
         """What was measured on its map; raises ValueError where no map was asked for."""
         if self.metrics is None:
             raise ValueError("the map is not measured")
@@ -150,8 +150,8 @@ class RunResult(Struct, frozen=True, dict=True):
     @cached_property
     def walls(self) -> WallThicknessReport:
         """How thick the walls are."""
-        measured = self.measured
-        return wall_report(measured.sections, measured.published, measured.cuts, self.slam.grid.cell_m)
+        measures = self.measures
+        return wall_report(measures.sections, measures.published, measures.cuts, self.slam.grid.cell_m)
 
     @cached_property
     def known(self) -> Grid:
@@ -170,7 +170,7 @@ class RunResult(Struct, frozen=True, dict=True):
     @cached_property
     def turn_rad(self) -> float:
         """How far pictures are turned to the walls; 0 where the frame of the map was asked for or given."""
-        return picture_turn_rad(self.measured.cuts, self.provenance.options)
+        return picture_turn_rad(self.measures.cuts, self.provenance.options)
 
     @property
     def true_walls(self) -> Walls | None:

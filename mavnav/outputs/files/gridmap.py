@@ -239,7 +239,7 @@ WALL_COLUMNS: Final = ("x_m", "y_m", "direction_deg", "width_mm", "length_m")
 
 def write_walls(run: RunResult, path: Path) -> None:
     """Write the cuts of a run."""
-    write_cuts(run.measured.cuts, path)
+    write_cuts(run.measures.cuts, path)
 
 
 def write_cuts(cuts: WallCuts | None, path: Path) -> None:

@@ -198,7 +198,7 @@ def _metadata(run: RunResult) -> dict[str, str]:
 
 def markers_of(run: RunResult) -> list[Marker]:
     """Return the markers of a run, in the map frame."""
-    ghosts = run.measured.quality.ghost_walls.places
+    ghosts = run.measures.quality.ghost_walls.places
     return [
         *(m for k, ghost in enumerate(ghosts) for m in _ghost(k, ghost)),
         *_lost_markers(run),

@@ -112,7 +112,7 @@ def _subtitle(run: RunResult) -> str:
     cell_mm = run.slam.grid.cell_m / MM
     search = f"method {config.method}, {config.azimuth} yaw samples, search grid {config.grid}"
     how = f"{f'poses of {run.external.name}' if run.external else search}, cell {cell_mm:g} mm"
-    walls = "" if run.measured.cuts is None else f", {thickness_text(run.walls.spread)}"
+    walls = "" if run.measures.cuts is None else f", {thickness_text(run.walls.spread)}"
     return f"{how}\n{scans}{walls}"
 
 

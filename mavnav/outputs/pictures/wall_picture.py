@@ -63,12 +63,12 @@ def _draw_map(axes: Axes, run: RunResult) -> None:
     draw_free(axes, run.known, run.cells)
     grey = np.array(rgb_of(WALL_GREY), np.uint8)
     draw_cells(axes, run.known, run.known.hits, lambda _: grey)
-    if run.measured.cuts is not None:
-        _draw_cuts(axes, run.measured.cuts)
+    if run.measures.cuts is not None:
+        _draw_cuts(axes, run.measures.cuts)
     draw_axes(axes)
     name_axes(axes)
     left, top, right, _ = axes.box
-    lost = run.measured.cuts is not None and not np.isfinite(run.measured.cuts.width_m).all()
+    lost = run.measures.cuts is not None and not np.isfinite(run.measures.cuts.width_m).all()
     marks = f"black: cannot be measured; {UNMEASURED}" if lost else UNMEASURED
     for line, y in (("width that holds 95 % of the hits of the ridge", 36), (marks, 14)):
         middle = max((left + right) / 2, EDGE + font(8.5).getlength(line) / 2)
@@ -117,9 +117,9 @@ class _Chart(Struct, frozen=True):
 def _charts(run: RunResult) -> list[_Chart]:
     """Return the histogram of the widths, and below it those of the cells at each hit threshold, on one scale."""
     cell_m, walls = run.slam.grid.cell_m, {1: run.walls.hits_1, 2: run.walls.hits_2, 5: run.walls.hits_5}
-    sections = dict(sorted(run.measured.sections.items()))
+    sections = dict(sorted(run.measures.sections.items()))
     most = ceil(max((s.thickness_cells.max() for s in sections.values() if len(s.row)), default=3.0)) + 1
-    charts = [_width_chart(run.measured.cuts, run.walls.spread)] if run.measured.cuts is not None else []
+    charts = [_width_chart(run.measures.cuts, run.walls.spread)] if run.measures.cuts is not None else []
     return [*charts, *(_cells_chart(hits, cut, walls[hits], most, cell_m) for hits, cut in sections.items())]
 
 

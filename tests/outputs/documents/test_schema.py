@@ -116,7 +116,7 @@ def test_a_run_that_draws_no_map_has_nothing_of_one(run) -> None:
     check(document)
     assert set(OF_MAP).isdisjoint(document)
     with pytest.raises(ValueError, match="not measured"):
-        _ = replace(run, metrics=None).measured
+        _ = replace(run, metrics=None).measures
 
 
 def test_what_breaks_the_schema_is_found(run) -> None:

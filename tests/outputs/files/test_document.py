@@ -148,7 +148,7 @@ def test_a_log_whose_end_alone_does_not_match_is_suspect_and_done(run):
 
 def test_no_wall_is_null(run):
     empty = wall_sections(np.zeros((3, 3), np.int32), 0.02, 5)
-    measured = replace(run.measured, sections={5: empty})
+    measured = replace(run.measures, sections={5: empty})
     document = strict(run_document(replace(run, metrics=measured), {}))
     assert document["wall_thickness"]["5"]["max_cells"] is None
     assert document["wall_thickness"]["5"]["sections"] == 0

@@ -349,7 +349,7 @@ def test_a_turned_picture_says_so(run, write, tmp_path, monkeypatch):
     for off_deg, said in ((0.0, "x [m]"), (20.0, "x [m] along the grey lines; picture turned by -20.0° to the walls")):
         drawn.clear()
         walls = cuts_along(off_deg, off_deg + 90)
-        write(replace(run, metrics=replace(run.measured, cuts=walls)), tmp_path / "p.png")
+        write(replace(run, metrics=replace(run.measures, cuts=walls)), tmp_path / "p.png")
         assert said in drawn
 
 
