@@ -2,17 +2,18 @@
 
 A scan after a gap sees walls that are not mapped yet, so that a wrong pose may cost less than the right one. Several
 scans of either side, each judged in a map of the other side alone, tell them apart: at the right pose hardly any point
-conflicts, however few of them agree.
+conflicts, however few of them agree. The likelier motion counts as well: the velocity seldom changes at once.
 """
 
 from __future__ import annotations
 
-from math import pi
+from math import log1p, pi
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mavnav.slam.matching.motion_model import MOST_ERROR, motion_by, motions_along
+from mavnav.pose import Pose
+from mavnav.slam.matching.motion_model import GAP_S, MOST_ERROR, motion_by, motions_along
 from mavnav.slam.matching.relocalization import apart, around, candidates
 from mavnav.slam.matching.scan_matching import no_match
 from mavnav.slam.matching.steps import Step, Steps, evenly, tracked_trajectory
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.pose import Pose
     from mavnav.scan import Scan
     from mavnav.slam.track import Track
 
@@ -47,8 +47,11 @@ MINIMA = 12
 CONFLICT_WEIGHT = 3.0
 """Points that must agree for each that conflicts."""
 
-LEAST_AGREEMENT = 0.15
-"""Least agreement of the pose of a part; that of any other pose must be less by as much."""
+LEAST_AGREEMENT = 0.07
+"""Least agreement of the pose of a part, less the cost of its motion; any other pose must have less by as much."""
+
+MOTION_WEIGHT, USUAL_SHARE = 0.1, 0.2
+"""Weight of the cost of a motion, and its usual error as a share of how far the laser can be off."""
 
 
 class Side(NamedTuple):
@@ -66,16 +69,25 @@ class Side(NamedTuple):
 
 
 class Reach(NamedTuple):
-    """Where the first pose beyond a gap can be: the expected one, and by how much it can be off, m and rad."""
+    """Where the first pose beyond a gap can be: the expected one, and by how much it can be off, m and rad.
+
+    ``measured``: by odometry.
+    """
 
     expected: Pose
     off_m: float
     off_rad: float
+    measured: bool
 
     def includes(self, pose: Pose) -> bool:
         """Return whether a pose can be reached."""
         off_m, off_rad = self.expected.gap(pose)
         return off_m <= self.off_m and off_rad <= self.off_rad
+
+    def motion_cost(self, likely: Pose, pose: Pose) -> float:
+        """Return the cost of a motion to another pose than the likely one, by Student's t: 0.7 at its usual error."""
+        off_m, off_rad = likely.gap(pose)
+        return log1p(0.5 * ((off_m / self.off_m) ** 2 + (off_rad / self.off_rad) ** 2) / USUAL_SHARE**2)
 
 
 def reach_across(here: Step, beyond: Step, track: Track, fastest: tuple[float, float]) -> Reach:
@@ -85,9 +97,34 @@ def reach_across(here: Step, beyond: Step, track: Track, fastest: tuple[float, f
     moved = motion_by(odometry, here.stamp_ns, beyond.stamp_ns) if odometry else None
     if moved is None:
         off_m, off_rad = (FASTER * speed * elapsed_s for speed in fastest)
-        return Reach(pose, off_m + SLACK_M, min(pi, off_rad + SLACK_RAD))
+        return Reach(pose, off_m + SLACK_M, min(pi, off_rad + SLACK_RAD), measured=False)
     off_m = MOST_ERROR * moved.distance_m + SLACK_M
-    return Reach(pose @ moved, off_m, min(pi, MOST_ERROR * abs(moved.yaw_rad) + SLACK_RAD))
+    return Reach(pose @ moved, off_m, min(pi, MOST_ERROR * abs(moved.yaw_rad) + SLACK_RAD), measured=True)
+
+
+def motion_across(here: Sequence[Step], beyond: Sequence[Step]) -> Pose:
+    """Return the likely motion across a gap: half of the time at the velocity on this side, then at that beyond.
+
+    Both sides have the step nearest to the gap first. The velocities are means over ``GAP_S``.
+    """
+    half_ns = 0.5 * (beyond[0].stamp_ns - here[0].stamp_ns)
+    return _drift(_within(here)[-1], here[0], half_ns) @ _drift(beyond[0], _within(beyond)[-1], half_ns)
+
+
+def _within(steps: Sequence[Step]) -> Sequence[Step]:
+    """Return the first steps, up to ``GAP_S`` from the first one, at least two of several."""
+    near = [step for step in steps if abs(step.stamp_ns - steps[0].stamp_ns) * NS <= GAP_S]
+    return steps[: max(len(near), 2)]
+
+
+def _drift(start: Step, end: Step, time_ns: float) -> Pose:
+    """Return how far the laser moves in a time at the velocity from one step to another; not at all if both are one."""
+    if start.stamp_ns == end.stamp_ns:
+        return Pose()
+    moved, times = start.match.map_T_laser.between(end.match.map_T_laser), time_ns / (end.stamp_ns - start.stamp_ns)
+    x_m, y_m, _ = Pose(yaw_rad=-0.5 * moved.yaw_rad) @ moved  # seen from half of the turn
+    half = Pose(yaw_rad=0.5 * times * moved.yaw_rad)
+    return half @ Pose(times * x_m, times * y_m) @ half
 
 
 def pose_across_gap(
@@ -109,7 +146,12 @@ def pose_across_gap(
     expected = reach.expected @ end.inverse()
     poses = [*_fits(ours, theirs, expected, reach)]
     poses += [pose.inverse() for pose in _fits(theirs, ours, expected.inverse(), reach)]
-    ranked = [(agreement(ours, theirs, pose), pose) for pose in poses if reach.includes(pose @ end)]
+    likely = reach.expected if reach.measured else here[0].match.map_T_laser @ motion_across(here, beyond)
+    ranked = [
+        (agreement(ours, theirs, pose) - MOTION_WEIGHT * reach.motion_cost(likely, pose @ end), pose)
+        for pose in poses
+        if reach.includes(pose @ end)
+    ]
     most, best = max(ranked, default=(0.0, expected))
     rivals = (value for value, pose in ranked if apart(best @ end, pose @ end))
     return best if most >= max(0.0, *rivals) + LEAST_AGREEMENT else None

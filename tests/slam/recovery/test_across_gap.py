@@ -17,12 +17,12 @@ from mavnav.slam.matching.steps import Step, Steps
 from mavnav.slam.methods.pauses import LEAST_SPEED_M_S, highest_speeds
 from mavnav.slam.methods.registry import make_method
 from mavnav.slam.pipeline import run_slam
-from mavnav.slam.recovery import parts
-from mavnav.slam.recovery.across_gap import LONGEST_GAP_S, pose_across_gap, reach_across
+from mavnav.slam.recovery import across_gap, parts
+from mavnav.slam.recovery.across_gap import LONGEST_GAP_S, motion_across, pose_across_gap, reach_across
 from mavnav.slam.recovery.parts import is_reached, join_parts
 from mavnav.slam.track import Track
 from mavnav.units import DEG, NS
-from support.synthetic import TOUR, Recording, along, box, furnished_rooms, record, room
+from support.synthetic import TOUR, Recording, along, box, furnished_rooms, polyline, record, room
 
 SPEC = LaserSpec(-2 * np.pi / 3, np.pi / 180, 241, 0.05, 5.0)
 MAP, PART = Pose(), Pose(3.0, -2.0, 1.0)
@@ -84,6 +84,50 @@ def test_another_room_is_not_placed() -> None:
         for k in range(20)
     ]
     assert pose_across_gap(side(range(FIRST, FIRST - 20, -1)), beyond, scans, track(), FAST) is None
+
+
+def steps_along(poses: list[Pose], times_s: list[float]) -> list[Step]:
+    at = (first_match(9)._replace(map_T_laser=pose) for pose in poses)
+    return [Step(k, round(t / NS), match, True) for k, (t, match) in enumerate(zip(times_s, at, strict=True))]
+
+
+@pytest.mark.parametrize("turn_rad_s", [0.0, 0.4])
+def test_the_likely_motion_goes_on_as_before_and_then_as_after(turn_rad_s: float) -> None:
+    def ahead(speed_m_s: float, time_s: float) -> Pose:
+        half = Pose(yaw_rad=0.5 * turn_rad_s * time_s)
+        return half @ Pose(speed_m_s * time_s) @ half
+
+    before = steps_along([ahead(1.0, 0.4).inverse(), Pose()], [0.6, 1.0])
+    after = steps_along([PART, PART @ ahead(0.2, 0.4)], [3.0, 3.4])
+    moved = motion_across(before[::-1], after)
+    assert moved == pytest.approx(ahead(1.0, 1.0) @ ahead(0.2, 1.0))
+    assert motion_across(after, before[::-1]) == pytest.approx(moved.inverse())
+
+
+def test_the_likely_motion_beside_one_pose_is_rest_there() -> None:
+    before, after = steps_along([Pose(-0.4), Pose()], [0.6, 1.0]), steps_along([PART], [3.0])
+    assert motion_across(before[::-1], after) == pytest.approx(Pose(1.0))
+    assert motion_across(after, after) == Pose()
+
+
+def test_the_velocity_tells_places_apart_that_look_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Columns stand every meter along a corridor: a part was joined a meter away."""
+    walls = [polyline((0.0, -0.8), (14.0, -0.8)), polyline((0.0, 0.8), (14.0, 0.8))]
+    walls += [box(x_m, side * 0.7, 0.2, 0.2) for x_m in np.arange(0.5, 14.0) for side in (-1.0, 1.0)]
+    spec = replace(SPEC, range_max_m=2.5)
+    log = record(np.vstack(walls), along([(4.0, 0.0), (10.0, 0.0)], speed_m_s=0.6), spec, 0.003)
+    scans, at = dict(enumerate(log.scans)), log.map_T_laser
+    steps = steps_along([at[k] for k in range(len(at))], (at.stamps_ns * NS).tolist())
+    beyond = [s._replace(match=s.match._replace(map_T_laser=PART @ s.match.map_T_laser)) for s in steps[40:80]]
+
+    def off_m() -> float:
+        pose = pose_across_gap(steps[36::-1], beyond, scans, track(), FAST)
+        assert pose is not None
+        return PART.inverse().gap(pose)[0]
+
+    assert off_m() < 0.05
+    monkeypatch.setattr(across_gap, "MOTION_WEIGHT", 0.0)
+    assert off_m() == pytest.approx(1.0, abs=0.05)
 
 
 def test_odometry_says_where_the_laser_can_be() -> None:
