@@ -154,7 +154,7 @@ def pose_across_gap(
     ]
     most, best = max(ranked, default=(0.0, expected))
     rivals = (value for value, pose in ranked if apart(best @ end, pose @ end))
-    return best if most >= max(0.0, *rivals) + LEAST_AGREEMENT else None
+    return best if most >= max((0.0, *rivals)) + LEAST_AGREEMENT else None
 
 
 def _map_of(steps: Sequence[Step], scans: Scans, track: Track) -> Robust:

@@ -130,6 +130,15 @@ def test_the_velocity_tells_places_apart_that_look_alike(monkeypatch: pytest.Mon
     assert off_m() == pytest.approx(1.0, abs=0.05)
 
 
+def test_a_part_with_one_possible_pose_is_placed_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without another pose to compare it with, the run ended with an error."""
+    here, beyond = side(range(FIRST, FIRST - 20, -1)), side(range(LAST, LAST + 20), PART)
+    pose = placed(here, beyond)
+    monkeypatch.setattr(across_gap, "apart", lambda *_: False)
+    assert placed(here, beyond) == pose
+    assert pose is not None
+
+
 def test_odometry_says_where_the_laser_can_be() -> None:
     here, beyond = side(range(FIRST, FIRST + 1))[0], side(range(LAST, LAST + 1))[0]
     moved = {here.stamp_ns: Pose(), beyond.stamp_ns: Pose(4.0, 0.0, 1.0)}
