@@ -192,7 +192,7 @@ def revisits(keys: Sequence[KeyFrame], begin: int) -> Iterator[tuple[int, int]]:
             yield i, j
 
 
-STILL_M, STILL_RAD = 0.03, 0.3 * DEG
+STILL_M, STILL_RAD = 0.06, 0.6 * DEG
 """A map stays where no key frame moved nor turned farther: places are found in it, and measured elsewhere."""
 
 

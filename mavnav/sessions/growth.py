@@ -175,8 +175,8 @@ def extend_group(
 def _join_following(
     group: SessionGroup, here: GroupMap, waiting: Sequence[Session], config: Config
 ) -> tuple[SessionGroup, GroupMap]:
-    """Join the sessions with which a recording goes on."""
-    for session in waiting:
+    """Join the sessions with which a recording goes on, one after another."""
+    for session in sorted(waiting, key=lambda each: (each.doubtful, each.map_T_laser.stamps_ns[0])):
         cut = ended_before(group, session, SOON_S)
         larger = join_at_end(group, session, cut, here, Join(session.name), config)[0] if cut else None
         if larger:

@@ -8,11 +8,12 @@ from msgspec.structs import replace
 
 from mavnav.config.models import Config
 from mavnav.pose import Pose, Trajectory
+from mavnav.sessions import growth
 from mavnav.sessions.closures import count_contradicting
 from mavnav.sessions.group import Session, group_of, make_session, merged_map, own_edges, trajectories
 from mavnav.sessions.growth import join_sessions
 from mavnav.slam.loop_closure.key_frames import KeyFrameMap
-from support.sessions import CELLAR, TOURS, errors_m, session, tour, twin_room
+from support.sessions import CELLAR, TOURS, cut, errors_m, session, tour, twin_room
 from support.synthetic import Recording
 
 CONFIG = Config()
@@ -45,6 +46,15 @@ def test_overlapping_sessions_are_joined_to_one_map(tours, sessions) -> None:
         members = zip(group.sessions, poses, strict=True)
         assert max(errors_m(path, tours[member.name], world_T_group) for member, path in members) < 0.03
     assert np.count_nonzero(grid.hits) > 500
+
+
+def test_parts_of_a_recording_are_joined_one_after_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those named before the part that they go on with were searched in the whole map: 30 parts took 99 s, not 69."""
+    monkeypatch.delattr(growth, "locate_session")
+    parts = [session(f"part{k}", recording) for k, recording in enumerate(cut(tour("both"), 4))]
+    group, refused = join_sessions(parts[::-1], CONFIG, silent)
+    assert refused == []
+    assert [member.name for member in group.sessions] == [part.name for part in parts]
 
 
 @pytest.mark.slow
