@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from doubt_corpus import WINDOWS_S, WRONG_LOGS, case_of, every_name, flown, largest_errors, largest_offset_m
+from doubt_corpus import MISSION, WINDOWS_S, WRONG_LOGS, case_of, every_name, flown, largest_errors, largest_offset_m
 from matplotlib.figure import Figure
 from msgspec.structs import replace
 from scipy.optimize import minimize
@@ -42,7 +42,7 @@ from mavnav.slam.doubt.features import (
     evidence_of,
     resampled_poses,
 )
-from mavnav.slam.doubt.judge import FEWEST, UNDECIDED, doublings, judge_track, probability
+from mavnav.slam.doubt.judge import ALWAYS, FEWEST, UNDECIDED, doublings, judge_flown, judge_track, probability
 from mavnav.slam.findings import HIGH
 from mavnav.slam.methods.registry import Refiner
 from mavnav.slam.track import Track
@@ -76,14 +76,15 @@ def made(folder: Path, name: str) -> Run:
     """Make a run; return its features and errors."""
     features: list[dict[str, float]] = []
 
-    def keep(track: Track, refiner: Refiner) -> Track:
-        judged = judge_track(track, refiner)
+    def keep(judge: Callable[[Track, Refiner], Track], track: Track, refiner: Refiner) -> Track:
+        judged = judge(track, refiner)
         features.append(features_of(judged, refiner))
         return judged
 
-    pipeline.CHECKING = PASSES
-    case = None if name.startswith("mission-") else case_of(folder, name)
-    pipeline.CHECKING = tuple(keep if some is judge_track else some for some in PASSES)
+    pipeline.CHECKING, pipeline.judge_flown = PASSES, judge_flown
+    case = None if name.startswith(MISSION) else case_of(folder, name)
+    pipeline.CHECKING = tuple(partial(keep, some) if some is judge_track else some for some in PASSES)
+    pipeline.judge_flown = partial(keep, judge_flown)
     if case:
         slam, truth = case.track(), case.reference
     else:
@@ -156,9 +157,9 @@ Model = tuple[Weights, Weights]
 
 
 def judged(run: Run, model: Model = (ONE_TRACK, TWO_TRACKS)) -> float:
-    """Return the doubt of a run, with the second track if the first one leaves it undecided."""
-    one = alone(run, model)
-    return probability(run["features"], *model) if UNDECIDED[0] <= one <= UNDECIDED[1] else one
+    """Return the doubt of a run, with the second track if the first one leaves it undecided, and of every mission."""
+    one, (low, high) = alone(run, model), ALWAYS if run["name"].startswith(MISSION) else UNDECIDED
+    return probability(run["features"], *model) if low <= one <= high else one
 
 
 def alone(run: Run, model: Model = (ONE_TRACK, TWO_TRACKS)) -> float:

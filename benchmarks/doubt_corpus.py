@@ -264,12 +264,25 @@ def scenery(scene: str, rng: np.random.Generator) -> tuple[np.ndarray, list[tupl
     return furnished_rooms(), [(0.8, 0.7), (2.8 + jitter[0][0], 0.7), (4.9, 0.7), (5.2, 2.2), (4.65, 3.4), (4.65, 5.0)]
 
 
-MISSIONS = ("corner", "corridor", "complex", "curved", "loop", "u_trap")
+MISSION = "mission-"
+MISSIONS = (
+    "corner",
+    "corridor",
+    "complex",
+    "curved",
+    "loop",
+    "u_trap",
+    "hallway",
+    "hall",
+    "dead_end",
+    "doorway",
+    "ring",
+)
 
 
 def mission_names(seeds: int = 8) -> list[str]:
     """Return the names of all missions."""
-    return [f"mission-{scenario}/fly/0/{seed}" for scenario in MISSIONS for seed in range(seeds)]
+    return [f"{MISSION}{scenario}/fly/0/{seed}" for scenario in MISSIONS for seed in range(seeds)]
 
 
 WINDOWS_S = (2.0, 10.0, 60.0)
@@ -338,7 +351,7 @@ def case_of(folder: Path, name: str) -> Case:
 
 def flown(name: str) -> tuple[SlamResult, Trajectory]:
     """Fly a mission; return the result of SLAM, and the true poses."""
-    scenario, _, _, seed = name.removeprefix("mission-").split("/")
+    scenario, _, _, seed = name.removeprefix(MISSION).split("/")
     flight = fly(load_scenario(scenario, [], {"seed": int(seed)}))
     return flight.slam, flight.map_T_laser
 

@@ -45,6 +45,12 @@ def test_the_table_of_missions_is_made(benchmark_module) -> None:
     assert blind.endswith("| 1 | 0, 0 |")
 
 
+def test_features_are_collected_of_missions(benchmark_module) -> None:
+    """None were: missions are judged by a function of their own."""
+    run = benchmark_module("doubt").made(ROOT, "mission-corner/fly/0/0")
+    assert run["features"]["tracks_disagree"] > 0.0
+
+
 def test_the_table_of_wrong_matches_is_made(benchmark_module, monkeypatch: pytest.MonkeyPatch) -> None:
     readings: ModuleType = benchmark_module("readings")
     monkeypatch.setattr(readings, "CURVE", readings.CURVE[::7])

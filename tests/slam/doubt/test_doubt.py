@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,10 +21,11 @@ from mavnav.slam.matching.scan_matching import first_match
 from mavnav.slam.matching.steps import Step, Steps
 from mavnav.slam.methods.registry import make_method
 from mavnav.slam.pipeline import run_slam
+from mavnav.slam.refinement.refine import refine_poses, remove_dynamic_cells
 from mavnav.slam.track import Track
 from mavnav.units import DEG
 from support.marks import slow
-from support.synthetic import along, furnished_rooms, record
+from support.synthetic import LDS_01, along, furnished_rooms, polyline, record
 
 N, PERIOD_NS = 60, 100_000_000
 AT = slice(30, 33)
@@ -204,6 +206,22 @@ def test_a_track_of_another_method_is_judged_by_its_map(scale: float) -> None:
     assert judged.findings.doubt.tried == (judge.RESAMPLED,)
     assert judged.findings.doubt.high == (scale > 1.0)
     assert [step.match.map_T_laser for step in judged.steps] == poses
+
+
+@pytest.mark.parametrize("commanded", [False, True])
+def test_wheels_measure_motion_and_commands_do_not(*, commanded: bool) -> None:
+    """A vehicle in a plain corridor that commands alone carry was half a meter off, at a doubt of 0.03."""
+    walls = polyline((0.0, -1.2), (40.0, -1.2), (40.0, 1.2), (0.0, 1.2), closed=True)
+    drive = record(walls, along([(15.0, 0.0), (21.0, 0.0)]), LDS_01)
+    truth = drive.map_T_laser
+    motion = Motion(0.1, partial(truth.at, max_gap_ns=10**9), commanded=commanded)
+    method = make_method(Config())
+    track = Track(lambda: drive.scans, Config(), motion, method).over(drive.scans, "track")
+    refiner = track.refiner
+    assert refiner is not None
+    judged = judge.judge(refine_poses(remove_dynamic_cells(track, refiner), refiner), refiner, judge.ALWAYS)
+    assert judged.findings.doubt is not None
+    assert judged.findings.doubt.high == commanded
 
 
 def test_a_track_of_nothing_is_not_judged() -> None:
