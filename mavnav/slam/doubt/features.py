@@ -36,12 +36,12 @@ class TrackEvidence(Struct, frozen=True):
     ``resampled`` (n, 3) the poses of a track with coarser voxels, ``wheels`` (n, 3) those by the odometry of the log,
     used or not, NaN without one; ``tilt_rad`` (n,) the tilt by an inertial sensor, 0 without; ``second_motion`` (n,)
     the share of scans that fit another motion too, at those scans; ``by_odometry_m`` (n,) the error to be expected
-    where odometry alone gives the pose, 0 elsewhere; ``odometry`` (n,): odometry predicts the pose; commands measure
-    nothing. ``period_s`` is the scan period.
+    where odometry alone gives the pose, 0 elsewhere; ``unmeasured`` (n,) the share of the motion that nothing but scans
+    measures: 0 with odometry, 1 without. ``period_s`` is the scan period.
     """
 
     period_s: float
-    odometry: NDArray[np.bool_]
+    unmeasured: Floats
     stamps_ns: NDArray[np.int64]
     xyyaw: Floats
     points: NDArray[np.int64]
@@ -61,7 +61,7 @@ def evidence_of(track: Track, refiner: Refiner) -> TrackEvidence:
     stamps_ns, rotation = track.steps.column("stamp_ns")[tracked], track.motion.rotation
     return TrackEvidence(
         period_s=track.motion.period_s,
-        odometry=track.motion.odometry_at(stamps_ns) & (not track.motion.commanded),
+        unmeasured=np.where(track.motion.odometry_at(stamps_ns), COMMANDS_ERR * track.motion.commanded, 1.0),
         stamps_ns=stamps_ns,
         xyyaw=xyyaw,
         points=track.steps.column("beams_used")[tracked],
@@ -132,6 +132,9 @@ WEAK_M_S, LONGEST_S = 0.5, 1.0
 """Along walls that leave the motion open, the least speed that is possible, whatever the track says, and the longest
 time between two scans for which that counts; the motion adds up over the longer of ``WINDOWS_S``."""
 
+COMMANDS_ERR: Final = 0.5
+"""Share of its commanded motion by which a vehicle may be off: nothing measures what it does."""
+
 TILT_RAD = 10 * DEG
 """Tilt above which motion is not planar: a wall 3 m away is then met 0.5 m higher or lower."""
 
@@ -201,12 +204,12 @@ def weak(evidence: TrackEvidence) -> Floats:
     It is the motion in the longer window before or after, as a multiple of the bound for wrong. A track along bare
     walls may stand still while the laser moves.
     """
-    weak, stamps_s = (evidence.observed < LEAST_OBSERVABILITY) & ~evidence.odometry, evidence.stamps_ns * NS
+    weak, stamps_s = (evidence.observed < LEAST_OBSERVABILITY) * evidence.unmeasured, evidence.stamps_ns * NS
     elapsed_s = np.minimum(np.diff(stamps_s, prepend=stamps_s[:1]), LONGEST_S)
     driven_m = np.cumsum(weak * np.maximum(steps_m(evidence), WEAK_M_S * elapsed_s))
     first = np.searchsorted(stamps_s, stamps_s - WINDOWS_S[-1])
     last = np.minimum(np.searchsorted(stamps_s, stamps_s + WINDOWS_S[-1]), len(stamps_s) - 1)
-    return np.asarray(weak * np.maximum(driven_m[last] - driven_m, driven_m - driven_m[first]) / WRONG_M)
+    return np.asarray((weak > 0.0) * np.maximum(driven_m[last] - driven_m, driven_m - driven_m[first]) / WRONG_M)
 
 
 def steps_m(evidence: TrackEvidence) -> Floats:

@@ -37,7 +37,7 @@ def clean(*, compared: bool = False, **changes: object) -> TrackEvidence:
     xyyaw = np.column_stack((0.5 * time_s, np.sin(time_s), 0.3 * np.sin(time_s)))
     good = TrackEvidence(
         period_s=0.1,
-        odometry=np.zeros(N, np.bool_),
+        unmeasured=np.ones(N),
         stamps_ns=np.arange(N, dtype=np.int64) * PERIOD_NS,
         xyyaw=xyyaw,
         points=np.full(N, 300),
@@ -111,14 +111,14 @@ def test_a_clean_track_shows_none(compared: bool) -> None:
 
 def test_weak_geometry_counts_where_the_laser_moves_without_odometry() -> None:
     weak = PLANTED["weakly constrained pose"]
-    for known in (replace(weak, odometry=np.ones(N, np.bool_)), replace(weak, xyyaw=np.zeros((N, 3)))):
+    for known in (replace(weak, unmeasured=np.zeros(N)), replace(weak, xyyaw=np.zeros((N, 3)))):
         assert doubt_of(weak).probability > doubt_of(known).probability
 
 
 def test_a_slide_of_two_seconds_in_a_minute_shows() -> None:
     time_s = 0.1 * np.arange(600)
     slide = clean(
-        odometry=np.zeros(600, np.bool_),
+        unmeasured=np.ones(600),
         stamps_ns=np.arange(600, dtype=np.int64) * PERIOD_NS,
         xyyaw=np.column_stack((0.5 * time_s, np.zeros((600, 2)))),
         observed=np.where((time_s >= 30.0) & (time_s < 32.0), 0.001, 0.1),
