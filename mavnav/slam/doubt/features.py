@@ -283,7 +283,7 @@ FEATURES: Final = {
     "few_points": Feature("too few beams", few_points, MANY_SCANS, 0.72, 0.0),
 }
 """A slip shows at one scan, conflicts at many. The weights are as `python benchmarks/doubt.py fit` printed them
-for 0.3.0: fitted anew, they judge other places no better."""
+before odometry was fused."""
 
 
 class Weights(NamedTuple):

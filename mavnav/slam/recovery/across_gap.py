@@ -85,7 +85,7 @@ class Reach(NamedTuple):
         return off_m <= self.off_m and off_rad <= self.off_rad
 
     def motion_cost(self, likely: Pose, pose: Pose) -> float:
-        """Return the cost of a motion to another pose than the likely one, by Student's t: 0.7 at its usual error."""
+        """Return the cost of a motion to another pose than the likely one, by Student's t: 0.7 at the usual errors."""
         off_m, off_rad = likely.gap(pose)
         return log1p(0.5 * ((off_m / self.off_m) ** 2 + (off_rad / self.off_rad) ** 2) / USUAL_SHARE**2)
 
