@@ -23,9 +23,9 @@ from mavnav.outputs.directory import MERGE_FILE, RUN_FILE, atomic_directory, che
 from mavnav.outputs.documents.provenance import versions
 from mavnav.outputs.documents.run_json import RunDocument
 from mavnav.outputs.documents.sections import evidence
-from mavnav.outputs.documents.verdict import Verdict, joining_advice, worst_verdict
+from mavnav.outputs.documents.verdict import Verdict, joining_advice, map_verdict, worst_verdict
 from mavnav.outputs.files.document import plain, to_json
-from mavnav.outputs.files.finished_run import FinishedRun, MergeRecord, finished_run, of_document
+from mavnav.outputs.files.finished_run import FinishedRun, MergeRecord, finished_run
 from mavnav.outputs.files.gridmap import WALLS_FILE, GridMap, map_section, write_cuts, write_npz, write_pgm, write_yaml
 from mavnav.outputs.files.trajectory import session_files, write_poses, write_scans
 from mavnav.outputs.pictures.map_picture import write_merged
@@ -33,7 +33,7 @@ from mavnav.outputs.report.summary_page import merge_summary, write_summary
 from mavnav.outputs.writers import REPORT_FILE
 from mavnav.pipelines.maps import rounded_pose
 from mavnav.pipelines.replay import ReplayRequest, replay_log
-from mavnav.pipelines.sessions import UNREADABLE, mapped_share, read_session
+from mavnav.pipelines.sessions import UNREADABLE, mapped_share, read_session, session_of
 from mavnav.sessions.group import Join, Session, SessionGroup, frame_of, merged_map
 from mavnav.sessions.growth import join_sessions
 from mavnav.slam.methods.registry import load_kernels
@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from mavnav.config.models import Config
+    from mavnav.outputs.run import RunResult
     from mavnav.pose import Trajectory
     from mavnav.profiling import Progress
 
@@ -94,12 +95,17 @@ def merge(request: MergeRequest, progress: Progress) -> dict[str, Any]:
         load_kernels(request.config, progress, rare=True)
         group, refused = join_sessions(sessions, request.config, lambda name: progress(f"joining {name}", 0, None))
         grid, members = merged_map(group, request.config, [_first(group, sessions)], progress)
-        document = _document(request, inputs, [*group.joins, *refused], members)
+        rows = _rows(inputs, [*group.joins, *refused], members)
         progress("measuring", 0, None)
         tracks = [(session.map_T_laser, session.scans) for session in members]
-        measured = measure_map(measured_area(grid), one_after_another(tracks, mapped_share(document["sessions"])))
+        measured = measure_map(measured_area(grid), one_after_another(tracks, mapped_share(rows)))
+        grid = known_area(grid)
+        of_map = _map_document(grid, measured, request.config, mapped_share(rows))
+        document = _document(
+            request, rows, merge_verdict(rows, plain(of_map)), [each.run for each in inputs if each.run]
+        )
         progress("writing", 0, None)
-        return _write(request, known_area(grid), measured, members, document)
+        return _write(request, grid, measured, members, document, of_map)
 
 
 def _check(request: MergeRequest) -> None:
@@ -134,21 +140,26 @@ def _input(name: str, path: Path, request: MergeRequest, folder: Path, progress:
     """Read a run, or replay a log."""
     run = None
     try:
-        run = _run(path) if document_of(path) else _replay(name, path, request, folder, progress)
-        session = _read(name, run, request.config)
+        if document_of(path):
+            run = (stored := _run(path)).document
+            session = _read(name, stored, request.config)
+        else:
+            result, run = _replay(name, path, request, folder, progress)
+            session = session_of(result.slam, result.log, request.config, name)
     except NoScansError as error:
-        return Input(name, path, run=run.document if run else None, why=str(error))
-    return Input(name, path, session if session.keys else None, run.document, "no scan was tracked")
+        return Input(name, path, run=run, why=str(error))
+    return Input(name, path, session if session.keys else None, run, "no scan was tracked")
 
 
-def _replay(name: str, log: Path, request: MergeRequest, folder: Path, progress: Progress) -> FinishedRun:
-    """Replay a log; return its run."""
-    wanted = ReplayRequest(log, folder / name, request.config, outputs=("trajectory", "mcap"))
+def _replay(
+    name: str, log: Path, request: MergeRequest, folder: Path, progress: Progress
+) -> tuple[RunResult, dict[str, Any]]:
+    """Replay a log; return its run, without a map of its own, and run.json."""
+    wanted = ReplayRequest(log, folder / name, request.config, outputs=("trajectory",))
     try:
-        _, document = replay_log(wanted, lambda phase, *done: progress(f"{name}: {phase}", *done), 0.0)
+        return replay_log(wanted, lambda phase, *done: progress(f"{name}: {phase}", *done), 0.0)
     except SeveralTopicsError as error:
         raise TopicError(f"{error.what}; write mavnav replay {log} --topic NAME, and merge that run") from error
-    return of_document(folder / name, document)
 
 
 def _run(path: Path) -> FinishedRun:
@@ -177,9 +188,14 @@ def _first(group: SessionGroup, sessions: list[Session]) -> int:
 
 
 def _write(
-    request: MergeRequest, grid: Grid, measured: MeasuredMap, members: list[Session], document: dict[str, Any]
+    request: MergeRequest,
+    grid: Grid,
+    measured: MeasuredMap,
+    members: list[Session],
+    document: dict[str, Any],
+    of_map: dict[str, Any],
 ) -> dict[str, Any]:
-    """Write all files; return the document with their digests."""
+    """Write all files, ``of_map`` in run.json; return the document with their digests."""
     drawn = GridMap(grid)
     paths = {session.name: session.map_T_laser for session in members}
     with atomic_directory(request.directory, force=request.force, marker=MERGE_FILE) as folder:
@@ -196,8 +212,7 @@ def _write(
             write_summary(merge_summary(document, (folder / "map.png").read_bytes()), folder / REPORT_FILE)
         digests = {file.name: file_sha256(file) for file in sorted(folder.iterdir())}
         document = document | {"outputs": digests}
-        own = _map_document(grid, measured, request.config, mapped_share(document["sessions"]))
-        own |= {key: document[key] for key in ("verdict", "outputs", "exit_code")}
+        own = of_map | {key: document[key] for key in ("verdict", "outputs", "exit_code")}
         own |= {"damage": [damage for each in document["sessions"] for damage in each["damage"]], "warnings": []}
         ordered = {key: own[key] for key in RunDocument.__struct_fields__ if key in own}
         (folder / RUN_FILE).write_text(to_json(ordered), encoding="utf-8")
@@ -222,32 +237,40 @@ def _map_document(grid: Grid, measured: MeasuredMap, config: Config, accepted_sh
     }
 
 
-def _document(request: MergeRequest, inputs: list[Input], joins: list[Join], members: list[Session]) -> dict[str, Any]:
-    by_name = {join.name: join for join in joins}
-    paths = {session.name: session.map_T_laser for session in members}
-    rows = [_row(each, by_name.get(each.name) or Join(each.name, why=each.why), paths) for each in inputs]
-    codes = [each.run["exit_code"] for each in inputs if each.run and each.run["exit_code"] in OF_LOGS]
-    refused = len(inputs) - len(paths)
-    verdict = merge_verdict(rows)
+def _document(
+    request: MergeRequest, rows: list[dict[str, Any]], verdict: Verdict, runs: list[dict[str, Any]]
+) -> dict[str, Any]:
+    joined = [row for row in rows if row["joined"]]
+    codes = [run["exit_code"] for run in runs if run["exit_code"] in OF_LOGS]
+    refused = len(rows) - len(joined)
     return {
         **DOCUMENT_HEAD,
         "verdict": plain(verdict),
         "headline": merge_headline(rows),
         "sessions": rows,
-        "joined": len(paths),
+        "joined": len(joined),
         "refused": refused,
-        "scans": sum(map(len, paths.values())),
+        "scans": sum(row["scans"] for row in joined),
         "config": request.config.document(),
         "exit_code": int(worst([ExitCode.GATE_FAILED if refused else ExitCode.DONE, *codes])),
     }
 
 
-def merge_verdict(sessions: list[dict[str, Any]]) -> Verdict:
-    """Return the verdict on the map of sessions: the worst of theirs; suspect where one did not join."""
+def _rows(inputs: list[Input], joins: list[Join], members: list[Session]) -> list[dict[str, Any]]:
+    """Describe what became of each input."""
+    by_name = {join.name: join for join in joins}
+    paths = {session.name: session.map_T_laser for session in members}
+    return [_row(each, by_name.get(each.name) or Join(each.name, why=each.why), paths) for each in inputs]
+
+
+def merge_verdict(sessions: list[dict[str, Any]], of_map: dict[str, Any]) -> Verdict:
+    """Return the verdict on the map of sessions: the worst of theirs and its own; suspect where one did not join."""
     known = [each for each in sessions if each["joined"] and each["verdict"]]
     own = [Verdict(**each["verdict"] | {"reason": f"{each['name']}: {each['verdict']['reason']}"}) for each in known]
     apart = [(f"{e['name']} did not join: {e['why']}", joining_advice(e["why"])) for e in sessions if not e["joined"]]
-    worst = worst_verdict([*own, *(Verdict("suspect", *each) for each in apart)])
+    unmeasured = map_verdict(of_map)
+    others = [*(Verdict("suspect", *each) for each in apart), *([unmeasured] if unmeasured else [])]
+    worst = worst_verdict([*own, *others])
     return worst if worst and worst.word != "good" else Verdict("good", "every session joined and is good", "")
 
 

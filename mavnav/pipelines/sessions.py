@@ -68,6 +68,18 @@ def read_session(run: FinishedRun, stored: Stored, config: Config, name: str = "
     return make_session(name or stored.name, log.scans, trajectory, config, doubtful=stored.doubtful)
 
 
+def session_of(outcome: SlamResult, log: Log, config: Config, name: str) -> Session:
+    """Return the session of a log that was tracked."""
+    trajectory = outcome.trajectory
+
+    def scans() -> Iterator[Scan]:
+        tracked = set(trajectory.stamps_ns.tolist())
+        return (scan for scan in log.scans() if scan.stamp_ns in tracked)
+
+    doubtful = outcome.lost_for_good or bool(outcome.doubt and outcome.doubt.high)
+    return make_session(name, scans, trajectory, config, doubtful=doubtful)
+
+
 def mapped_share(sessions: list[dict[str, Any]]) -> float:
     """Return the share, 0 to 1, of the scans of the sessions in a map that are in it, by the rows of merge.json."""
     shares = [(each["scans"], each["tracking"]["tracked_share"]) for each in sessions if each["joined"]]
@@ -140,14 +152,7 @@ def continue_run(
     name = new_name(log_name(log.path), [session.name for session in earlier])
     if stopped:
         return Continuation(outcome, _section(run, Join(name, why="the run was stopped before"), ()))
-    trajectory = outcome.trajectory
-
-    def scans() -> Iterator[Scan]:
-        tracked = set(trajectory.stamps_ns.tolist())
-        return (scan for scan in log.scans() if scan.stamp_ns in tracked)
-
-    doubtful = outcome.lost_for_good or bool(outcome.doubt and outcome.doubt.high)
-    session = make_session(name, scans, trajectory, config, doubtful=doubtful)
+    session = session_of(outcome, log, config, name)
     group, join = _join(session, earlier, config, progress)
     if group is None:
         return Continuation(outcome, _section(run, join, ()))

@@ -16,7 +16,7 @@ import mavnav as api
 from mavnav.ground_truth.tables import read_tum
 from mavnav.metrics.journey import one_after_another
 from mavnav.outputs.documents.run_json import RunDocument
-from mavnav.pipelines.merge import session_names
+from mavnav.pipelines.merge import merge_verdict, session_names
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import LaserSpec, Scan
 from support.log_files import drive, laser, write_mcap
@@ -63,6 +63,8 @@ def test_logs_and_runs_are_joined(mavnav, logs, back, tmp_path) -> None:
         assert len(poses) == len(recording.scans)
         assert errors_m(poses, recording, hall.world_T_laser[0]) < 0.05
     first, second = document["sessions"]
+    reasons = [each["verdict"]["reason"].removeprefix("no sign of an error in ") for each in (first, second)]
+    assert reasons == ["the path", "path or map"]  # of a log and of a run: logs are measured together
     assert "-0.0" not in map(str, [*first["map_T_session"].values(), *second["map_T_session"].values()])
     assert [first["map_T_session"][key] for key in ("x_m", "yaw_deg")] == pytest.approx([0, 0], abs=0.05)
     assert {row["name"]: row["closures"] for row in [*first["joined_to"], *second["joined_to"]]}
@@ -108,6 +110,15 @@ def test_sessions_follow_one_another_for_the_metrics() -> None:
 
 
 @pytest.mark.slow
+def test_the_map_of_all_is_judged_besides_the_paths() -> None:
+    """Parts of a log may be too short to measure walls on, and their map is not."""
+    good = {"word": "good", "reason": "no sign of an error in the path", "advice": ""}
+    rows = [{"name": name, "joined": True, "verdict": good} for name in ("a", "b")]
+    assert merge_verdict(rows, {"map_quality": {"meaningful": True, "why": []}}).word == "good"
+    empty = merge_verdict(rows, {"map_quality": {"meaningful": False, "why": ["0.4 m of walls"]}})
+    assert (empty.word, empty.reason) == ("suspect", "the map cannot be measured: 0.4 m of walls")
+
+
 def test_what_does_not_join_is_said(mavnav, logs, tmp_path) -> None:
     names = ("cellar", "hall", "blind", "empty")
     (tmp_path / "empty.mcap").touch()

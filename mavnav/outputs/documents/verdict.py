@@ -102,6 +102,12 @@ def verdict_of(run: Run) -> Verdict:
     return Verdict("good", f"no sign of an error in {judged}", "")
 
 
+def map_verdict(run: Run) -> Verdict | None:
+    """Return the verdict on a map alone, by its ``map_quality``; None if it can be measured."""
+    known = _meaningless(run)
+    return Verdict("suspect", *known) if known else None
+
+
 def worst_verdict(verdicts: Iterable[Verdict]) -> Verdict | None:
     """Return the worst of some verdicts, the first of equal ones; None without any."""
     return max(verdicts, key=lambda verdict: VERDICTS.index(verdict.word), default=None)
