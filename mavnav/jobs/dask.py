@@ -34,6 +34,9 @@ from mavnav.version import __version__
 LOCAL: Final = "local"
 """Name of a scheduler that is started on this machine, with workers, and ends with the batch."""
 
+LOCAL_SETTINGS: Final = {"worker.profile.enabled": False, "admin.tick.interval": "1s", "nanny.pre-spawn-environ": {}}
+"""Settings of Dask for such workers: they do not watch themselves 100 times a second, nor return memory at once."""
+
 POLL_S: Final = 0.2
 CONNECT_S: Final = 20.0
 """Maximum time to wait for a scheduler, and for its first worker, in s."""
@@ -222,8 +225,9 @@ def _start_local(workers: int, memory_mb: int | None, tries: int) -> Iterator[An
 
     distributed = _import_distributed()
     memory = "auto" if memory_mb is None else memory_mb * 2**20
+    settings = LOCAL_SETTINGS | {"scheduler.allowed-failures": tries - 1}
     with (
-        dask.config.set({"distributed.scheduler.allowed-failures": tries - 1}),
+        dask.config.set({f"distributed.{name}": value for name, value in settings.items()}),
         distributed.LocalCluster(
             n_workers=workers,
             threads_per_worker=1,
