@@ -185,7 +185,7 @@ def points_between(points, step_rad, reach_m, spacing_m):
             away = (a - b if at is a else b - a) / apart
             along, off = (other - at) @ away, abs(away[0] * (other - at)[1] - away[1] * (other - at)[0])
             straight |= along > 0 and off <= 0.02 + 0.2 * min(np.hypot(*(other - at)), apart)
-        if across > reach_m and apart <= 1.0 and not missing and straight:
+        if across > reach_m and apart <= 3.0 and not missing and straight:
             count = int(apart / spacing_m)
             joined += [a + (b - a) * j / (count + 1) for j in range(1, count + 1)]
     return np.array(joined).reshape(-1, 2)

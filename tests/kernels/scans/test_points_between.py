@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mavnav.kernels.scans.points import LONGEST_M, points_between
@@ -24,6 +24,7 @@ def between(points: np.ndarray, step_rad: float) -> np.ndarray:
 
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), beams=st.sampled_from((36, 72, 90, 180, 360)))
+@example(seed=6170697, beams=36)  # a wall of 1.1 m between two beams
 def test_points_between_beams_are_their_twin(seed: int, beams: int) -> None:
     rng, spec = np.random.default_rng(seed), LaserSpec(-np.pi, 2 * np.pi / beams, beams, 0.05, 20.0)
     scan = scan_at(furnished_rooms(), Pose(3.0, 2.2, rng.uniform(-3, 3)), spec, noise=0.02, rng=rng)
