@@ -62,6 +62,8 @@ class Log(Struct, frozen=True, eq=False, kw_only=True):
         Stamp of the first usable scan, in ns.
     last_ns
         Stamp of the last usable scan, in ns.
+    start_s
+        Time from the first usable scan of the log, before the window too, to the first in it, in s.
     period_s
         Median time between usable scans, in s.
     gaps
@@ -112,6 +114,7 @@ class Log(Struct, frozen=True, eq=False, kw_only=True):
     cleaning: dict[str, int]
     first_ns: int
     last_ns: int
+    start_s: float = 0.0
     period_s: float
     gaps: tuple[Gap, ...]
     stamp_source: StampSource

@@ -130,6 +130,7 @@ def choose(
         cleaning=dict(zip(KINDS, timeline.cleaning.tolist(), strict=True)),
         first_ns=int(timeline.stamps_ns[0]),
         last_ns=int(timeline.stamps_ns[-1]),
+        start_s=timeline.later_ns * NS,
         period_s=period_s,
         gaps=gaps,
         stamp_source=timeline.source,

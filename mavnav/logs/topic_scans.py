@@ -41,15 +41,17 @@ _SUSPECT_OFFSET_NS: Final = 10_000_000_000
 class Timeline(Struct, frozen=True):
     """The usable scans of a topic, in the order of use, by one source of stamps.
 
-    ``order`` (m,) holds their numbers in the file, ``stamps_ns`` (m,) ascends strictly, ``cleaning`` (8,) counts their
-    beams by ``preprocessing.KINDS``; ``repeated`` counts the scans with the ranges of the one before in the file;
-    ``first`` is geometry and frame of the first. ``clock`` compares the stamps with the times of recording;
+    ``order`` (m,) holds their numbers in the file, ``stamps_ns`` (m,) ascends strictly, ``later_ns`` is the time from
+    the first usable scan of the topic to the first in the window. ``cleaning`` (8,) counts their beams by
+    ``preprocessing.KINDS``; ``repeated`` counts the scans with the ranges of the one before in the file; ``first`` is
+    geometry and frame of the first. ``clock`` compares the stamps with the times of recording;
     ``distrust`` is why the scans' own are not used, empty where they are.
     """
 
     source: StampSource
     order: NDArray[np.int64]
     stamps_ns: NDArray[np.int64]
+    later_ns: int
     skipped: Counter[str]
     cleaning: NDArray[np.int64]
     suspect: int
@@ -213,6 +215,7 @@ class TopicScans(Struct):
             source=source,
             order=order,
             stamps_ns=stamps_ns[inside],
+            later_ns=int(stamps_ns[inside][0] - stamps_ns[0]) if inside.any() else 0,
             skipped=+skipped,
             cleaning=np.array(self._cleaning, np.int64).reshape(-1, len(KINDS))[order].sum(axis=0),
             suspect=sum(self._suspect[k] for k in order.tolist()),

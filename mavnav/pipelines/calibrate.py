@@ -74,6 +74,7 @@ def calibrate(request: CalibrationRequest, progress: Progress) -> dict[str, Any]
         rotation=log.imu.rotation if log.imu else None,
         on_step=lambda phase, done: progress(phase, done, log.counts.usable),
         last=MEASURING,
+        start_s=log.start_s,
     )
     outcome = replace(outcome, warnings=(*warnings, *outcome.warnings))
     progress("calibrating", 0, None)

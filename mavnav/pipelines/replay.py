@@ -328,5 +328,6 @@ def _track(
         base_T_laser=log.base_T_laser or Pose(),
         scans_ns=log.stamps_ns,
         placement=placement_of(request.options.get("align")),
+        start_s=log.start_s,
         recorded=(lambda: takewhile(going, plain.scans())) if log.attitude and config.attitude == "auto" else None,
     )

@@ -140,7 +140,7 @@ def _late_warnings(
     track: Track, parts: Sequence[Part], lost: Sequence[LostInterval], bridges: Bridges
 ) -> Iterator[str]:
     """Yield the warnings that depend on the finished path."""
-    yield from part_warnings(parts, track.steps[0].stamp_ns) if parts else ()
+    yield from part_warnings(parts, track.steps[0].stamp_ns, track.start_s) if parts else ()
     yield from bridges.warnings(track.steps[0].stamp_ns) if bridges.numbers else ()
     yield from jump_warnings(track.steps)
     if track.prior_map is None:

@@ -43,7 +43,8 @@ class Track(Struct, frozen=True):
     ``prior_map`` is the map to localize in, ``around_map`` the one in whose frame a map of its own is placed.
     ``placement`` puts the finished map elsewhere.
     ``motion`` is the state before the first scan, with the odometry that is used; ``log_odometry`` is that of the log.
-    The map begins with the first usable scan from number ``begin`` on.
+    The map begins with the first usable scan from number ``begin`` on. The first scan is ``start_s`` after that of the
+    log.
     """
 
     log_scans: LogScans
@@ -57,6 +58,7 @@ class Track(Struct, frozen=True):
     on_step: OnStep | None = None
     log_odometry: LogOdometry | None = None
     begin: int = 0
+    start_s: float = 0.0
     findings: Findings = Findings()
 
     @property

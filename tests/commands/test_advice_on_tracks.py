@@ -98,6 +98,18 @@ def test_parts_that_are_left_out_are_replayed_alone(tmp_path: Path) -> None:
     assert (code, document["verdict"]["word"]) == (0, "good")
 
 
+def test_the_parts_of_a_run_with_a_start_are_those_of_the_log(tmp_path: Path) -> None:
+    log = write_mcap(tmp_path / "log.mcap", carried(8.0, 6.2))
+    _, document = replayed(log, tmp_path / "a", "--start", "0.95")
+    part = next(part for part in document["tracking"]["parts"] if not part["joined"])
+    first_s = document["input"]["first_stamp_s"]
+    assert document["input"]["start_s"] == pytest.approx(first_s - START_S)
+    advice = options_in(document["warnings"][0])
+    _, alone = replayed(log, tmp_path / "b", *advice)
+    assert alone["scans"]["processed"] == part["scans"]
+    assert alone["input"]["first_stamp_s"] == pytest.approx(first_s + part["from_s"])
+
+
 def test_odometry_that_was_left_out_is_used_as_advised(tmp_path: Path) -> None:
     """Along bare walls, whose ends are out of range, nothing else tells the way."""
     walls = np.array([(0.0, 0.0, 60.0, 0.0), (0.0, 2.0, 60.0, 2.0)])

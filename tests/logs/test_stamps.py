@@ -62,6 +62,7 @@ def test_sound_stamps_are_believed_over_the_times_of_recording(tmp_path: Path) -
 def test_window_counts_from_the_first_usable_scan(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a", [laser(k) for k in range(20)])
     log = open_log(path, start_s=0.5, end_s=1.0)
+    assert log.start_s == pytest.approx(0.5)
     assert [(s.stamp_ns - START_NS) // PERIOD_NS for s in log.scans()] == [5, 6, 7, 8, 9, 10]
     assert (log.counts.usable, log.counts.skipped) == (6, {"outside_window": 14})
     assert log.first_ns == START_NS + 5 * PERIOD_NS

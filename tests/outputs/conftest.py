@@ -40,6 +40,7 @@ class FabricatedLog(Struct, frozen=True):
     frame_id: str = "/laser"
     counts: ScanCounts = field(default_factory=lambda: ScanCounts(22, 20, {"stamp repeats": 2}))
     cleaning: dict = None
+    start_s: float = 0.0
     period_s: float = 0.1
     gaps: tuple = ()
     stamp_source: str = "header"

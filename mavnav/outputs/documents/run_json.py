@@ -76,6 +76,7 @@ class LogInput(Struct, frozen=True):
     mounting_source: Annotated[str | None, text("tf_static, or option for --extrinsic; null if unknown")]
     odometry: Annotated[OdometrySource | None, text("odometry in the log, null without")]
     sensor: Sensor
+    start_s: Annotated[float, number("--start: time from the log's first usable scan to that of the run")] = OPTIONAL
     truth: RecordedTruthSource = OPTIONAL
     imu: ImuSource = OPTIONAL
     attitude: AttitudeSource = OPTIONAL

@@ -237,7 +237,7 @@ def _advice_if_doubted(run: Run) -> str:
 def _longest_stretch(run: Run, marked: Sequence[Mapping[str, Any]], from_key: str, to_key: str) -> str:
     """Return the options that replay the longest stretch of a log outside of those marked; empty if it is short.
 
-    What is marked over most of the log cannot be left out.
+    They count from the first scan of the log. What is marked over most of it cannot be left out.
     """
     spans = [(each[from_key], each[to_key]) for each in marked]
     spans = sorted(span for span in spans if span[1] - span[0] <= MOST_LEFT_OUT * run["input"]["duration_s"])
@@ -245,14 +245,21 @@ def _longest_stretch(run: Run, marked: Sequence[Mapping[str, Any]], from_key: st
     stretches = zip(starts, [*(from_s for from_s, _ in spans), run["input"]["duration_s"]], strict=True)
     start_s, end_s = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
     worth = spans and end_s - start_s >= WORTH_A_MAP * run["input"]["duration_s"]
-    return f"--start {ceil(10.0 * start_s) / 10.0:.1f} --end {floor(10.0 * end_s) / 10.0:.1f}" if worth else ""
+    from_s, to_s = (_since_start_of_log(run, at_s) for at_s in (start_s, end_s))
+    first = floor if start_s == 0.0 else ceil  # of the run's own start nothing is to be cut off
+    return f"--start {first(10.0 * from_s) / 10.0:.1f} --end {floor(10.0 * to_s) / 10.0:.1f}" if worth else ""
+
+
+def _since_start_of_log(run: Run, at_s: float) -> float:
+    """Return a time of a run from the first scan of its log, s, as --start and --end count."""
+    return float(run["input"].get("start_s", 0.0)) + at_s
 
 
 def _ended(run: Run) -> Cause:
     tracking = run["tracking"]
     if not (since := _since(tracking["intervals"])):
         return None
-    until_s = floor(10.0 * tracking["intervals"][-1]["start_s"]) / 10.0
+    until_s = floor(10.0 * _since_start_of_log(run, tracking["intervals"][-1]["start_s"])) / 10.0
     poses = f"{100 * tracking['tracked_share']:.0f} % of the scans have a pose"
     advice = f"if the laser was carried or covered there, leave the rest out with --end {until_s:.1f}"
     return f"no scan matches any more from{since}; {poses}", advice
@@ -272,7 +279,8 @@ def _left_out(run: Run) -> Cause:
     parts = [part for part in left_out if part["scans"] >= NOTABLE_SCANS]
     if not parts:
         return None
-    start_s, end_s = floor(100.0 * parts[0]["from_s"]) / 100.0, ceil(100.0 * parts[0]["to_s"]) / 100.0
+    from_s, to_s = (_since_start_of_log(run, parts[0][key]) for key in ("from_s", "to_s"))
+    start_s, end_s = floor(100.0 * from_s) / 100.0, ceil(100.0 * to_s) / 100.0
     which, are = ("it", "is") if len(parts) == 1 else ("the first", "are")
     scans = pluralize(sum(part["scans"] for part in parts), "scan")
     return (

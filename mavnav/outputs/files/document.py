@@ -110,7 +110,7 @@ def track_verdict(slam: SlamResult, log: Log, config: Config, **more: object) ->
     sections = {
         "method": config.method,
         "config": config,
-        "input": {"duration_s": log.duration_s, "odometry": log.odometry is not None},
+        "input": {"duration_s": log.duration_s, "start_s": log.start_s, "odometry": log.odometry is not None},
         "scans": _scans(slam, log, config),
         "tracking": _tracking(slam, log, config),
         "search": _search(slam),
@@ -190,6 +190,7 @@ def _input(run: RunResult) -> model.LogInput:
         mounting_source=log.mounting_source,
         odometry=None if odometry is None else model.OdometrySource(odometry.topic, odometry.source),
         sensor=model.Sensor(spec.beams, spec.field_of_view_rad / DEG, spec.range_min_m, spec.range_max_m, rate_hz),
+        start_s=log.start_s or ABSENT,
         truth=ABSENT if log.truth is None else model.RecordedTruthSource(log.truth.topic, log.truth.body_frame),
         attitude=ABSENT if log.attitude is None else sections.attitude_source(log.attitude),
         imu=ABSENT if log.imu is None else model.ImuSource(log.imu.topic, len(log.imu.rotation.stamps_ns)),

@@ -298,15 +298,19 @@ def parts_of(track: Track) -> tuple[Part, ...]:
     return tuple(sorted(records, key=lambda part: part.start_ns))
 
 
-def part_warnings(parts: Sequence[Part], first_ns: int) -> Iterator[str]:
-    """Yield a warning for every part that could not be joined."""
+def part_warnings(parts: Sequence[Part], first_ns: int, log_start_s: float = 0.0) -> Iterator[str]:
+    """Yield a warning for every part that could not be joined.
+
+    Advice counts from the first scan of the log, ``log_start_s`` before the first of the run.
+    """
     for k, part in enumerate(parts):
         from_s, to_s = ((stamp - first_ns) * NS for stamp in (part.start_ns, part.end_ns))
         what = f"{pluralize(part.scans, 'scan')} from {from_s:.1f} to {to_s:.1f} s"
         if not part.joined and k == 0:
             yield f"{what} do not match the later ones and are left out; the map begins after them"
         elif not part.joined:
-            start_s, end_s = floor(from_s * 100.0) / 100.0, ceil(to_s * 100.0) / 100.0  # so that no scan is cut off
+            start_s = floor((log_start_s + from_s) * 100.0) / 100.0  # so that no scan is cut off
+            end_s = ceil((log_start_s + to_s) * 100.0) / 100.0
             yield (
                 f"{what} do not match the map of the others and are left out; "
                 f"replay them alone with --start {start_s:.2f} --end {end_s:.2f}"

@@ -266,6 +266,22 @@ def test_large_parts_that_are_left_out_are_worth_a_replay() -> None:
     assert "--start" not in verdict_of(large | {"scans": {"processed": 900}}).advice
 
 
+def from_(start_s: float, sections: dict[str, Any]) -> dict[str, Any]:
+    """Return a run that begins so long after its log."""
+    return sections | {"input": sections["input"] | {"start_s": start_s}}
+
+
+def test_advised_windows_count_from_the_first_scan_of_the_log() -> None:
+    late = doubtful(0.8, ("slip", 3.0, 3.1, 2.0), ("gap", 9.0, 12.0, 1.0))
+    assert "with --start 196.4 --end 244.3;" in verdict_of(from_(184.333, late)).advice
+    early = doubtful(0.8, ("slip", 26.8, 26.8, 2.0), ("slip", 31.0, 60.0, 2.0))
+    assert "with --start 184.3 --end 211.1;" in verdict_of(from_(184.333, early)).advice
+    ended = run(intervals=[{"start_s": 51.27, "end_s": 60.0, "scans": 87, "recovered": False}])
+    assert verdict_of(from_(10.0, ended)).advice.endswith("leave the rest out with --end 61.2")
+    left_out = run(parts=[{"from_s": 11.404, "to_s": 12.244, "scans": 20, "joined": False}])
+    assert verdict_of(from_(10.0, left_out)).advice == "replay it alone with --start 21.40 --end 22.25"
+
+
 def test_a_session_that_did_not_join_is_lost() -> None:
     apart = {"name": "tuesday", "run": "runs/monday", "joined": False, "why": "too few scans fit"}
     verdict = verdict_of(GOOD | {"continued": apart})

@@ -202,3 +202,6 @@ def test_the_times_of_a_part_cut_off_none_of_its_scans() -> None:
     parts += [Part(first_ns + 327_368_200_000, first_ns + 376_027_200_000, 21, joined=False)]
     (warning,) = part_warnings(parts, first_ns)
     assert warning.endswith("replay them alone with --start 327.36 --end 376.03")
+    (warning,) = part_warnings(parts, first_ns, log_start_s=10.333)
+    assert "21 scans from 327.4 to 376.0 s" in warning
+    assert warning.endswith("replay them alone with --start 337.70 --end 386.37")
