@@ -95,6 +95,21 @@ def test_a_doubtful_track_has_wider_intervals_that_include_its_halves() -> None:
 
 
 @pytest.mark.slow
+def test_intervals_that_are_too_wide_with_those_of_the_halves_are_refused() -> None:
+    """The first half turns and tells the mounting; the second goes straight on and does not."""
+    turns = [(0.5, 0.5), (2.0, 0.5), (2.0, 2.0), (0.5, 2.0), (0.5, 0.5), (2.0, 0.5), (2.0, 2.0), (0.5, 2.0)]
+    path = path_of(CROOKED, [*turns, (30.5, 2.0)])
+    motions = motions_of(perfect_track(CROOKED, path), odometry_of(CROOKED, path, np.random.default_rng(0)), 0.0)
+    sure, doubtful = ({q.kind.name: q for q in calibration_of(motions, doubtful=d).quantities} for d in (False, True))
+    assert not sure["x_m"].refused
+    assert doubtful["x_m"].refused.startswith("uncertain by ")
+    assert doubtful["x_m"].value is None
+    known = [quantity for quantity in doubtful.values() if quantity.ci95 is not None]
+    assert all(quantity.ci95 <= quantity.kind.widest * quantity.kind.per_si for quantity in known)
+    assert not doubtful["distance_scale"].refused
+
+
+@pytest.mark.slow
 def test_halves_of_a_doubtful_track_that_do_not_agree_are_refused() -> None:
     """From the middle on the track is a third too long, as where a corridor hides the motion."""
     path = path_of(CROOKED)

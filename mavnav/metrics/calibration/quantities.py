@@ -172,9 +172,9 @@ def _quantity(
 ) -> QuantityValue:
     kind, value, ci95 = KINDS[number], float(fit.values[number]), float(fit.ci95[number])
     parts = [(float(half.values[number]), float(half.ci95[number])) for half in halves]
+    ci95 = max(ci95, *(abs(part - value) + own for part, own in parts)) if parts else ci95
     if why := _disagreement(kind, parts) or _doubt(kind, ci95, motion, start):
         return QuantityValue(kind, refused=why)
-    ci95 = max(ci95, *(abs(part - value) + own for part, own in parts)) if parts else ci95
     return QuantityValue(kind, value * kind.per_si, ci95 * kind.per_si)
 
 
