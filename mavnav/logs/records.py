@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Struct, field
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from mavnav.logs.odometry_chains import LeftOut
 from mavnav.pose import Rotation, Trajectory
@@ -113,6 +114,7 @@ class Odometry(Struct, frozen=True):
 
     Without a known mounting the laser is taken to sit on the base's origin. ``left_out`` is what was not used of it,
     ``clock_s`` the time that was added to its stamps, s, because its clock is another than that of the scans.
+    ``recorded_ns`` (n,) are the stamps of all its poses.
     """
 
     topic: str
@@ -121,6 +123,7 @@ class Odometry(Struct, frozen=True):
     odom_T_laser: Trajectory
     left_out: LeftOut | None = None
     clock_s: float = 0.0
+    recorded_ns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
 
 
 class Imu(Struct, frozen=True):

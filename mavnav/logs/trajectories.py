@@ -148,11 +148,12 @@ def laser_odometry(
     if base_T_laser is None:
         text = f"no transform from {base_frame!r} to {log.frame_id!r}; the odometry is taken as the laser's own"
         warn(f"{text} (give the mounting with --extrinsic x,y,yaw)")
+    recorded_ns = odom_T_base.stamps_ns
     odom_T_base, left_out = without_jumps(odom_T_base)
     if left_out:
         warn(f"{track.topic}: {left_out.text}")
     odom_T_laser = odom_T_base.compose(base_T_laser or Pose())
-    return Odometry(track.topic, track.source, odom_T_base, odom_T_laser, left_out, added_s)
+    return Odometry(track.topic, track.source, odom_T_base, odom_T_laser, left_out, added_s, recorded_ns)
 
 
 class TruthTracks(Struct):

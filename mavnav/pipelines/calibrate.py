@@ -75,6 +75,7 @@ def calibrate(request: CalibrationRequest, progress: Progress) -> dict[str, Any]
         on_step=lambda phase, done: progress(phase, done, log.counts.usable),
         last=MEASURING,
         start_s=log.start_s,
+        recorded_ns=log.odometry.recorded_ns if log.odometry else None,
     )
     outcome = replace(outcome, warnings=(*warnings, *outcome.warnings))
     progress("calibrating", 0, None)

@@ -329,5 +329,6 @@ def _track(
         scans_ns=log.stamps_ns,
         placement=placement_of(request.options.get("align")),
         start_s=log.start_s,
+        recorded_ns=log.odometry.recorded_ns if log.odometry else None,
         recorded=(lambda: takewhile(going, plain.scans())) if log.attitude and config.attitude == "auto" else None,
     )

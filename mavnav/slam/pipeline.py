@@ -79,6 +79,7 @@ def run_slam(
     recorded: LogScans | None = None,
     placement: Placement | None = None,
     start_s: float = 0.0,
+    recorded_ns: NDArray[np.int64] | None = None,
 ) -> SlamResult:
     """Run the configured method over a recorded log.
 
@@ -98,6 +99,7 @@ def run_slam(
     recorded : returns the scans as recorded, where those of ``log_scans`` are levelled by a tilt that may be wrong
     placement : where in the map frame the finished map is put; by default the scan that begins it is at the origin
     start_s : time from the first scan of the log to the first of ``log_scans``, from which advice counts
+    recorded_ns : the stamps (n,) of all odometry in the log, that which is left out or not used, too
     """
     method = make_method(config, prior_map)
     given: LogOdometry | None = None
@@ -112,6 +114,7 @@ def run_slam(
     motion = Motion(max(period_s, SHORTEST_PERIOD_S), odometry, method.expects_rest, rotation=rotation, fastest=fastest)
     start = Track(log_scans, config, motion, method, prior_map=prior_map, on_step=on_step, log_odometry=given)
     start = replace(start.with_findings(odometry=fit), placement=placement, start_s=start_s)
+    start = start if recorded_ns is None else replace(start, recorded_ns=recorded_ns)
     unlevelled = (as_recorded(recorded),) if recorded else ()
     track = try_again(track_from_good_beginning(start), (*FITTING_ODOMETRY, *unlevelled))  # steps 1 to 8 first
     track = try_again(or_with_own_map(track, start), ATTEMPTS)

@@ -17,6 +17,7 @@ from mavnav.slam.recovery.bridges import Bridges, bridge_by_odometry
 from mavnav.slam.recovery.parts import Part, lost_for_good, part_warnings, parts_of
 from mavnav.slam.retries.attempt import COARSER_VOXELS
 from mavnav.slam.retries.odometry import odometry_warnings
+from mavnav.slam.retries.unused_odometry import odometry_advice
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -147,7 +148,8 @@ def _late_warnings(
         yield from pause_warnings(track.steps, track.motion)
     if track.builds_map:
         yield from scattered_warnings(track.steps, lost)
-        yield from few_beams_warnings(track.steps, odometry=track.motion.odometry is not None)
+        advice = "" if track.motion.odometry else odometry_advice(track, track.steps.column("stamp_ns"))
+        yield from few_beams_warnings(track.steps, advice)
 
 
 def jump_warnings(steps: Steps) -> Iterator[str]:
@@ -172,13 +174,16 @@ def scattered_warnings(steps: Steps, lost: Sequence[LostInterval]) -> Iterator[s
         )
 
 
-def few_beams_warnings(steps: Steps, *, odometry: bool) -> Iterator[str]:
-    """Yield a warning if most tracked scans have few points: they may fit at several poses."""
+def few_beams_warnings(steps: Steps, advice: str) -> Iterator[str]:
+    """Yield a warning if most tracked scans have few points: they may fit at several poses.
+
+    ``advice`` says what to do about odometry, if anything.
+    """
     used = steps.column("beams_used")[steps.column("tracked")]
     if len(used) and (usual := float(np.median(used))) < FEW_BEAMS:
         yield (
             f"the scans have only {usual:.0f} points in the median: single poses may be off by a meter; "
-            f"check the map{'' if odometry else ', or record odometry'}"
+            f"check the map{f', or {advice}' if advice else ''}"
         )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import chain, islice
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
 
@@ -18,6 +19,8 @@ from mavnav.slam.tracker import track
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
+
+    from numpy.typing import NDArray
 
     from mavnav.config.models import Config
     from mavnav.mapping.occupancy_grid import Grid
@@ -43,6 +46,7 @@ class Track(Struct, frozen=True):
     ``prior_map`` is the map to localize in, ``around_map`` the one in whose frame a map of its own is placed.
     ``placement`` puts the finished map elsewhere.
     ``motion`` is the state before the first scan, with the odometry that is used; ``log_odometry`` is that of the log.
+    ``recorded_ns`` are the stamps (n,) of all odometry in the log, that which is left out or not asked for, too.
     The map begins with the first usable scan from number ``begin`` on. The first scan is ``start_s`` after that of the
     log.
     """
@@ -59,6 +63,7 @@ class Track(Struct, frozen=True):
     log_odometry: LogOdometry | None = None
     begin: int = 0
     start_s: float = 0.0
+    recorded_ns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
     findings: Findings = Findings()
 
     @property

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from mavnav.cli import run
 from mavnav.scan import Attitude
 from support.field_logs import START_S, drive_log, tour, wheels
-from support.log_files import IMU, LASER, TF, Message, write_mcap
+from support.log_files import IMU, LASER, ODOM, TF, Message, write_mcap
 from support.synthetic import along, corridor_with_rooms, room
 from support.tilted import quaternion
 
@@ -134,6 +134,24 @@ def test_the_stretch_that_odometry_covers_is_replayed_alone(tmp_path: Path) -> N
     assert [text for text in document["warnings"] if "or cut the log with --start and --end" in text]
     _, document = replayed(log, tmp_path / "b", "--end", "3.9")
     assert (document["tracking"]["odometry"]["used"], document["warnings"]) == (True, [])
+
+
+def test_odometry_that_jumps_is_left_out_as_advised(tmp_path: Path) -> None:
+    """For 0.9 s of every 3 it is 30 m away, as of a receiver between high walls."""
+    messages = [
+        replace(m, fields=m.fields | {"x": m.fields["x"] + 30.0})
+        if m.type == ODOM and (m.stamp_ns - START_S * 10**9) % (3 * 10**9) > 2.1e9
+        else m
+        for m in drive_log(8.0, beams=120, odometry=True)
+    ]
+    log = write_mcap(tmp_path / "log.mcap", messages)
+    _, document = replayed(log, tmp_path / "a")
+    told = "see what publishes it, or leave it out with --odom off"
+    (advice,) = [text for text in document["warnings"] if told in text]
+    assert advice.startswith("odometry is used for ")
+    assert not [text for text in document["warnings"] if "record" in text]
+    _, document = replayed(log, tmp_path / "b", *options_in(advice))
+    assert (document["verdict"]["word"], document["warnings"]) == ("good", [])
 
 
 def test_odometry_of_something_else_is_compared_by_calibrate(

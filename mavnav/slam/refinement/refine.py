@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from array import array
+from functools import partial
 from itertools import chain, islice
 from math import hypot
 from typing import TYPE_CHECKING
@@ -16,6 +17,7 @@ from mavnav.profiling import timed
 from mavnav.slam.matching.motion_model import LONGEST_S, Motion, motions_along
 from mavnav.slam.matching.observability import UNMEASURED, degeneracy_warning
 from mavnav.slam.matching.steps import Step, Steps, jumps, tracked_trajectory
+from mavnav.slam.retries.unused_odometry import odometry_advice
 from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
@@ -62,7 +64,7 @@ def refine_poses(track: Track, refiner: Refiner) -> Track:
         return track
     stamps_ns = track.steps.column("stamp_ns")[: len(observed)]  # fewer where the run is stopped
     alone = np.where(track.motion.odometry_at(stamps_ns), UNMEASURED, observed)
-    warning = degeneracy_warning(track.steps, alone, contradicted=track.odometry_contradicts)
+    warning = degeneracy_warning(track.steps, alone, partial(odometry_advice, track))
     return track.with_warning(warning) if warning else track
 
 

@@ -18,10 +18,13 @@ from mavnav.slam.matching.odometry_fit import (
 )
 from mavnav.slam.matching.steps import NEARLY_ALL, Step, Steps, tracked_trajectory
 from mavnav.slam.retries.attempt import Attempt
+from mavnav.slam.retries.unused_odometry import is_recorded
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
+
+    from numpy.typing import NDArray
 
     from mavnav.pose import Trajectory
     from mavnav.slam.matching.odometry_fit import LogOdometry
@@ -152,6 +155,20 @@ def is_mirrored(odometry: LogOdometry, path: Trajectory) -> bool:
     return fit is not None and fit.error <= MOST_ERROR and is_plausible(fit)
 
 
+def _partly_used(track: Track, known: NDArray[np.bool_]) -> str:
+    """Say for how many scans (n,) odometry is known, why not for the others, and what to do."""
+    scans = f"{np.count_nonzero(known)} of {len(known)} scans"
+    if is_recorded(track, track.steps.column("stamp_ns")[~known]):
+        return (
+            f"odometry is used for {scans}, because poses of it that jump are left out; the others are matched without "
+            "it: see what publishes it, or leave it out with --odom off"
+        )
+    return (
+        f"odometry covers {scans} (not in gaps of over 0.5 s); the others are matched without it: record it for the "
+        "whole log, or cut the log with --start and --end"
+    )
+
+
 CORRECTED_ODOMETRY: Final = Attempt("corrected odometry", correct_odometry)
 WITHOUT_ODOMETRY: Final = Attempt("without odometry", drop_odometry)
 FITTING_ODOMETRY: Final = (CORRECTED_ODOMETRY, CORRECTED_ODOMETRY, WITHOUT_ODOMETRY, CORRECTED_ODOMETRY)
@@ -159,14 +176,11 @@ FITTING_ODOMETRY: Final = (CORRECTED_ODOMETRY, CORRECTED_ODOMETRY, WITHOUT_ODOME
 
 
 def odometry_warnings(track: Track) -> Iterator[str]:
-    """Yield a warning if the odometry of the log is not used, or covers few of the scans."""
+    """Yield a warning if the odometry of the log is not used, or for a part of the scans alone."""
     if track.log_odometry is None:
         return
     known = track.motion.odometry_at(track.steps.column("stamp_ns"))
     if track.odometry_contradicts:
         yield f"odometry contradicts the scans and is not used: {contradiction(track)}"
     elif len(known) and known.mean() < NEARLY_ALL:
-        yield (
-            f"odometry covers {np.count_nonzero(known)} of {len(known)} scans (not in gaps of over 0.5 s); the others "
-            "are matched without it: record it for the whole log, or cut the log with --start and --end"
-        )
+        yield _partly_used(track, known)

@@ -94,10 +94,18 @@ def test_a_few_scans_are_no_slide(loose: int, told: str) -> None:
     assert bool(degeneracy_warning(steps, holds)) == bool(told)
 
 
-def test_odometry_that_is_not_used_is_to_be_corrected() -> None:
+def test_the_advice_is_for_the_degenerate_scans_and_left_out_where_there_is_none() -> None:
     steps = Steps(Step(k, k * 100_000_000, first_match(100), tracked=True) for k in range(20))
-    assert "; record odometry, or" in degeneracy_warning(steps, np.zeros(20))
-    assert "; correct the odometry, or" in degeneracy_warning(steps, np.zeros(20), contradicted=True)
+    assert "; record odometry, or check map.png" in degeneracy_warning(steps, np.zeros(20))
+    holds, seen = np.ones(20), list[int]()
+    holds[5:10] = 0.0
+
+    def nothing(stamps_ns: np.ndarray) -> str:
+        seen.extend(stamps_ns.tolist())
+        return ""
+
+    assert degeneracy_warning(steps, holds, nothing).endswith("turned there; check map.png")
+    assert seen == [k * 100_000_000 for k in range(5, 10)]
 
 
 def test_a_run_that_was_stopped_tells_of_the_scans_that_came() -> None:

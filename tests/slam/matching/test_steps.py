@@ -96,9 +96,9 @@ def test_scans_that_match_nowhere_all_over_the_log_are_reported() -> None:
 @pytest.mark.parametrize(("points", "few"), [(45, True), (69, True), (70, False), (500, False)])
 def test_scans_of_few_points_are_reported(points: int, *, few: bool) -> None:
     steps = Steps(Step(k, k, first_match(points), tracked=True) for k in range(20))
-    found = list(few_beams_warnings(steps, odometry=False))
+    found = list(few_beams_warnings(steps, "record odometry"))
     assert bool(found) == few
     assert all(text.endswith("check the map, or record odometry") for text in found)
-    assert all(text.endswith("check the map") for text in few_beams_warnings(steps, odometry=True))
+    assert all(text.endswith("check the map") for text in few_beams_warnings(steps, ""))
     missed = Steps(Step(k, k, first_match(points), tracked=False) for k in range(20))
-    assert not list(few_beams_warnings(missed, odometry=False))
+    assert not list(few_beams_warnings(missed, ""))
