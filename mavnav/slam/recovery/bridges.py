@@ -43,7 +43,7 @@ class Bridges(Struct, frozen=True):
             from_s = (self.trajectory.stamps_ns[0] - first_ns) * NS
             yield (
                 f"{len(self.numbers)} scans match nowhere, the first after {from_s:.1f} s: their poses are by odometry "
-                f"alone, off by about {self.errors_m.max():.2f} m at most"
+                f"alone, expected to be off by about {self.errors_m.max():.2f} m farthest from a match"
             )
 
     def grow(self, covariances: NDArray[np.float64]) -> None:

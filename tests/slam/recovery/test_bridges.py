@@ -47,7 +47,10 @@ def test_a_blocked_laser_goes_on_by_odometry() -> None:
     assert len(run.path) == len(drive().scans)
     assert errors(run).max() < 0.1
     assert [(lost.scans, lost.recovered) for lost in run.lost] == [(len(BLOCKED), True)]  # marked
-    assert any(f"{len(BLOCKED)} scans match nowhere, the first after 4.0 s" in warning for warning in run.warnings)
+    (warning,) = [text for text in run.warnings if "match nowhere" in text]
+    assert warning.startswith(f"{len(BLOCKED)} scans match nowhere, the first after 4.0 s")
+    expected = f"expected to be off by about {run.bridges.errors_m.max():.2f} m farthest from a match"
+    assert warning.endswith(f"by odometry alone, {expected}")
 
 
 def test_the_covariance_grows_from_either_side() -> None:
