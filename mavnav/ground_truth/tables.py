@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import csv
 from collections import Counter
+from collections.abc import Iterable, Iterator
 from decimal import Decimal, InvalidOperation
 from math import isfinite
 from operator import itemgetter
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -16,12 +18,9 @@ from mavnav.errors import UsageError
 from mavnav.metrics.reference import Relations
 from mavnav.pose import Trajectory, yaw_of_quaternion
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-    from pathlib import Path
+_Row = tuple[int, tuple[float, float, float]]
+"""Stamp in ns, and x (m), y (m), yaw (rad)."""
 
-    _Row = tuple[int, tuple[float, float, float]]
-    """Stamp in ns, and x (m), y (m), yaw (rad)."""
 
 COLUMNS: Final = 8
 UNIT_TOLERANCE: Final = 0.01

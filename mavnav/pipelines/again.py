@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import json
 import platform
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from msgspec import Struct, ValidationError, convert
 
 from mavnav.config.layers import Layer, by_dotted_key
 from mavnav.config.loading import key_now, load_config, read_model, to_scalar
+from mavnav.config.models import Config
 from mavnav.config.named_files import read_json
 from mavnav.config.options import ReplayOptions, restore_options, words_of
 from mavnav.errors import ConfigError, UsageError
@@ -22,11 +24,6 @@ from mavnav.outputs.documents.provenance import Typed
 from mavnav.outputs.documents.run_json import Provenance
 from mavnav.outputs.writers import REPORT_FILE
 from mavnav.version import __version__, installed_version
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mavnav.config.models import Config
 
 
 class EarlierRun(Struct, frozen=True):

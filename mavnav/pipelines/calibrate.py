@@ -6,7 +6,7 @@ from functools import partial
 from math import isfinite
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from msgspec import Struct, field
 from msgspec.structs import replace
@@ -17,7 +17,15 @@ from mavnav.errors import ExitCode, TopicError, UsageError, worst
 from mavnav.logs import Log, check_log, open_log
 from mavnav.logs.formats.detect import log_name
 from mavnav.metrics.calibration.motion import Motions, motions_of
-from mavnav.metrics.calibration.quantities import LEAST_TURN_RAD, Calibration, calibration_of, motion_of, refusal
+from mavnav.metrics.calibration.quantities import (
+    LEAST_TURN_RAD,
+    Calibration,
+    QuantityKind,
+    QuantityValue,
+    calibration_of,
+    motion_of,
+    refusal,
+)
 from mavnav.outputs.directory import check_apart, check_file, write_file
 from mavnav.outputs.files.document import plain, to_json, track_verdict
 from mavnav.outputs.pictures import calibration_picture
@@ -25,18 +33,14 @@ from mavnav.outputs.report.summary_page import calibration_summary, draw_png, wr
 from mavnav.outputs.run import half_sweep_s
 from mavnav.pipelines.reach import with_reach
 from mavnav.pose import Pose
+from mavnav.profiling import Progress
 from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, LogOdometry, fit_odometry
 from mavnav.slam.methods.registry import load_kernels
 from mavnav.slam.pipeline import MEASURING, run_slam
+from mavnav.slam.result import SlamResult
 from mavnav.slam.retries import beam_order
 from mavnav.units import DEG
 from mavnav.version import DOCUMENT_HEAD
-
-if TYPE_CHECKING:
-    from mavnav.metrics.calibration.quantities import QuantityKind, QuantityValue
-    from mavnav.profiling import Progress
-    from mavnav.slam.result import SlamResult
-
 
 MOUNTING: Final = ("x_m", "y_m", "yaw_deg")
 """Quantities of the mounting; the others are settings that correct the odometry."""

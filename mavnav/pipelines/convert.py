@@ -5,8 +5,10 @@ A run can be put back into its log: its transforms, poses, map and markers, to b
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 from msgspec.structs import asdict
@@ -26,11 +28,6 @@ from mavnav.outputs.files.finished_run import finished_run
 from mavnav.outputs.files.replay_log import MAP_FRAME
 from mavnav.pose import Pose, Trajectory, between
 from mavnav.units import NS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
 
 SCHEMA_VERSION: Final = 1
 

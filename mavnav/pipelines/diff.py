@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Any, Final
 
 from msgspec import Struct
 
@@ -23,17 +25,11 @@ from mavnav.outputs.pictures import difference_picture
 from mavnav.outputs.report.summary_page import diff_summary, draw_png, write_summary
 from mavnav.pipelines.maps import rounded_pose
 from mavnav.pose import Pose
+from mavnav.profiling import Progress
 from mavnav.sessions.map_alignment import Alignment, align
 from mavnav.slam.matching.prior_map import PriorMap, prior_map_of
 from mavnav.units import MM, pluralize
 from mavnav.version import DOCUMENT_HEAD
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-    from pathlib import Path
-
-    from mavnav.profiling import Progress
-
 
 NUMBERS: Final = ("compared_m2", "same_share", "gone_m2", "new_m2", "changed_m2", "gone", "new", "moved")
 """Numbers of the document that gates may name; null where the maps cannot be aligned."""

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 from msgspec import Struct
@@ -29,14 +31,8 @@ from mavnav.outputs.run import picture_turn_rad
 from mavnav.pipelines.diff import read_grid
 from mavnav.pipelines.sessions import poses_of
 from mavnav.pose import Pose
+from mavnav.profiling import Progress
 from mavnav.version import DOCUMENT_HEAD
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from mavnav.profiling import Progress
-
 
 KEPT: Final = (".tum", ".csv", ".mcap", ".json", ".g2o")
 """Files of a run that are copied; pictures, pages and slices would show the map before."""

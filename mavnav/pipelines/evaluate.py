@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from pathlib import Path
+from typing import Any, Final, TypeVar
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -30,15 +32,10 @@ from mavnav.outputs.files.gridmap import HITS_FILE, read_npz
 from mavnav.pipelines.maps import with_true_map_placed, with_walls_moved
 from mavnav.pipelines.sessions import mapped_share, poses_of
 from mavnav.pose import Pose, Trajectory, transform_points
+from mavnav.profiling import Progress
 from mavnav.slam.findings import NOT_PLANAR
 from mavnav.units import DEG, MM, NS
 from mavnav.version import DOCUMENT_HEAD
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from mavnav.profiling import Progress
 
 NEEDED_FILES: Final = (HITS_FILE, "trajectory.tum", "result.mcap")
 """Files of a run that are measured, besides its document."""

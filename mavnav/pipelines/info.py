@@ -6,7 +6,9 @@ It imports no more than it needs: importing the rest of the package took half of
 from __future__ import annotations
 
 from collections import Counter
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
 
 from msgspec.structs import asdict
 
@@ -14,15 +16,10 @@ from mavnav.config.models import RobustConfig
 from mavnav.errors import ExitCode, MavnavError
 from mavnav.logs import Log, Survey, choose, survey
 from mavnav.logs.health import sensor_health
+from mavnav.logs.levelling import RecordedAttitude
+from mavnav.logs.records import Imu, Odometry
+from mavnav.pose import Pose
 from mavnav.units import NS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from mavnav.logs.levelling import RecordedAttitude
-    from mavnav.logs.records import Imu, Odometry
-    from mavnav.pose import Pose
 
 SCHEMA_VERSION: Final = 1
 LISTED: Final = 10

@@ -5,11 +5,13 @@ from __future__ import annotations
 import platform
 from contextlib import suppress
 from itertools import count
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Any, Final
 
 from msgspec import Struct
 
 from mavnav.atomic_files import temporary_folder
+from mavnav.config.models import Config
 from mavnav.errors import ExitCode, NoScansError, SeveralTopicsError, TopicError, UsageError, reason_of, worst
 from mavnav.logs import check_log
 from mavnav.logs.formats.detect import log_name
@@ -30,23 +32,18 @@ from mavnav.outputs.files.gridmap import WALLS_FILE, GridMap, map_section, write
 from mavnav.outputs.files.trajectory import session_files, write_poses, write_scans
 from mavnav.outputs.pictures.map_picture import write_merged
 from mavnav.outputs.report.summary_page import merge_summary, write_summary
+from mavnav.outputs.run import RunResult
 from mavnav.outputs.writers import REPORT_FILE
 from mavnav.pipelines.maps import rounded_pose
 from mavnav.pipelines.replay import ReplayRequest, replay_log
 from mavnav.pipelines.sessions import UNREADABLE, mapped_share, read_session, session_of
+from mavnav.pose import Trajectory
+from mavnav.profiling import Progress
 from mavnav.sessions.group import Join, Session, SessionGroup, frame_of, merged_map
 from mavnav.sessions.growth import join_sessions
 from mavnav.slam.methods.registry import load_kernels
 from mavnav.units import pluralize
 from mavnav.version import DOCUMENT_HEAD
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from mavnav.config.models import Config
-    from mavnav.outputs.run import RunResult
-    from mavnav.pose import Trajectory
-    from mavnav.profiling import Progress
 
 TRACKING: Final = ("lost", "tracked_share", "intervals", "doubt")
 """What merge.json repeats of the tracking of each session."""

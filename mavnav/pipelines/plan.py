@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,13 +15,9 @@ from mavnav.metrics.floor_plan import floor_plan
 from mavnav.outputs.directory import check_apart, check_file, write_file
 from mavnav.outputs.pictures.vector_map import write_dxf, write_svg
 from mavnav.pipelines.diff import read_grid, run_verdict_at
+from mavnav.profiling import Progress
 from mavnav.units import DEG
 from mavnav.version import DOCUMENT_HEAD
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from mavnav.profiling import Progress
 
 
 def draw_plan(source: Path, target: Path, ratio: float, progress: Progress, *, force: bool) -> dict[str, Any]:

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from itertools import islice
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from msgspec.structs import replace
 
 from mavnav.config.models import Config, RobustConfig
+from mavnav.logs import Log
 from mavnav.logs.preprocessing import FARTHEST_M
 from mavnav.units import MM
-
-if TYPE_CHECKING:
-    from mavnav.logs import Log
 
 LOOKED_AT: Final = 200
 """Number of scans that are looked at."""

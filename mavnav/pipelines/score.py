@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from functools import cache, partial
 from pathlib import Path
 from time import perf_counter, process_time
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
+from typing import Any, Final, NamedTuple, cast
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -16,6 +17,7 @@ from mavnav.config.options import REFERENCES, ReplayOptions, paths_of, reference
 from mavnav.errors import ProgramError, UsageError
 from mavnav.ground_truth.references import SWEEPS, References, compare_to, in_time_of_truth, load_references
 from mavnav.ground_truth.tables import read_trajectory
+from mavnav.logs import Log
 from mavnav.logs.formats.detect import log_name
 from mavnav.mapping.occupancy_grid import occupied_xy_m
 from mavnav.metrics.reference import position_errors
@@ -37,12 +39,6 @@ from mavnav.slam.matching.differences import differences
 from mavnav.slam.methods.registry import load_kernels
 from mavnav.slam.pipeline import run_slam
 from mavnav.units import DEG, MM, NS
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from mavnav.logs import Log
-
 
 BASE: Final = "base"
 PROGRAMS: Final = "programs"

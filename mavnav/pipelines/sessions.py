@@ -2,36 +2,32 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
+from mavnav.config.models import Config
 from mavnav.errors import NoScansError, UsageError
 from mavnav.ground_truth.tables import read_tum
 from mavnav.logs import Log, open_log
 from mavnav.logs.formats.detect import log_name
+from mavnav.mapping.occupancy_grid import Grid
 from mavnav.outputs.documents.sections import Continued, EarlierSession, evidence
 from mavnav.outputs.files.finished_run import FinishedRun, MergeRecord, Stored, finished_run
 from mavnav.outputs.files.trajectory import session_files
 from mavnav.pose import Trajectory
+from mavnav.profiling import Progress
+from mavnav.scan import Scan
 from mavnav.sessions.group import Join, Session, SessionGroup, group_in_frame, make_session, merged_map
 from mavnav.sessions.growth import alike, extend_group
 from mavnav.slam.matching.observability import rotate_covariances
+from mavnav.slam.result import SlamResult
 from mavnav.units import NS
 from mavnav.version import __version__
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
-
-    from mavnav.config.models import Config
-    from mavnav.mapping.occupancy_grid import Grid
-    from mavnav.profiling import Progress
-    from mavnav.scan import Scan
-    from mavnav.slam.result import SlamResult
-
 
 UNREADABLE: Final = (OSError, ValueError, LookupError, TypeError)
 """What reading a session raises besides errors of ours where a file is cut or altered."""

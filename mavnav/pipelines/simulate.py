@@ -7,7 +7,7 @@ from hashlib import sha256
 from math import inf
 from pathlib import Path
 from time import perf_counter, process_time
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from msgspec import Struct, field
@@ -31,13 +31,10 @@ from mavnav.pose import Pose, correct_path, rigid_fit
 from mavnav.profiling import Progress, new_profile, scans_s
 from mavnav.simulation.mission import Flight, fly
 from mavnav.simulation.vehicle import mid_sweep_s
+from mavnav.simulation.world import Scenario
 from mavnav.simulation.world.laser import EDGE_M
 from mavnav.slam.methods.registry import load_kernels
 from mavnav.units import DEG, NS
-
-if TYPE_CHECKING:
-    from mavnav.simulation.world import Scenario
-
 
 EDGE_BEAMS, STEEP_RAD = 10, 60 * DEG
 """Walls are not measured so near to an edge, nor by beams farther from their normal: there the laser sees none."""

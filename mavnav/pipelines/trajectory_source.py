@@ -12,11 +12,12 @@ import shlex
 import signal
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from subprocess import DEVNULL, PIPE, STDOUT
 from threading import Timer
 from time import perf_counter
-from typing import IO, TYPE_CHECKING, Final
+from typing import IO, Final
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -26,10 +27,6 @@ from mavnav.errors import UsageError, reason_of
 from mavnav.ground_truth.references import SWEEPS
 from mavnav.outputs.files.finished_run import finished_run
 from mavnav.profiling import MAXRSS_MB
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
 
 LASER: Final = "laser"
 RUN_POSES: Final = "trajectory.tum"

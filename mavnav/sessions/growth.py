@@ -8,7 +8,6 @@ from there.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,13 +18,10 @@ from mavnav.sessions.group import GroupMap, Join, Session, SessionGroup, group_o
 from mavnav.sessions.map_alignment import fit_transform
 from mavnav.slam.loop_closure.closure import AMBIGUITY_MARGIN, fits
 from mavnav.slam.loop_closure.key_frames import KeyFrame, KeyFrameMap
-from mavnav.slam.matching.relocalization import AGREEING_SCANS, apart, candidates, everywhere, unambiguous
+from mavnav.slam.matching.relocalization import AGREEING_SCANS, Region, apart, candidates, everywhere, unambiguous
 from mavnav.slam.matching.scan_matching import Match
 from mavnav.slam.matching.steps import evenly
 from mavnav.slam.recovery.parts import consensus
-
-if TYPE_CHECKING:
-    from mavnav.slam.matching.relocalization import Region
 
 WITNESSES, IN_TURN = 24, 3
 """So many key frames of a session, evenly along its path, are searched in the whole map of a group, a third at once."""

@@ -2,38 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from enum import StrEnum
 from itertools import pairwise
 from math import inf
-from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
+from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import Attitude, Scan, level_scan
 from mavnav.simulation.navigator import Navigator
 from mavnav.simulation.planner.potential_field import MotionCommand, Planner
 from mavnav.simulation.vehicle import Vehicle, disturbance, sweeping, tilts_over, vehicle_of
 from mavnav.simulation.world import LaserModel, Scenario, laser_model, take_scan
+from mavnav.simulation.world.shapes import XY
 from mavnav.slam.matching.motion_model import Motion
-from mavnav.slam.matching.steps import tracked_trajectory
+from mavnav.slam.matching.steps import Step, tracked_trajectory
 from mavnav.slam.methods.registry import make_method
 from mavnav.slam.pipeline import finish
-from mavnav.slam.track import Track
+from mavnav.slam.result import SlamResult
+from mavnav.slam.track import OnStep, Track
 from mavnav.units import NS
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from mavnav.mapping.occupancy_grid import GridBuilder
-    from mavnav.simulation.world.shapes import XY
-    from mavnav.slam.matching.steps import Step
-    from mavnav.slam.result import SlamResult
-    from mavnav.slam.track import OnStep
 
 
 class End(StrEnum):

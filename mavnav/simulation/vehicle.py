@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from msgspec import Struct, field
+from numpy.typing import NDArray
 
 from mavnav.pose import Pose
+from mavnav.scan import Attitude, LaserSpec
 from mavnav.simulation.planner.potential_field import MotionCommand
 from mavnav.simulation.world import Body, Scenario
 from mavnav.units import DEG, MM, NS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from numpy.typing import NDArray
-
-    from mavnav.scan import Attitude, LaserSpec
 
 START_NS = 1_700_000_000_000_000_000
 """Stamp of the first scan, the same for every mission."""

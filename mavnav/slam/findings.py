@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from msgspec import Struct, field
+from numpy.typing import NDArray
 
+from mavnav.pose import Pose, Trajectory
 from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, OdometryFit
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mavnav.pose import Pose, Trajectory
-    from mavnav.slam.matching.steps import Step, Steps
+from mavnav.slam.matching.steps import Step, Steps
 
 HIGH: Final = 0.5
 """Probability above which a track is marked as doubtful."""

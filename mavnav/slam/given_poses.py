@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from collections.abc import Iterator
+from typing import Final
 
 import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
+from mavnav.config.models import Config
 from mavnav.pose import MAX_GAP_NS, Pose, Trajectory
 from mavnav.slam.doubt.judge import UNASKED, UNDECIDED, judge, match_again, redraw
 from mavnav.slam.findings import SECOND_LOST
@@ -17,16 +20,8 @@ from mavnav.slam.methods.robust import Robust
 from mavnav.slam.result import SlamResult, summarize
 from mavnav.slam.retries.beam_order import reverse_beams
 from mavnav.slam.retries.sweep_time import time_sweeps
-from mavnav.slam.track import Track
+from mavnav.slam.track import LogScans, OnStep, Track
 from mavnav.units import DEG
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from mavnav.config.models import Config
-    from mavnav.slam.track import LogScans, OnStep
 
 ROUNDED_NS: Final = 1_000_000
 """Largest time of a scan before the first pose or after the last that rounding in a text file explains."""

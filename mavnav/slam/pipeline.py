@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
+from mavnav.config.models import Config
 from mavnav.pose import Pose, Rotation, Trajectory
 from mavnav.slam.doubt.judge import judge_flown, judge_redrawn, judge_track
 from mavnav.slam.loop_closure.detection import close_loops
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, LogOdometry, in_meters
+from mavnav.slam.matching.prior_map import PriorMap
 from mavnav.slam.methods.registry import make_method
 from mavnav.slam.recovery.own_map import or_with_own_map, place_in_given_map
 from mavnav.slam.recovery.parts import drop_late_poses, join_lost_parts
@@ -25,15 +29,7 @@ from mavnav.slam.retries.beginning import track_from_good_beginning
 from mavnav.slam.retries.levelling import as_recorded
 from mavnav.slam.retries.odometry import FITTING_ODOMETRY
 from mavnav.slam.retries.sweep_time import TIMED_SWEEPS
-from mavnav.slam.track import Track
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from mavnav.config.models import Config
-    from mavnav.slam.matching.prior_map import PriorMap
-    from mavnav.slam.track import LogScans, OnStep, Pass, Placement
+from mavnav.slam.track import LogScans, OnStep, Pass, Placement, Track
 
 SHORTEST_PERIOD_S = 1e-3
 """Minimum scan period, s, also that of a log of one scan, whose period is unknown."""

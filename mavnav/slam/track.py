@@ -2,42 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
 from itertools import chain, islice
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
+from mavnav.config.models import Config
+from mavnav.mapping.occupancy_grid import Grid
 from mavnav.pose import Pose
+from mavnav.scan import Scan
 from mavnav.slam.findings import Findings, TrackedAgain
 from mavnav.slam.matching.motion_model import Motion, motions_along
+from mavnav.slam.matching.odometry_fit import LogOdometry
+from mavnav.slam.matching.prior_map import PriorMap
 from mavnav.slam.matching.scan_matching import no_match
 from mavnav.slam.matching.steps import Step, Steps, tracked_trajectory
 from mavnav.slam.methods.registry import Method, Refiner, make_method
 from mavnav.slam.tracker import track
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-
-    from numpy.typing import NDArray
-
-    from mavnav.config.models import Config
-    from mavnav.mapping.occupancy_grid import Grid
-    from mavnav.scan import Scan
-    from mavnav.slam.matching.odometry_fit import LogOdometry
-    from mavnav.slam.matching.prior_map import PriorMap
-
-    LogScans = Callable[[], Iterable[Scan]]
-    """Return the scans of a log; every call starts at the first scan."""
-    OnStep = Callable[[str, int], None]
-    """Called with the name of the pass ("track", "close loops", "final pass", ...) and the scans done."""
-    Placement = Callable[[Grid], Pose | None]
-    """Return the pose, in the map frame, of the frame in which a map was made; None where it has no place."""
-    Pass = Callable[["Track", Refiner], "Track"]
-    """Return the track after a pass with its method's refiner, unchanged where the pass does not apply."""
-    Until = Callable[[Iterable[Step]], Iterator[Step]]
-    """Yield the steps of a track up to the one that ends it."""
+LogScans = Callable[[], Iterable[Scan]]
+"""Return the scans of a log; every call starts at the first scan."""
+OnStep = Callable[[str, int], None]
+"""Called with the name of the pass ("track", "close loops", "final pass", ...) and the scans done."""
+Placement = Callable[[Grid], Pose | None]
+"""Return the pose, in the map frame, of the frame in which a map was made; None where it has no place."""
+Pass = Callable[["Track", Refiner], "Track"]
+"""Return the track after a pass with its method's refiner, unchanged where the pass does not apply."""
+Until = Callable[[Iterable[Step]], Iterator[Step]]
+"""Yield the steps of a track up to the one that ends it."""
 
 
 class Track(Struct, frozen=True):

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from time import perf_counter
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
+from mavnav.pose import Pose
 from mavnav.profiling import add_scan
+from mavnav.scan import Scan
 from mavnav.slam.matching.budget import DOUBTFUL_SCANS, LONG_LOST_SCANS, RARELY_SCANS
+from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.relocalization import AGREEING_SCANS, apart
 from mavnav.slam.matching.scan_matching import Match, MatchVerdict
 from mavnav.slam.matching.steps import Step
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    from mavnav.pose import Pose
-    from mavnav.scan import Scan
-    from mavnav.slam.matching.motion_model import Motion
-    from mavnav.slam.methods.registry import Method, Refiner
+from mavnav.slam.methods.registry import Method, Refiner
 
 
 class TrackState(NamedTuple):

@@ -6,18 +6,15 @@ A LaserScan contains the lengths of its fields and seven numbers within narrow b
 from __future__ import annotations
 
 from math import isfinite, isnan, tau
-from typing import TYPE_CHECKING
 
 from msgspec import Struct, field
 
 from mavnav.logs.formats.decompress import Allowance
 from mavnav.logs.messages.definitions import SCAN
 from mavnav.logs.messages.fast_cdr import laser_of
+from mavnav.logs.messages.records import LaserMessage
+from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel
-
-if TYPE_CHECKING:
-    from mavnav.logs.messages.records import LaserMessage
-    from mavnav.logs.read_report import ReadReport
 
 _MAX_FRAME = 256
 

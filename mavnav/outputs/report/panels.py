@@ -8,29 +8,24 @@ from __future__ import annotations
 
 import io
 from base64 import b64encode
+from collections.abc import Sequence
 from functools import partial
 from itertools import compress
 from math import hypot
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from mavnav.mapping.occupancy_grid import occupancy
 from mavnav.outputs.pictures import map_axes
-from mavnav.outputs.pictures.canvas import Canvas, stroke
+from mavnav.outputs.pictures.canvas import Box, Canvas, stroke
 from mavnav.outputs.pictures.plot import Axes, Mark, Style, circle, legend
 from mavnav.outputs.pictures.viewport import GOAL_RED, INK, MUTED, POSE_MAGENTA, Viewport, window_of
+from mavnav.outputs.report.entry import Entry
 from mavnav.pose import Pose, transform_points
 from mavnav.units import DEG, MM
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from mavnav.outputs.pictures.canvas import Box
-    from mavnav.outputs.report.entry import Entry
 
 COLOURS: Final = 256
 """Number of colors of a PNG file: a palette reduces its size to a third, and the octree method keeps rare colors, those

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import atan2, pi
-from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
+from mavnav.config.models import PlannerConfig
 from mavnav.kernels.planning import potential
 from mavnav.pose import wrap_angle
-from mavnav.simulation.planner.shortest_path import aim_on_shortest_path
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from mavnav.config.models import PlannerConfig
-    from mavnav.simulation.planner.shortest_path import XY
+from mavnav.simulation.planner.shortest_path import XY, aim_on_shortest_path
 
 _SAME_PLACE_M, _MOST_AT_A_PLACE = 0.1, 3  # virtual obstacles, then they help no more
 _VIRTUAL_AHEAD_M = 0.15

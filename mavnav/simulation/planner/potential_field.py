@@ -7,23 +7,19 @@ choice, ``TECHNIQUES``. Whatever the forces want, a command keeps its distance f
 from __future__ import annotations
 
 from math import atan2, ceil, cos, sin
-from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
+from mavnav.config.models import PlannerConfig
 from mavnav.kernels.planning import potential
+from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose, wrap_angle
 from mavnav.simulation.planner.local_minima import TECHNIQUES, Memory, Scene
+from mavnav.simulation.planner.shortest_path import XY
 from mavnav.units import DEG, MM
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mavnav.config.models import PlannerConfig
-    from mavnav.mapping.occupancy_grid import GridBuilder
-    from mavnav.simulation.planner.shortest_path import XY
 
 _LOOK_M = 1.0  # walls farther away decide no single step
 _LAST_SAFETY_M = 0.1  # no step goes nearer to a wall than this, unless it leads away from it

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from math import ceil
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mavnav.config.models import PlannerConfig
 from mavnav.kernels.planning import wavefront
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+XY = NDArray[np.float64]
+"""A point or a vector in the map frame, (2,) in m (a force: without unit), or several, (n, 2)."""
 
-    from mavnav.config.models import PlannerConfig
-
-    XY = NDArray[np.float64]
-    """A point or a vector in the map frame, (2,) in m (a force: without unit), or several, (n, 2)."""
 
 _MARGIN_M = 1.0  # round all walls, vehicle and goal: there is a path round the end of every wall
 _BLOCKED_CELLS2 = 2  # a cell with a wall and the eight around it are blocked

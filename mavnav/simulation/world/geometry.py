@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from msgspec import Struct, field
+from numpy.typing import NDArray
 
 from mavnav.pose import Pose, transform_points
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+Array = NDArray[np.float64]
 
-    Array = NDArray[np.float64]
 
 SEAM: Final = 1e-9
 """Walls reach this much (share of a segment, rad of an arc) beyond their ends, so that no ray slips through a joint."""

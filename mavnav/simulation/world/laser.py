@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import inf, pi
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from msgspec import Struct
 
 from mavnav.pose import Pose
 from mavnav.scan import LaserSpec, Scan
+from mavnav.simulation.world.geometry import Array, World
 from mavnav.units import DEG
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from mavnav.simulation.world.geometry import Array, World
 
 LASERS: Final[dict[str, LaserSpec]] = {
     "urg-04lx": LaserSpec(-340 * 360 / 1024 * DEG, 360 / 1024 * DEG, 681, 0.02, 5.0, 0.1 / 1024, 0.1),

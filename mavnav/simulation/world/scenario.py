@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from functools import cached_property
 from math import floor, inf, pi
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 from msgspec import to_builtins
@@ -15,14 +15,12 @@ from msgspec.structs import asdict, replace
 
 from mavnav.config.models import Config, InSI, PlannerConfig, Strict, in_si, setting
 from mavnav.pose import Pose
+from mavnav.scan import LaserSpec
 from mavnav.simulation.world.flight import FlightConfig
+from mavnav.simulation.world.geometry import World
 from mavnav.simulation.world.laser import LASERS, LaserModel
 from mavnav.simulation.world.shapes import XY, Degrees, Metre, WallEntry, world_of
 from mavnav.units import DEG, MM, MS
-
-if TYPE_CHECKING:
-    from mavnav.scan import LaserSpec
-    from mavnav.simulation.world.geometry import World
 
 AERIAL = ("flight", "ceiling_m")
 """The keys that only a vehicle with a section ``flight`` has."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from msgspec.structs import asdict
@@ -15,12 +16,8 @@ from mavnav.config.yaml_layers import read_yaml
 from mavnav.errors import ConfigError, missing
 from mavnav.simulation.world.laser import LASERS
 from mavnav.simulation.world.scenario import Scenario
+from mavnav.simulation.world.shapes import XY, Shape, WallEntry
 from mavnav.units import MM
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
-
-    from mavnav.simulation.world.shapes import XY, Shape, WallEntry
 
 LASER_BY_NAME = (("laser",), "preset")
 """The section that may be written as a word, and the key that the word is."""

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from math import inf
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 from msgspec import Meta
 from msgspec.structs import asdict
 
 from mavnav.config.models import Strict, setting
-from mavnav.simulation.world.geometry import World
+from mavnav.simulation.world.geometry import Array, World
 from mavnav.units import DEG
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mavnav.simulation.world.geometry import Array
-
 
 Metre = Annotated[float, Meta(ge=-1000.0, le=1000.0)]
 Length = Annotated[float, Meta(gt=0.0, le=1000.0)]

@@ -5,30 +5,33 @@ The coefficients are from benchmarks/doubt.py.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import deepcopy
 from math import exp, log2
-from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from mavnav.pose import Pose
 from mavnav.profiling import timed
-from mavnav.slam.doubt.features import DISAGREEMENT, FEATURES, ONE_TRACK, TWO_TRACKS, evidence_of, resampled_poses
+from mavnav.slam.doubt.features import (
+    DISAGREEMENT,
+    FEATURES,
+    ONE_TRACK,
+    TWO_TRACKS,
+    TrackEvidence,
+    Weights,
+    evidence_of,
+    resampled_poses,
+)
 from mavnav.slam.findings import Doubt, Reason
 from mavnav.slam.matching.steps import Steps
+from mavnav.slam.methods.registry import Refiner
 from mavnav.slam.methods.robust import Robust
 from mavnav.slam.refinement.refine import refine_poses
+from mavnav.slam.track import Track
 from mavnav.units import NS
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from numpy.typing import NDArray
-
-    from mavnav.slam.doubt.features import TrackEvidence, Weights
-    from mavnav.slam.methods.registry import Refiner
-    from mavnav.slam.track import Track
 
 Limits = tuple[float, float]
 """Probabilities between which the log is tracked once more."""

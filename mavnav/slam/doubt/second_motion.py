@@ -8,23 +8,20 @@ relative poses, and the distance between these grows with time at the same veloc
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavnav.kernels.scans.points import extent
+from mavnav.pose import Trajectory
 from mavnav.slam.matching.scan_matching import empty_line_map
 from mavnav.slam.matching.steps import tracked_trajectory
+from mavnav.slam.methods.registry import Refiner
+from mavnav.slam.track import Track
 from mavnav.units import NS
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+Floats = NDArray[np.float64]
 
-    from mavnav.pose import Trajectory
-    from mavnav.slam.methods.registry import Refiner
-    from mavnav.slam.track import Track
-
-    Floats = NDArray[np.float64]
 
 EXAMINED, LEAST_EXAMINED = 24, 6
 """Number of scans that are compared with later ones, evenly over the track, and minimum number that means something."""

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from bisect import bisect
+from collections.abc import Sequence
 from math import cos, sin
 from operator import attrgetter
-from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
+from mavnav.config.models import Config
 from mavnav.pose import Pose, transform_points, wrap_angle
-from mavnav.slam.loop_closure.key_frames import DRIFT_RAD, PART_M, KeyFrameMap
+from mavnav.slam.loop_closure.key_frames import DRIFT_RAD, PART_M, KeyFrame, KeyFrameMap, Points, Visibility
 from mavnav.slam.matching.relocalization import (
+    Region,
     apart,
     around,
     candidates,
@@ -25,16 +28,6 @@ from mavnav.slam.matching.relocalization import (
 )
 from mavnav.slam.matching.scan_matching import Match, Schedule, search_lines
 from mavnav.units import DEG
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from mavnav.config.models import Config
-    from mavnav.slam.loop_closure.key_frames import KeyFrame, Points, Visibility
-    from mavnav.slam.matching.relocalization import Region
-
 
 SIGMA_M = 0.015
 """Standard deviation of a closure in a direction that half of its points show."""

@@ -8,13 +8,16 @@ corrections over the path (docs/method.md).
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
+from mavnav.config.models import Config
 from mavnav.pose import Pose, Trajectory, blend
 from mavnav.profiling import timed
 from mavnav.slam.findings import Edge, Loop, Loops, PoseGraph
@@ -30,24 +33,16 @@ from mavnav.slam.loop_closure.key_frames import (
     key_rows,
     shortest_path,
 )
-from mavnav.slam.loop_closure.pose_graph import optimize, path_edges
+from mavnav.slam.loop_closure.pose_graph import InformationOf, optimize, path_edges
 from mavnav.slam.matching.scan_matching import no_match
 from mavnav.slam.matching.steps import Steps, tracked_trajectory
 from mavnav.slam.methods.registry import Refiner, make_method
+from mavnav.slam.track import LogScans, Track
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from mavnav.config.models import Config
-    from mavnav.slam.loop_closure.pose_graph import InformationOf
-    from mavnav.slam.track import LogScans, Track
-
-    PointsOf = Callable[[list[int]], Iterable[NDArray[np.float64]]]
-    """Rows of a trajectory -> the match points (n, 2) of their scans, m, laser frame."""
-    Frames = tuple[Sequence[KeyFrame], Sequence[KeyFrame]]
-    """The key frames, and the scans that take no part, at the poses of one track."""
+PointsOf = Callable[[list[int]], Iterable[NDArray[np.float64]]]
+"""Rows of a trajectory -> the match points (n, 2) of their scans, m, laser frame."""
+Frames = tuple[Sequence[KeyFrame], Sequence[KeyFrame]]
+"""The key frames, and the scans that take no part, at the poses of one track."""
 
 
 LOOP_M = 8.0

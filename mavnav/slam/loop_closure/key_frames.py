@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
+from mavnav.config.models import Config
 from mavnav.kernels.scans.points import extent
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose, transform_points, wrap_angle
 from mavnav.slam.matching.scan_matching import empty_line_map
 from mavnav.units import DEG
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+Points = NDArray[np.float64]
 
-    from numpy.typing import NDArray
-
-    from mavnav.config.models import Config
-
-    Points = NDArray[np.float64]
 
 KEY_M, KEY_RAD = 0.3, 15 * DEG
 """Path length or rotation from one key frame to the next."""

@@ -11,27 +11,25 @@ optimization"; Levenberg-Marquardt damping; Huber's loss).
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavnav.pose import Pose, Trajectory, motions, wrap_angle
 from mavnav.slam.findings import Edge
+from mavnav.slam.loop_closure.key_frames import KeyFrame
 from mavnav.slam.matching.relocalization import ACCELERATION_M_S2, SLACK_M
 from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
     from scipy.sparse import csr_matrix
 
-    from mavnav.slam.loop_closure.key_frames import KeyFrame
-
-    Floats = NDArray[np.float64]
-    InformationOf = Callable[[Floats, Pose], Floats]
-    """Points (n, 2), laser frame, m, and their pose -> what the map shows of it, (6,) (`Refiner.observability`)."""
+Floats = NDArray[np.float64]
+InformationOf = Callable[[Floats, Pose], Floats]
+"""Points (n, 2), laser frame, m, and their pose -> what the map shows of it, (6,) (`Refiner.observability`)."""
 
 OUTLIER_SIGMAS = 3.0
 """Error above which the loss is linear instead of quadratic, so that one wrong edge cannot distort the rest."""

@@ -5,18 +5,15 @@ The track takes the part of the path, the poses that of odometry.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavnav.pose import MAX_GAP_NS, Trajectory, between, correct_path
 from mavnav.slam.matching.motion_model import MOST_ERROR
 from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, WINDOW_S, LogOdometry, fit_odometry
 from mavnav.units import DEG, NS
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 
 LEAST_LATE_S, LEAST_SCALE = 0.05, 0.015
 """Offset and difference of a scale from 1 that are reported; seven systems stayed below 0.025 s and 0.0144."""

@@ -10,20 +10,18 @@ slip, so their errors have Student's t distribution (Lange, Little and Taylor 19
 from __future__ import annotations
 
 from math import inf
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mavnav.mapping.line_map import LineMap
 from mavnav.pose import Pose, wrap_angle
 from mavnav.slam.matching.observability import LEAST_SIGMA_M, symmetric
 from mavnav.units import DEG
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+Array = NDArray[np.float64]
 
-    from mavnav.mapping.line_map import LineMap
-
-    Array = NDArray[np.float64]
 
 RATE, FIRST_SCANS = 0.01, 10
 """Least weight of a scan in the running variances, and weight of their first values in scans: the n-th one that is

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from math import copysign, inf, pi
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavnav.pose import Pose, Rotation, Trajectory, wrap_angle
 from mavnav.slam.matching.steps import Step, jumps
 from mavnav.units import DEG, NS
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+Odometry = Callable[[int], Pose | None]
+"""Stamp (ns) -> odom_T_laser, None where odometry does not cover it."""
 
-    from numpy.typing import NDArray
+Twist = tuple[float, float, float]
+"""A velocity in the laser's own frame, m/s, m/s, rad/s."""
 
-    Odometry = Callable[[int], Pose | None]
-    """Stamp (ns) -> odom_T_laser, None where odometry does not cover it."""
-
-    Twist = tuple[float, float, float]
-    """A velocity in the laser's own frame, m/s, m/s, rad/s."""
 
 USUAL_PERIOD_S = 0.1  # scan period where the stamps do not show it
 GAP_S, LONGEST_S = 0.5, 1.2

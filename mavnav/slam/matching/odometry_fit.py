@@ -7,23 +7,20 @@ the motions that fits worst does not count: slips, wrong matches, the laser carr
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from mavnav.pose import Pose, Trajectory, between, correct_path
-from mavnav.slam.matching.motion_model import GAP_S
+from mavnav.slam.matching.motion_model import GAP_S, Odometry
 from mavnav.units import NS
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
-    from mavnav.slam.matching.motion_model import Odometry
-
-    Array = NDArray[np.float64]
-    Complex = NDArray[np.complex128]
 
 WINDOW_S: Final = 1.0
 """Time over which motions are compared, s."""

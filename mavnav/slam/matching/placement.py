@@ -5,16 +5,21 @@ One scan fits a coarse map of thick walls at many places. Every scan proposes it
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mavnav.config.models import Config
 from mavnav.kernels.maps.layout import EXPLAINED_CELLS
+from mavnav.mapping.line_map import LineMap
+from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose, rigid_fit
 from mavnav.slam.matching.relocalization import (
     AMBIGUITY_MARGIN,
     MAP_CANDIDATES,
     SEPARATE_M,
+    Credit,
     apart,
     everywhere,
     is_near_start,
@@ -25,18 +30,9 @@ from mavnav.slam.matching.relocalization import (
 )
 from mavnav.slam.matching.scan_matching import Match, Schedule, search_lines
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+PosedScan = tuple[Pose, NDArray[np.float64]]
+"""The pose of a scan in a frame of its own, and its points (n, 2), m, laser frame, shuffled."""
 
-    from numpy.typing import NDArray
-
-    from mavnav.config.models import Config
-    from mavnav.mapping.line_map import LineMap
-    from mavnav.mapping.occupancy_grid import GridBuilder
-    from mavnav.slam.matching.relocalization import Credit
-
-    PosedScan = tuple[Pose, NDArray[np.float64]]
-    """The pose of a scan in a frame of its own, and its points (n, 2), m, laser frame, shuffled."""
 
 AHEAD = Pose(1.0, 0.0, 0.0)
 """A point before the laser, by which headings count where the laser hardly moves."""

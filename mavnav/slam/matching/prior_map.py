@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
 from mavnav.mapping.occupancy_grid import Grid, counts, occupied_xy_m
 from mavnav.mapping.tiled_arrays import bands
 from mavnav.pose import Pose, transform_points
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 SURELY = 10
 """Number of beams by which every known cell counts as seen: a map file has no counts."""

@@ -5,35 +5,32 @@ from __future__ import annotations
 from functools import lru_cache
 from math import atan2, pi
 from operator import itemgetter
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mavnav.config.models import Config
 from mavnav.kernels.maps.conflicts import conflicts
 from mavnav.kernels.maps.free_cells import free_positions
 from mavnav.kernels.scans.correlative_search import separate_minima
 from mavnav.kernels.scans.lowest_poses import lowest_poses
 from mavnav.kernels.scans.points import extent
+from mavnav.mapping.line_map import LineMap
+from mavnav.mapping.occupancy_grid import GridBuilder
+from mavnav.mapping.tiled_arrays import Extent
 from mavnav.pose import Pose, wrap_angle
 from mavnav.profiling import timed
 from mavnav.slam.matching.scan_matching import Match, Schedule, search_lines, with_effort
 from mavnav.units import DEG
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+Floats = NDArray[np.float64]
+Region = tuple[Floats, Floats]
+"""Positions (p, 2), m, and yaws (q,), rad, map frame; the poses are all their combinations."""
+Start = tuple[float, Pose]
+"""Cost, m2, and pose of a minimum of the search."""
+Credit = NDArray[np.int64]
+"""Number of squares and positions (1,) that searches may still look at; at 0 they return nothing."""
 
-    from mavnav.config.models import Config
-    from mavnav.mapping.line_map import LineMap
-    from mavnav.mapping.occupancy_grid import GridBuilder
-    from mavnav.mapping.tiled_arrays import Extent
-
-    Floats = NDArray[np.float64]
-    Region = tuple[Floats, Floats]
-    """Positions (p, 2), m, and yaws (q,), rad, map frame; the poses are all their combinations."""
-    Start = tuple[float, Pose]
-    """Cost, m2, and pose of a minimum of the search."""
-    Credit = NDArray[np.int64]
-    """Number of squares and positions (1,) that searches may still look at; at 0 they return nothing."""
 
 STEP_M, STEP_RAD = 0.1, 4 * DEG
 """Spacing of the search: the cost of a point depends on walls up to 0.15 m away."""

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from enum import Enum
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
+from mavnav.config.models import Config
 from mavnav.kernels.line_search import search as line_search
 from mavnav.kernels.maps.layout import SearchGrid
 from mavnav.mapping.line_map import LineMap
 from mavnav.pose import Pose, wrap_angle
 from mavnav.profiling import timed
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mavnav.config.models import Config
 
 
 class Match(NamedTuple):

@@ -5,17 +5,15 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable, Iterator, Sequence
 from math import pi
-from typing import TYPE_CHECKING, Any, NamedTuple, overload
+from typing import Any, NamedTuple, overload
 
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
 from mavnav.pose import Pose, Trajectory
 from mavnav.slam.matching.scan_matching import Match
 from mavnav.units import DEG, NS
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 LOST_SCANS = 5
 """Minimum number of scans in a row without an accepted pose that are a lost interval; fewer need a jump across them."""

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from mavnav.config.models import RobustConfig
+from mavnav.pose import Pose
 from mavnav.slam.matching.motion_model import GAP_S, LONGEST_S, Motion
 from mavnav.slam.matching.scan_matching import Match, MatchVerdict
 from mavnav.slam.methods.pauses import PAUSE_S
-
-if TYPE_CHECKING:
-    from mavnav.config.models import RobustConfig
-    from mavnav.pose import Pose
 
 INNER_SHARE = 0.5
 """Share of the near window within which a match is accepted: nearer to its edge, the pose may be outside of it."""

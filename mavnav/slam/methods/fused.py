@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
+from mavnav.pose import Pose
+from mavnav.scan import Scan
 from mavnav.slam.matching.fusion import WHEELS, Fusion, evidence_of
+from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.scan_matching import Match, MatchVerdict, Schedule, search_lines
 from mavnav.slam.methods.robust import Robust
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from mavnav.pose import Pose
-    from mavnav.scan import Scan
-    from mavnav.slam.matching.motion_model import Motion
 
 PRIOR = 0.05
 """Cost of a square meter off the prediction: it keeps a search from running along a wall, and decides little else."""

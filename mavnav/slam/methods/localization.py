@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import numpy as np
+from numpy.typing import NDArray
 
+from mavnav.config.models import Config
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose, transform_points
+from mavnav.scan import Scan
+from mavnav.slam.matching.motion_model import Motion
+from mavnav.slam.matching.prior_map import PriorMap
 from mavnav.slam.matching.relocalization import (
     AMBIGUITY_MARGIN,
     MAP_CANDIDATES,
     START_M,
     START_RAD,
+    Region,
     around,
     candidates,
     everywhere,
@@ -18,16 +24,6 @@ from mavnav.slam.matching.relocalization import (
 )
 from mavnav.slam.matching.scan_matching import Match, empty_line_map, no_match
 from mavnav.slam.methods.fused import Fused
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from mavnav.config.models import Config
-    from mavnav.scan import Scan
-    from mavnav.slam.matching.motion_model import Motion
-    from mavnav.slam.matching.prior_map import PriorMap
-    from mavnav.slam.matching.relocalization import Region
 
 
 class Localizer(Fused):

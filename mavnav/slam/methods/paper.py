@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mavnav.config.models import Config
 from mavnav.kernels.maps.layout import SearchGrid
 from mavnav.mapping.occupancy_grid import Grid, GridBuilder
 from mavnav.pose import Pose, transform_points, wrap_angle
 from mavnav.profiling import timed
+from mavnav.scan import LaserSpec, Scan
+from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.scan_matching import Match, MatchVerdict, first_match, no_match, with_effort
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+Floats = NDArray[np.float64]
 
-    from mavnav.config.models import Config
-    from mavnav.scan import LaserSpec, Scan
-    from mavnav.slam.matching.motion_model import Motion
-
-    Floats = NDArray[np.float64]
 
 LEAST_BEAMS_SHARE = 0.1
 """Minimum share of valid beams of a scan to be matched, if ``min_beams_of`` is not ``scan``."""

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
+from collections.abc import Iterator, Sequence
 from math import hypot
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mavnav.pose import Pose
 from mavnav.slam.matching.motion_model import GAP_S, MOST_ERROR, Motion
 from mavnav.slam.matching.odometry_fit import WINDOW_S
+from mavnav.slam.matching.steps import Step, Steps
 from mavnav.units import NS
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from mavnav.pose import Pose
-    from mavnav.slam.matching.steps import Step, Steps
 
 PAUSE_S, PAUSE_PERIODS = 2.5, 2.5
 """Time between two scans from which it is a pause, s and in periods; with odometry it is one from ``GAP_S`` on."""

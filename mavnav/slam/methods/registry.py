@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import Final, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
+from mavnav.config.models import Config
 from mavnav.kernels.machine.building import prepare
+from mavnav.mapping.occupancy_grid import Grid, GridBuilder
+from mavnav.mapping.tiled_arrays import Extent
+from mavnav.pose import Pose
+from mavnav.profiling import Progress
+from mavnav.scan import Scan
+from mavnav.slam.matching.motion_model import Motion
+from mavnav.slam.matching.prior_map import PriorMap
+from mavnav.slam.matching.scan_matching import Match, MatchVerdict
 from mavnav.slam.methods.fused import Fused
 from mavnav.slam.methods.localization import Localizer
 from mavnav.slam.methods.paper import Paper
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from mavnav.config.models import Config
-    from mavnav.mapping.occupancy_grid import Grid, GridBuilder
-    from mavnav.mapping.tiled_arrays import Extent
-    from mavnav.pose import Pose
-    from mavnav.profiling import Progress
-    from mavnav.scan import Scan
-    from mavnav.slam.matching.motion_model import Motion
-    from mavnav.slam.matching.prior_map import PriorMap
-    from mavnav.slam.matching.scan_matching import Match, MatchVerdict
 
 
 class Refiner(Protocol):

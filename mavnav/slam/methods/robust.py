@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from functools import cached_property, partial
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mavnav.config.models import Config
 from mavnav.kernels.scans.points import place_points, scan_points
 from mavnav.kernels.scans.sweep_shift import sweep_shift
 from mavnav.mapping.occupancy_grid import Grid, GridBuilder
+from mavnav.mapping.tiled_arrays import Extent
 from mavnav.pose import Pose
 from mavnav.profiling import timed
 from mavnav.scan import LONGEST_SWEEP, Scan
@@ -24,9 +26,11 @@ from mavnav.slam.matching.budget import (
     is_lost,
     search_work,
 )
+from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.relocalization import (
     CANDIDATES,
     REFINED,
+    Region,
     around,
     best_of,
     candidates,
@@ -50,16 +54,9 @@ from mavnav.slam.matching.scan_matching import (
 from mavnav.slam.methods.acceptance import FOUND_CONFLICTS, Acceptance
 from mavnav.slam.methods.pauses import Pauses
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+Points = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""The valid end points (n, 2) of a scan and their voxel means (m, 2), m, laser frame."""
 
-    from mavnav.config.models import Config
-    from mavnav.mapping.tiled_arrays import Extent
-    from mavnav.slam.matching.motion_model import Motion
-    from mavnav.slam.matching.relocalization import Region
-
-    Points = tuple[NDArray[np.float64], NDArray[np.float64]]
-    """The valid end points (n, 2) of a scan and their voxel means (m, 2), m, laser frame."""
 
 NEAR_MINIMA = 3
 """Number of separate minima near the prediction that are refined: the lowest one of a coarse grid may be wrong."""

@@ -6,14 +6,16 @@ map at many places, and its pose there is a rough one. All scans of a track toge
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from collections.abc import Iterator
+from typing import Final
 
 from msgspec.structs import replace
 
 from mavnav.mapping.occupancy_grid import GridBuilder
+from mavnav.pose import Pose
 from mavnav.slam.loop_closure.detection import rebuild_at
 from mavnav.slam.loop_closure.key_frames import key_rows
-from mavnav.slam.matching.placement import place_together
+from mavnav.slam.matching.placement import PosedScan, place_together
 from mavnav.slam.matching.scan_matching import empty_line_map
 from mavnav.slam.matching.steps import evenly, lost_intervals, tracked_trajectory
 from mavnav.slam.methods.acceptance import Acceptance
@@ -22,14 +24,7 @@ from mavnav.slam.recovery.parts import lost_for_good
 from mavnav.slam.retries.attempt import rank, try_again
 from mavnav.slam.retries.beginning import track_from_good_beginning
 from mavnav.slam.retries.odometry import FITTING_ODOMETRY
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from mavnav.pose import Pose
-    from mavnav.slam.matching.placement import PosedScan
-    from mavnav.slam.track import Track
-
+from mavnav.slam.track import Track
 
 OWN_MAP: Final = "own map"
 

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from bisect import bisect
-from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec.structs import replace
 
+from mavnav.scan import Scan
 from mavnav.slam.matching.motion_model import LONGEST_S, Motion, motion_at
 from mavnav.slam.matching.scan_matching import MatchVerdict, with_effort
 from mavnav.slam.matching.steps import LOST_SCANS, Step, Steps
+from mavnav.slam.methods.registry import Refiner
+from mavnav.slam.track import Track
 from mavnav.units import NS
-
-if TYPE_CHECKING:
-    from mavnav.scan import Scan
-    from mavnav.slam.methods.registry import Refiner
-    from mavnav.slam.track import Track
 
 
 def rematch_rejected(track: Track, _refiner: Refiner) -> Track:

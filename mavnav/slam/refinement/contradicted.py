@@ -7,20 +7,15 @@ it is free, in all scans up to the next gap.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from mavnav.slam.matching.scan_matching import no_match
 from mavnav.slam.matching.steps import LOST_SCANS, Steps, jumps, lost_intervals, tracked_trajectory
 from mavnav.slam.methods.registry import Refiner, make_method
+from mavnav.slam.track import Track
 from mavnav.units import NS, pluralize
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mavnav.slam.track import Track
 
 CONTRADICTED, GIVEN_UP = 0.05, 0.1
 """Mean shares of visibility conflicts above which a warning doubts a stretch, and above which it may be given up.

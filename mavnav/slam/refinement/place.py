@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from mavnav.slam.loop_closure.detection import rebuild_at
 from mavnav.slam.matching.steps import tracked_trajectory
-
-if TYPE_CHECKING:
-    from mavnav.slam.methods.registry import Refiner
-    from mavnav.slam.track import Track
+from mavnav.slam.methods.registry import Refiner
+from mavnav.slam.track import Track
 
 
 def place_map(track: Track, refiner: Refiner) -> Track:

@@ -6,34 +6,31 @@ the blur of every turn.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from itertools import islice
 from math import nan, pi
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
+from mavnav.scan import Scan
 from mavnav.slam.matching.motion_model import GAP_S, LONGEST_S, Motion, motion_at
+from mavnav.slam.matching.scan_matching import Match
 from mavnav.slam.matching.steps import LOST_SCANS, tracked_trajectory
+from mavnav.slam.methods.registry import Refiner
 from mavnav.slam.retries.attempt import Attempt
 from mavnav.slam.retries.beginning import until_missing
 from mavnav.slam.retries.odometry import LEAST_TURN_RAD
+from mavnav.slam.track import LogScans, Track
 from mavnav.units import NS
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+Floats = NDArray[np.float64]
+Pairs = list[tuple[Match, Match]]
+"""Matches of the same scans, with the beams in the listed order and in reverse."""
 
-    from numpy.typing import NDArray
-
-    from mavnav.scan import Scan
-    from mavnav.slam.matching.scan_matching import Match
-    from mavnav.slam.methods.registry import Refiner
-    from mavnav.slam.track import LogScans, Track
-
-    Floats = NDArray[np.float64]
-    Pairs = list[tuple[Match, Match]]
-    """Matches of the same scans, with the beams in the listed order and in reverse."""
 
 STRETCH_SCANS = 80
 """Number of scans, those with most rotation, that are compared."""

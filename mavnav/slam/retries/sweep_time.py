@@ -6,20 +6,17 @@ turns once between two scans takes a period for a turn; de-skewed by that, scans
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import partial
 from itertools import islice
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from msgspec.structs import replace
 
+from mavnav.scan import Scan
 from mavnav.slam.retries.attempt import Attempt, is_sharper
 from mavnav.slam.retries.beam_order import BETTER, cost_ratios, turning_stretch
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from mavnav.scan import Scan
-    from mavnav.slam.track import LogScans, Track
+from mavnav.slam.track import LogScans, Track
 
 
 def time_sweeps(track: Track) -> Track | None:
