@@ -15,17 +15,7 @@ from mavnav.mapping.tiled_arrays import Extent
 from mavnav.pose import Pose
 from mavnav.profiling import timed
 from mavnav.scan import LONGEST_SWEEP, Scan
-from mavnav.slam.matching.budget import (
-    RARELY_SCANS,
-    WHOLE_EACH,
-    WHOLE_FIRST,
-    WIDE_EACH,
-    WIDE_FIRST,
-    WIDE_MOST,
-    Budget,
-    is_lost,
-    search_work,
-)
+from mavnav.slam.matching import budget
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.relocalization import (
     CANDIDATES,
@@ -97,8 +87,8 @@ class Robust:
         self._deskewed: tuple[Scan, Motion, Points] | None = None
         self._free: Region | None = None  # the free area of the whole map, until it grows
         self._bounded = False  # whether cost bounds were computed since the map last grew
-        self._wide_budget = Budget(WIDE_EACH, WIDE_FIRST, WIDE_MOST)
-        self._whole_budget = Budget(WHOLE_EACH, WHOLE_FIRST)
+        self._wide_budget = budget.Budget(budget.WIDE_EACH, budget.WIDE_FIRST, budget.WIDE_MOST)
+        self._whole_budget = budget.Budget(budget.WHOLE_EACH, budget.WHOLE_FIRST)
         self._pauses = Pauses()
         self._missed = 0, 0  # stamp of the last accepted pose, and number of scans matched since
 
@@ -138,12 +128,12 @@ class Robust:
             return no_match(predicted, len(points))
         self._wide_budget.earn(found=elapsed_s < FOUND_PERIODS * motion.period_s)
         self._whole_budget.earn()
-        if self._missed_before(motion) >= RARELY_SCANS and motion.odometry is None:
+        if self._missed_before(motion) >= budget.RARELY_SCANS and motion.odometry is None:
             return self._search_rarely(points, predicted, motion, scan.stamp_ns)
         tried, good = self._search_near(points, predicted, motion, elapsed_s)
         if good:
             return tried[0]
-        expected, lost = motion.expected_poses(predicted, scan.stamp_ns), is_lost(elapsed_s, motion.period_s)
+        expected, lost = motion.expected_poses(predicted, scan.stamp_ns), budget.is_lost(elapsed_s, motion.period_s)
         regions = self._lost_region(points, expected, elapsed_s) if lost else []
         given_up = lost and not regions
         if given_up and tried and motion.odometry is None:
@@ -218,7 +208,7 @@ class Robust:
         """Return the work of a search of a region; that of cost bounds counts once until the map grows."""
         (xy_m, yaws_rad), some = region, points[: self.config.robust.expert.first_level_points]
         cells = 0.0 if self._bounded or not len(xy_m) else self.lines.cells_within(reached_by(some, xy_m))
-        return search_work(len(xy_m) * len(yaws_rad), cells, CANDIDATES)
+        return budget.search_work(len(xy_m) * len(yaws_rad), cells, CANDIDATES)
 
     def _search_wide(self, points: NDArray[np.float64], region: Region, limit: float) -> list[Match]:
         """Search a region that the laser can have reached."""
@@ -247,7 +237,7 @@ class Robust:
             return None
         elapsed_s = motion.elapsed_s(scan.stamp_ns)
         self._free, self._bounded = self._free or everywhere(self.known), True
-        limit = FOUND_ANYWHERE_COST if is_lost(elapsed_s, motion.period_s) else np.inf
+        limit = FOUND_ANYWHERE_COST if budget.is_lost(elapsed_s, motion.period_s) else np.inf
         matches = [match, *candidates(points, self.lines, self.known, self._free, self.config, limit=limit)]
         expected = motion.expected_poses(motion.predict(scan.stamp_ns), scan.stamp_ns)
         best = best_of(matches, expected, elapsed_s, self.config)
