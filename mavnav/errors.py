@@ -77,6 +77,12 @@ def missing(path: Path, advice: str) -> str:
     return f"{path}: no such file; {advice}"
 
 
+def brief(value: object) -> str:
+    """Return a wrong value as a message names it: whole, or its beginning if it is long."""
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."
+
+
 class MavnavError(Exception):
     """Base class of all errors that mavnav raises on purpose."""
 

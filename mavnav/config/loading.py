@@ -21,7 +21,7 @@ from msgspec.structs import fields as fields_of
 
 from mavnav.config.layers import Key, Layer
 from mavnav.config.models import Config, MethodName, PaperExpert, RobustExpert
-from mavnav.errors import ConfigError, missing
+from mavnav.errors import ConfigError, brief, missing
 from mavnav.units import MM
 
 Model = TypeVar("Model", bound=Struct)
@@ -224,7 +224,7 @@ def _error_message(model: type[Struct], error: str, layer: Layer, name: str) -> 
     if problem == "missing required":
         return f"{where}: {dotted} is missing; give the {hint}"
     value = reduce(lambda node, part: node[part if isinstance(node, dict) else int(part)], key, layer.tree())
-    return f"{where}: {dotted} is {_truncate(value)}, it {_problem(problem, kinds.get(names))}; {hint}"
+    return f"{where}: {dotted} is {brief(value)}, it {_problem(problem, kinds.get(names))}; {hint}"
 
 
 def _problem(text: str, annotation: object) -> str:
@@ -242,11 +242,6 @@ def _problem(text: str, annotation: object) -> str:
         number = length.replace(">=", "at least").replace("<=", "at most")
         return f"should have {number} {'item' if number.split()[-1] == '1' else 'items'}"
     return f"should be {' or '.join(_KINDS.get(kind, kind) for kind in kinds.split(' | '))}"
-
-
-def _truncate(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 80 else text[:77] + "..."
 
 
 def _nearest(key: Key, keys: list[Key], given: Key) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.config.named_files import read_named
-from mavnav.errors import ConfigError, UsageError
+from mavnav.errors import ConfigError, UsageError, brief
 from mavnav.mapping.occupancy_grid import Grid, occupied_xy_m
 from mavnav.pose import Pose, transform_points
 from mavnav.units import LARGEST_COORDINATE_M
@@ -85,7 +85,7 @@ def read_map(path: Path) -> MapFile:
     if not CELLS_M[0] <= cell_m <= CELLS_M[1]:
         raise UsageError(f"{path}: resolution {cell_m:g} is no size of a cell; write meters, for example 0.05")
     if not isinstance(about["image"], str):
-        raise UsageError(f"{path}: image {_short(about['image'])} is no name of a file; write one")
+        raise UsageError(f"{path}: image {brief(about['image'])} is no name of a file; write one")
     picture = path.parent / about["image"]
     shades = _read_picture(picture, path)
     occupied, free = (shades.upwards(kind) for kind in _kinds(path, about, shades))
@@ -113,24 +113,19 @@ def _origin(path: Path, about: dict[str, Any]) -> Pose:
     origin = about.get("origin", [0.0, 0.0, 0.0])
     numbers = isinstance(origin, list) and all(_is_number(v) for v in origin)
     if not numbers or len(origin) not in {2, 3} or not all(abs(v) <= LARGEST_COORDINATE_M for v in origin):
-        raise UsageError(f"{path}: origin {_short(origin)} is no pose; write [x, y, yaw] in m, m, rad")
+        raise UsageError(f"{path}: origin {brief(origin)} is no pose; write [x, y, yaw] in m, m, rad")
     return Pose(*(float(v) for v in origin))
 
 
 def _number(path: Path, about: dict[str, Any], key: str, default: float | None) -> float:
     value = about.get(key, default)
     if not _is_number(value) or not abs(value) <= LARGEST_COORDINATE_M:
-        raise UsageError(f"{path}: {key} {_short(value)} is no number of use; write one")
+        raise UsageError(f"{path}: {key} {brief(value)} is no number of use; write one")
     return float(value)
 
 
 def _is_number(value: object) -> TypeGuard[int | float]:
     return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _short(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 80 else f"{text[:77]}..."
 
 
 class _Shades(NamedTuple):

@@ -159,19 +159,11 @@ def _of_batch(document: dict[str, Any], directory: Path) -> str:
     return list_text(runs, f"Batch of {pluralize(len(runs), 'run')}")
 
 
-def _of_merge(document: dict[str, Any], directory: Path) -> str:
-    return list_text([load_merge(document, directory)], document["headline"])
-
-
-def _of_run(document: dict[str, Any], directory: Path) -> str:
-    return page_text(single(document), directory)
-
-
 PAGES: Final[dict[str, tuple[str, Callable[[dict[str, Any], Path], str]]]] = {
     "comparison.json": ("report.html", page_text),
     "batch.json": ("view.html", _of_batch),
-    MERGE_FILE: ("view.html", _of_merge),
-    RUN_FILE: ("report.html", _of_run),
+    MERGE_FILE: ("view.html", lambda merge, folder: list_text([load_merge(merge, folder)], merge["headline"])),
+    RUN_FILE: ("report.html", lambda run, folder: page_text(single(run), folder)),
 }
 """The document of a directory -> the name and the text of its page; report.html of a merge is another one."""
 
