@@ -32,6 +32,7 @@ MEMORY, MOST_EXCESS, IGNORED = 0.9, 10.0, 1e-9
 the wheels of a carried vehicle show nothing."""
 
 EYE = np.eye(3)
+NONE = np.zeros((3, 3))
 LEAST = np.array((LEAST_SIGMA_M**2, LEAST_SIGMA_M**2, 0.1))
 """Least variances and factor that are learnt."""
 
@@ -66,6 +67,10 @@ class Fusion(NamedTuple):
     that they are learnt from, ``excess`` a running mean of what predictions and matches differ by, squared, as a
     multiple of the expected one (normalized innovation squared; Bar-Shalom, Li and Kirubarajan 2001, 5.4), and
     ``freedom`` the degrees of freedom of Student's t: the fewer, the less a prediction weighs far from the match.
+    ``covariance`` (3, 3) is that of the last fused pose, of which the next prediction inherits the share ``inherited``:
+    a small error of every prediction, as of the scale of wheels, adds up until walls show it. The share is less than 1,
+    as errors of matches of scans in a row are alike. ``strict`` is the factor by which a match counts as more exact
+    where it judges a prediction: walls seldom move.
     """
 
     position_m2: float = 0.02**2
@@ -74,6 +79,9 @@ class Fusion(NamedTuple):
     scans: int = 0
     excess: float = 1.0
     freedom: float = inf
+    covariance: Array = NONE
+    inherited: float = 0.0
+    strict: float = 1.0
 
     def fuse(self, evidence: Evidence, matched: Pose, predicted: Pose, units: float) -> tuple[Pose, Fusion]:
         """Return the mean of a matched pose and that which is predicted after some motion; what it shows."""
@@ -83,29 +91,32 @@ class Fusion(NamedTuple):
         floor = hessian + 1e-6 * max(float(hessian.trace()), 1.0) * EYE
         gain = np.linalg.solve(spread + LEAST_SIGMA_M**2 * floor, hessian)
         information = hessian @ gain
-        known = information / self.factor
-        precision = EYE / (units * old[[0, 0, 1]])
+        moving, before = units * old[[0, 0, 1]], self.inherited * self.covariance
+        precision = np.linalg.inv(np.diag(moving) + before)
         apart, toward = shift + np.linalg.solve(floor, pull), information @ shift + gain.T @ pull
-        usual = np.linalg.inv(known + precision) @ toward / self.factor
-        unlikely = float(toward @ (apart - usual)) / self.factor
+        strict = self.factor / self.strict
+        usual = np.linalg.inv(information / strict + precision) @ toward / strict
+        unlikely = float(toward @ (apart - usual)) / strict
         excess = MEMORY * self.excess + (1.0 - MEMORY) * unlikely / 3.0
         ignored = excess >= MOST_EXCESS
         weight = IGNORED if ignored else (1.0 + 3.0 / self.freedom) / (1.0 + unlikely / self.freedom)
-        covariance = np.linalg.inv(known + weight * precision)
+        covariance = np.linalg.inv(information / self.factor + weight * precision)
         moved = covariance @ toward / self.factor
         off = apart - moved
-        of_prediction = weight * (moved**2 + covariance.diagonal()) / units
+        new_share = moving / (moving + before.diagonal())
+        of_prediction = new_share * (new_share * (moved**2 + covariance.diagonal()) + before.diagonal())
         of_match = (off @ information @ off + (information @ covariance).trace()) / 3.0
-        x_m2, y_m2, yaw_rad2 = of_prediction.tolist()
+        x_m2, y_m2, yaw_rad2 = (weight * of_prediction / units).tolist()
         rate = max(RATE, 1.0 / (FIRST_SCANS + self.scans + 1))
         new = np.array((0.5 * (x_m2 + y_m2), yaw_rad2, of_match))
         position_m2, yaw_rad2, factor = np.maximum(old + rate * (new - old), LEAST).tolist()
         across_m, up_m, turned_rad = moved.tolist()
         fused = Pose(x_m + across_m, y_m + up_m, wrap_angle(yaw_rad + turned_rad))
+        learnt = self._replace(excess=excess, covariance=covariance)
         if ignored:
-            return fused, self._replace(excess=excess)
-        return fused, Fusion(position_m2, yaw_rad2, factor, self.scans + 1, excess, self.freedom)
+            return fused, learnt
+        return fused, learnt._replace(position_m2=position_m2, yaw_rad2=yaw_rad2, factor=factor, scans=self.scans + 1)
 
 
-WHEELS = Fusion(position_m2=1e-3, yaw_rad2=1e-3, freedom=4.0)
+WHEELS = Fusion(position_m2=1e-3, yaw_rad2=1e-3, factor=8.0, freedom=4.0, inherited=0.85, strict=2.0)
 """What is known of wheels at first: the error of a motion of 0.1 m or 0.1 rad is a tenth of it."""
