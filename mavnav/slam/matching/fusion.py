@@ -118,5 +118,5 @@ class Fusion(NamedTuple):
         return fused, learnt._replace(position_m2=position_m2, yaw_rad2=yaw_rad2, factor=factor, scans=self.scans + 1)
 
 
-WHEELS = Fusion(position_m2=1e-3, yaw_rad2=1e-3, factor=8.0, freedom=4.0, inherited=0.85, strict=2.0)
+WHEELS = Fusion(position_m2=1e-3, yaw_rad2=1e-3, factor=8.0, freedom=4.0, inherited=0.8, strict=2.0)
 """What is known of wheels at first: the error of a motion of 0.1 m or 0.1 rad is a tenth of it."""
