@@ -112,10 +112,11 @@ class Fusion(NamedTuple):
         position_m2, yaw_rad2, factor = np.maximum(old + rate * (new - old), LEAST).tolist()
         across_m, up_m, turned_rad = moved.tolist()
         fused = Pose(x_m + across_m, y_m + up_m, wrap_angle(yaw_rad + turned_rad))
-        learnt = self._replace(excess=excess, covariance=covariance)
-        if ignored:
-            return fused, learnt
-        return fused, learnt._replace(position_m2=position_m2, yaw_rad2=yaw_rad2, factor=factor, scans=self.scans + 1)
+        learnt = self._replace(excess=excess)
+        if not ignored:
+            learnt = learnt._replace(position_m2=position_m2, yaw_rad2=yaw_rad2, factor=factor, scans=self.scans + 1)
+            learnt = learnt._replace(covariance=covariance)
+        return fused, learnt
 
 
 WHEELS = Fusion(position_m2=1e-3, yaw_rad2=1e-3, factor=8.0, freedom=4.0, inherited=0.8, strict=2.0)

@@ -60,6 +60,7 @@ def test_wheels_that_go_on_contradicting_are_ignored_until_they_agree_again() ->
         carried, fusion = fusion.fuse(evidence, Pose(0.1, 0.0, 0.3), Pose(), 0.01)
     assert carried.x_m == pytest.approx(0.1, abs=1e-3)
     assert fusion[:4] == WHEELS[:4]  # what is ignored shows nothing
+    assert not fusion.covariance.any()
     for _ in range(50):
         on_the_floor, fusion = fusion.fuse(evidence, Pose(0.1), Pose(0.06), 0.01)
     assert on_the_floor.x_m == pytest.approx(0.06, abs=0.01)

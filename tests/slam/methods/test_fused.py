@@ -82,7 +82,7 @@ def test_where_odometry_pauses_the_velocity_goes_on_along_a_hallway_and_nothing_
 
 
 def test_shallow_doors_hold_a_corridor_against_wheels_that_count_too_much() -> None:
-    """The error of wheels by 5 % is 1 m at the end; 0.58 m were left while scans were fused by themselves, now 0.3."""
+    """The error of wheels by 5 % is 1 m at the end; 0.58 m were left without inherited covariance, now 0.3."""
     rng = np.random.default_rng(1)
     doors = [box(x + rng.uniform(-0.8, 0.8), rng.choice((-0.95, 0.95)), 0.4, 0.3) for x in np.arange(1.5, 29, 2.5)]
     walls = np.vstack((polyline((0, -1), (30, -1), (30, 1), (0, 1), closed=True), *doors))
