@@ -8,6 +8,7 @@ import numpy as np
 
 from mavnav.config.models import Config
 from mavnav.logs import open_log
+from mavnav.logs.health import sensor_health
 from mavnav.logs.own_body import MOST_SCANS, ScanSample, own_beams
 from mavnav.logs.writing.recorder import Recording
 from mavnav.logs.writing.recorder import record as write
@@ -76,6 +77,7 @@ def test_that_a_log_leaves_own_beams_out_and_is_tracked(tmp_path: Path) -> None:
     log = open_log(tmp_path / "posts.mcap")
     assert log.own_beams is not None
     assert [text for text in log.warnings if f"{log.own_beams.sum()} of 360 beams" in text]
+    assert sensor_health(log).dead_sectors_deg == []
     assert all(np.isnan(scan.ranges_m[log.own_beams]).all() for scan in log.scans())
     slam = run_slam(log.scans, Config(), log.period_s)
     truth = drive.map_T_laser
