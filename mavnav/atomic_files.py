@@ -7,7 +7,6 @@ number. Only processes of the same machine decide by the number whether that pro
 from __future__ import annotations
 
 import ctypes
-import errno
 import glob
 import os
 import platform
@@ -84,7 +83,7 @@ def _put(partial: Path, final: Path) -> None:
     try:
         partial.replace(final)
     except OSError as error:
-        if error.errno not in (errno.ENOTEMPTY, errno.EEXIST) or not partial.is_dir():
+        if error.errno not in (ENOTEMPTY, EEXIST) or not partial.is_dir():
             raise
         _exchange(partial, final)
 

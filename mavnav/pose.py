@@ -126,8 +126,7 @@ class Trajectory(Struct, frozen=True):
     def __post_init__(self) -> None:
         """Check the shapes and freeze the arrays."""
         if self.stamps_ns.ndim != 1 or self.xyyaw.shape != (len(self.stamps_ns), 3):
-            msg = f"shapes {self.stamps_ns.shape} and {self.xyyaw.shape} are no trajectory"
-            raise ValueError(msg)
+            raise ValueError(f"shapes {self.stamps_ns.shape} and {self.xyyaw.shape} are no trajectory")
         self.stamps_ns.flags.writeable = False
         self.xyyaw.flags.writeable = False
 
