@@ -184,11 +184,8 @@ def check_known(gates: Iterable[Gate], documents: Sequence[Mapping[str, Any]]) -
 
 
 def _has(document: Mapping[str, Any], name: str) -> bool:
-    try:
-        find(document, name)
-    except UsageError:
-        return False
-    return True
+    value = _value(document, name)
+    return value is None or isinstance(value, Number)
 
 
 def _judge(gate: Gate, document: Mapping[str, Any]) -> GateResult:

@@ -255,17 +255,9 @@ def _nearest(stamps_ns: NDArray[np.int64], wanted_ns: NDArray[np.int64]) -> tupl
 
 
 def _errors(error: Array, relations: int) -> RelationErrors:
-    n = len(error)
-    length_m, turn_deg = np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2]) / DEG
-    return RelationErrors(
-        relations=relations,
-        scored=n,
-        share=n / relations if relations else np.nan,
-        translation_mean_m=float(length_m.mean()) if n else np.nan,
-        translation_std_m=float(length_m.std()) if n else np.nan,
-        rotation_mean_deg=float(turn_deg.mean()) if n else np.nan,
-        rotation_std_deg=float(turn_deg.std()) if n else np.nan,
-    )
+    n, sizes = len(error), (np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2]) / DEG)
+    spreads = [float(value) for size in sizes for value in (size.mean(), size.std())] if n else [np.nan] * 4
+    return RelationErrors(relations, n, n / relations if relations else np.nan, *spreads)
 
 
 def map_distance(occupied_xy_m: Array, truth: TrueMap) -> MapDistance:
