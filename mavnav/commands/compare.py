@@ -85,7 +85,7 @@ def compare(
         with loading_modules():
             from mavnav.batch.runner import load_kernels
             from mavnav.comparison import pipeline
-            from mavnav.comparison.scores import check_given
+            from mavnav.comparison.side_by_side import check_given
             from mavnav.jobs.pool import usable_cores
             from mavnav.outputs.documents.provenance import Typed
         target = directory or pipeline.comparison_directory(logs or ())
@@ -125,7 +125,7 @@ def _compare_finished(
     """Compare finished runs; return comparison.json."""
     with reporting(quiet=quiet) as report:
         with loading_modules():
-            from mavnav.comparison.finished import compare_finished
+            from mavnav.comparison.side_by_side import compare_finished
             from mavnav.outputs.writers import REPORT_FILE, write_page
         target = directory or shared.free_directory(Path("runs/compare"), force=False)
         document = compare_finished(runs, target, gates)
@@ -149,7 +149,7 @@ def _run_and_draw(plan: BatchPlan, given_poses: GivenPoses | None, *, quiet: boo
     """Run what is missing, and draw the report unless it shows these results; return comparison.json and its path."""
     from mavnav.batch.runner import run_cases
     from mavnav.comparison.pipeline import is_report_current, write_results
-    from mavnav.comparison.scores import compare_with_poses
+    from mavnav.comparison.side_by_side import compare_with_poses
     from mavnav.outputs.writers import REPORT_FILE, write_page
 
     directory, drawn = plan.request.directory, is_report_current(plan)  # before comparison.json is written again

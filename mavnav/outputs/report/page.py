@@ -82,13 +82,14 @@ def _sections(comparison: dict[str, Any], directory: Path, run: RunResult | None
 
 def _section(log: str, loaded: list[Entry | Failure]) -> LogSection:
     entries, failures = _by_kind(loaded)
+    runs = [tables.NamedRun(entry.name, entry.document) for entry in entries]
     return LogSection(
         log=log,
-        headline=headline(entries),
-        facts=facts([e.document for e in entries]),
+        headline=headline(runs),
+        facts=facts([run.document for run in runs]),
         entries=entries,
         failures=failures,
-        table=tables.table(entries),
+        table=tables.table(runs),
         pictures=draw(entries) if entries else None,
     )
 

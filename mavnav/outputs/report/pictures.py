@@ -77,14 +77,7 @@ def draw(entries: Sequence[Entry]) -> Pictures:
     return Pictures(
         shape=panels.shape(window),
         maps=[panels.map_panel(e, window, top_hits, boxes, ends=alone) for e in entries],
-        legend=panels.legend_panel(
-            top_hits,
-            truth=any(e.true_walls for e in entries),
-            ghost=any(map(panels.ghosts, entries)),
-            doubtful=any(e.scans.doubtful.any() for e in entries),
-            ends=alone,
-            goal=any(len(e.goal_xy_m) for e in entries),
-        ),
+        legend=panels.legend_panel(entries, top_hits, ends=alone),
         closeups=[_closeup(letter, box, sound, top_hits) for letter, box in boxes],
         thickness=thickness_panels(entries),
         cost=cost_panels(entries),

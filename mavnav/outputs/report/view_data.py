@@ -156,15 +156,6 @@ def pack(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
     return {"arrays": table, "bytes": b64encode(zlib.compress(b"".join(parts), _LEVEL)).decode("ascii")}
 
 
-def palette_png(pixels: NDArray[np.uint8], colours: NDArray[np.uint8]) -> str:
-    """Return a PNG file as a data URI; a pixel (rows, cols) is the number of one of ``colours`` (n, 3), 0 is clear."""
-    buffer = io.BytesIO()
-    image = Image.fromarray(pixels)
-    image.putpalette(colours.tobytes())
-    image.save(buffer, format="PNG", transparency=0, compress_level=6)
-    return "data:image/png;base64," + b64encode(buffer.getvalue()).decode("ascii")
-
-
 MAX_PIXELS: Final = 4_000_000
 """Maximum size of a picture; cells of a larger map are pooled, as few as that takes."""
 
@@ -213,8 +204,15 @@ def _shades(hits: NDArray[Any], top_hits: float) -> NDArray[np.uint8]:
 
 
 def _png(pixels: NDArray[np.uint8], colours: NDArray[np.uint8]) -> str:
-    """Draw cells (rows, cols), row 0 at the minimum y, in ``colours`` (n, 3), of which pixel 1 is the first."""
-    return palette_png(pixels[::-1], np.vstack((np.zeros((1, 3), np.uint8), colours)))
+    """Return a PNG file as a data URI: cells (rows, cols), row 0 at the minimum y, each 0 for clear or k of n colors.
+
+    Number 1 is the first of the ``colours`` (n, 3).
+    """
+    buffer = io.BytesIO()
+    image = Image.fromarray(pixels[::-1])
+    image.putpalette(np.vstack((np.zeros((1, 3), np.uint8), colours)).tobytes())
+    image.save(buffer, format="PNG", transparency=0, compress_level=6)
+    return "data:image/png;base64," + b64encode(buffer.getvalue()).decode("ascii")
 
 
 def _box(origin_xy_m: Sequence[float], shape: tuple[int, ...], cell_m: float) -> list[float]:
