@@ -141,11 +141,13 @@ def batch(
         plan = _plan(options, progress)
     document = _run(plan, json=json, quiet=quiet)
     if plan.request.new_baseline and not quiet:
-        _print_baseline(document, plan.request.new_baseline)
+        codes = [row["code"] for row in document["cells"]]
+        failed = f"{sum(map(bool, codes))} of {len(codes)} runs in it failed"
+        note(f"mavnav: wrote the baseline {plan.request.new_baseline}; {failed}")
     try:
         _write_for_ci(document, junit, summary, annotations=annotations)
     finally:
-        print_batch(document, _results(plan.request), json=json)
+        print_batch(document, plan.request, json=json)
     raise typer.Exit(document["exit_code"])
 
 
@@ -176,19 +178,6 @@ def _run(plan: BatchPlan, *, json: bool, quiet: bool) -> dict[str, Any]:
             directory = plan.request.directory
             note(f"mavnav: runs that are finished stay in {directory}; the same call makes the others")
             raise
-
-
-def _print_baseline(document: dict[str, Any], path: Path) -> None:
-    """Print on stderr which baseline file was written, and how many of its runs failed."""
-    codes = [row["code"] for row in document["cells"]]
-    note(f"mavnav: wrote the baseline {path}; {sum(map(bool, codes))} of {len(codes)} runs in it failed")
-
-
-def _results(request: BatchRequest) -> Path:
-    """Return where more of the results is: the page, or the directory of a part, which has none."""
-    from mavnav.batch.files import PAGE_FILE
-
-    return request.directory if request.part else request.directory / PAGE_FILE
 
 
 @contextmanager
@@ -256,12 +245,14 @@ def _line(document: dict[str, Any]) -> str:
     return json_text(plain(document))
 
 
-def print_batch(document: dict[str, Any], results: Path, *, json: bool) -> None:
+def print_batch(document: dict[str, Any], request: BatchRequest, *, json: bool) -> None:
     """Print the result of a batch on stdout: a table, worst runs first, or with ``json`` one line without the rows.
 
-    Below the table is why runs did not pass or are suspect, and ``results``, the path with further results.
+    Below the table is why runs did not pass or are suspect, and where more of the results is: the page, or the
+    directory of a part, which has none.
     """
     from mavnav.batch.document import remark, worst_first
+    from mavnav.batch.files import PAGE_FILE
     from mavnav.batch.summary import batch_headline, missing_lines
 
     if json:
@@ -272,6 +263,7 @@ def print_batch(document: dict[str, Any], results: Path, *, json: bool) -> None:
     for row in worst_first(document["cells"])[:MAX_ROWS]:
         if text := remark(row):
             emit(printable(f"{row['name']}: {text}"))
+    results = request.directory if request.part else request.directory / PAGE_FILE
     emit(f"\n{printable(batch_headline(document))}; {printable(results)}")
     for kind, text in missing_lines(document):
         note(f"mavnav: {kind}: {text}")
