@@ -143,7 +143,8 @@ def _motions(log: Log, outcome: SlamResult) -> Motions:
 
 
 def _document(request: CalibrationRequest, log: Log, outcome: SlamResult, result: Calibration) -> dict[str, Any]:
-    quantities = [_row(quantity, log) for quantity in result.quantities]
+    assert log.odometry  # noqa: S101  checked by `_open`
+    motion, quantities = result.motion, [_row(quantity, log) for quantity in result.quantities]
     upside_down = None if result.mirrored is None else result.mirrored != log.upside_down
     overhead = log.upside_down if upside_down is None else upside_down
     code = ExitCode.GATE_FAILED if all(q["refused"] for q in quantities) else ExitCode.DONE
@@ -152,14 +153,28 @@ def _document(request: CalibrationRequest, log: Log, outcome: SlamResult, result
         **DOCUMENT_HEAD,
         "verdict": None,
         "headline": "",
-        "input": _input(request, log),
+        "input": {
+            "path": str(request.log),
+            "topic": log.topic,
+            "frame_id": log.frame_id,
+            "base_frame": log.base_frame,
+            "odometry": {"topic": log.odometry.topic, "source": log.odometry.source},
+            "duration_s": round(log.duration_s, 3),
+        },
         "tracking": {
             "scans": log.counts.usable,
             "tracked_share": round(outcome.tracked_share, 4),
             "lost": outcome.lost_for_good,
             "doubt": None if outcome.doubt is None else round(outcome.doubt.probability, 4),
         },
-        "motion": _motion(result),
+        "motion": {
+            "path_m": round(motion.path_m, 3),
+            "turned_deg": round(motion.turned_rad / DEG, 1),
+            "odometry_path_m": round(motion.odom_path_m, 3),
+            "odometry_turned_deg": round(motion.odom_turned_rad / DEG, 1),
+            "steps": motion.steps,
+            "correlation": None if result.fit is None else round(result.fit.correlation, 4),
+        },
         "refused": result.refused or None,
         "quantities": quantities,
         "upside_down": _switch(upside_down, log.upside_down, _TURN if result.fit else result.refused),
@@ -210,32 +225,11 @@ SWITCHES: Final = {"upside_down": "the laser is mounted the other way up", "beam
 _TURN: Final = f"the laser turns by less than {LEAST_TURN_RAD / DEG:.0f} deg in all"
 
 
-def _input(request: CalibrationRequest, log: Log) -> dict[str, Any]:
-    assert log.odometry  # noqa: S101  checked by `_open`
-    return {
-        "path": str(request.log),
-        "topic": log.topic,
-        "frame_id": log.frame_id,
-        "base_frame": log.base_frame,
-        "odometry": {"topic": log.odometry.topic, "source": log.odometry.source},
-        "duration_s": round(log.duration_s, 3),
-    }
-
-
-def _motion(result: Calibration) -> dict[str, Any]:
-    motion = result.motion
-    return {
-        "path_m": round(motion.path_m, 3),
-        "turned_deg": round(motion.turned_rad / DEG, 1),
-        "odometry_path_m": round(motion.odom_path_m, 3),
-        "odometry_turned_deg": round(motion.odom_turned_rad / DEG, 1),
-        "steps": motion.steps,
-        "correlation": None if result.fit is None else round(result.fit.correlation, 4),
-    }
-
-
 def _row(quantity: QuantityValue, log: Log) -> dict[str, Any]:
-    """Describe a quantity: what was found, what the log says now, and whether they agree."""
+    """Describe a quantity: what was found, what the log says now, and whether they agree.
+
+    ``option`` is that of a replay which takes it; the mounting has one for three.
+    """
     kind, value, ci95 = quantity.kind, quantity.value, quantity.ci95
     in_log = _in_log(kind, log)
     if value is not None and kind.name == "offset_s" and log.odometry:
@@ -254,7 +248,7 @@ def _row(quantity: QuantityValue, log: Log) -> dict[str, Any]:
         "difference": _round(difference),
         "agrees": agrees,
         "refused": quantity.refused or None,
-        "option": option_of(kind.name, value),
+        "option": None if value is None or kind.name in MOUNTING else f"--set odometry.{kind.name}={value:.4f}",
     }
 
 
@@ -304,11 +298,6 @@ def _write(request: CalibrationRequest, document: dict[str, Any], result: Calibr
     if request.report:
         summary = calibration_summary(document, title, draw_png(picture) if picture else None)
         write_file(request.report, partial(write_summary, summary), force=request.force)
-
-
-def option_of(name: str, value: float | None) -> str | None:
-    """Return the option of a replay that takes a quantity; the mounting has one for three."""
-    return None if value is None or name in MOUNTING else f"--set odometry.{name}={value:.4f}"
 
 
 def transform_line(rows: list[dict[str, Any]], log: Log, *, overhead: bool) -> str | None:

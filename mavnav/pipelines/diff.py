@@ -125,7 +125,13 @@ def _document(
         "b": str(request.b),
         "headline": diff_headline(numbers),
         "verdicts": {"a": run_verdict_at(request.a), "b": run_verdict_at(request.b)},
-        "alignment": alignment and _alignment(alignment),
+        "alignment": alignment
+        and {
+            **rounded_pose(alignment.a_T_b),
+            "places": alignment.taken,
+            "agreeing": alignment.agreeing,
+            "rms_mm": round(alignment.cost_m2**0.5 / MM, 1),
+        },
         "searched_all": searched_all,
         **numbers,
         "changes": [
@@ -169,12 +175,3 @@ def _numbers(result: Difference) -> dict[str, float]:
     counts = kinds.count("gone"), kinds.count("new"), sum(c.moved_with is not None for c in result.changes) // 2
     values = round(result.compared_m2, 3), round(result.same_share, 4), *areas_m2, *counts
     return dict(zip(NUMBERS, values, strict=True))
-
-
-def _alignment(alignment: Alignment) -> dict[str, float]:
-    return {
-        **rounded_pose(alignment.a_T_b),
-        "places": alignment.taken,
-        "agreeing": alignment.agreeing,
-        "rms_mm": round(alignment.cost_m2**0.5 / MM, 1),
-    }

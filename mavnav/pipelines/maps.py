@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from msgspec.structs import replace
 
 from mavnav.config.option_kinds import NOWHERE, WALLS
 from mavnav.errors import UsageError
-from mavnav.ground_truth.references import References, check_times, of_map, place_walls
+from mavnav.ground_truth.references import References, check_times, compare_to, of_map, place_walls
 from mavnav.mapping.occupancy_grid import Grid, known_area, measured_area, occupied_xy_m
 from mavnav.mapping.slices import PlacedScan, Slices, scans_with_heights, slice_map
 from mavnav.metrics.floor_plan import turn_to_walls
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import MeasuredMap, measure_map
-from mavnav.metrics.reference import COVERED_M
+from mavnav.metrics.reference import COVERED_M, position_errors
 from mavnav.outputs.directory import checked_file, digests_of
 from mavnav.outputs.documents.run_json import FoundPose, Localisation, StartPose
 from mavnav.pose import MAX_GAP_NS, Pose
@@ -28,7 +28,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from mavnav.config.models import Config
+    from mavnav.config.options import ReplayOptions
     from mavnav.logs import Log
+    from mavnav.pose import Trajectory
     from mavnav.slam.matching.prior_map import PriorMap
     from mavnav.slam.result import SlamResult
     from mavnav.slam.track import Placement
@@ -92,20 +94,17 @@ def rounded_pose(pose: Pose) -> dict[str, float]:
     return {name: value + 0.0 for name, value in zip(("x_m", "y_m", "yaw_deg"), values, strict=True)}
 
 
-def check_references(
-    references: References, log: Log, truth_map: Path | None, start_s: float | None, *, own_frame: bool
-) -> None:
+def check_references(references: References, log: Log, options: ReplayOptions[Path], *, own_frame: bool) -> None:
     """Raise UsageError for references of another time than the log, or of a frame that its map will not have.
 
-    ``truth_map`` is the file of the true map, ``start_s`` where in the log the run starts. In its ``own_frame`` a map
-    begins at a scan of the log, else it is in that of a given map or run.
+    ``options`` are those of the run. In its ``own_frame`` a map begins at a scan of the log, else it is in that of a
+    given map or run.
     """
     check_times(_with_recorded_truth(references, log, None), log.first_ns, log.last_ns)
-    if start_s and references.of_first_scan and own_frame:
-        raise UsageError(
-            f"{truth_map}: the walls of a scenario are relative to the first scan of the mission; "
-            "leave out --start, or give the true walls as a map file in the frame of the map"
-        )
+    if options.get("start_s") and references.of_first_scan and own_frame:
+        relative = "the walls of a scenario are relative to the first scan of the mission"
+        advice = "leave out --start, or give the true walls as a map file in the frame of the map"
+        raise UsageError(f"{options.get('truth_map')}: {relative}; {advice}")
 
 
 def references_in_map(
@@ -151,6 +150,20 @@ def with_true_map_placed(
     place = alignment.a_T_b
     text = f"found at {place.x_m:.2f} m, {place.y_m:.2f} m, {place.yaw_rad / DEG:.1f} deg"
     return replace(references, true_map=of_map(file, place, text))
+
+
+def compared_fields(references: References, held: Trajectory, outcome: SlamResult, config: Config) -> dict[str, Any]:
+    """Return what a `RunResult` has of the comparison with references in its frame.
+
+    ``held`` are its poses at the times of the truth.
+    """
+    references = with_true_map_placed(references, outcome.grid, config)
+    truth = references.truth
+    return {
+        "reference": compare_to(references, held, occupied_xy_m(outcome.grid)),
+        "true_map": references.true_map,
+        "position_errors_m": position_errors(held, truth, aligned=True) if truth else None,
+    }
 
 
 def _with_recorded_truth(

@@ -171,8 +171,6 @@ def _read(name: str, run: FinishedRun, config: Config) -> Session:
     """Read the scans and poses of a run; raises UsageError where it is not whole."""
     try:
         return read_session(run, run.record.stored_sessions[0], config, name)
-    except NoScansError:
-        raise
     except UNREADABLE as error:
         reason = f"{run.directory} is no whole run: {reason_of(error)}"
         raise UsageError(f"{reason}; make it again with mavnav replay --force") from error
