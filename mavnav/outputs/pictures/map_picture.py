@@ -53,7 +53,10 @@ def write(run: RunResult, path: Path) -> None:
     named: list[Sign] = [*compress(signs, shown), *(mark for mark, _ in ends), *map_axes.KNOWN]
     axes = map_axes.framed_map(window, 7.5, map_axes.JUDGED_MARGINS, least=(max(960, legend_room(named)), 420))
     map_axes.draw_counts(axes, run.known, run.cells)
-    _draw_lines(axes, run, line)
+    axes.lines(line, parts_of_path(run.slam))
+    axes.lines(map_axes.LOOP, [trajectory.xyyaw[[loop.start, loop.end], :2] for loop in run.slam.loops.closed])
+    if run.true_walls:
+        axes.lines(map_axes.TRUE_WALL, viewport.wall_lines(run.true_walls))
     axes.mark(map_axes.POSE, trajectory.xyyaw[circles, :2])
     axes.lines(map_axes.DOUBTFUL, doubtful_parts(run.slam))
     for mark, xy_m in ends:
@@ -67,15 +70,6 @@ def points_to_show(run: RunResult) -> NDArray[np.float64]:
     walls = viewport.wall_lines(run.true_walls) if run.true_walls else []
     mission = () if truth is None else (truth.map_T_laser.xyyaw[:, :2], [truth.goal_xy_map_m])
     return np.vstack((xy_m, *mission, *walls))
-
-
-def _draw_lines(axes: Axes, run: RunResult, path: Style) -> None:
-    """Draw the path, the closed loops and the true walls."""
-    xy_m = run.slam.trajectory.xyyaw[:, :2]
-    axes.lines(path, parts_of_path(run.slam))
-    axes.lines(map_axes.LOOP, [xy_m[[loop.start, loop.end]] for loop in run.slam.loops.closed])
-    if run.true_walls:
-        axes.lines(map_axes.TRUE_WALL, viewport.wall_lines(run.true_walls))
 
 
 def _ends(run: RunResult, stamps_ns: list[int]) -> list[tuple[Mark, NDArray[np.float64]]]:
