@@ -164,8 +164,7 @@ def _attitude(attitude: RecordedAttitude) -> dict[str, Any]:
 
 def _odometry(odometry: Odometry) -> dict[str, Any]:
     track = odometry.odom_T_base
-    length_m = track.length_m if len(track) > 1 else 0.0
-    return {"topic": odometry.topic, "source": odometry.source, "poses": len(track), "length_m": length_m}
+    return {"topic": odometry.topic, "source": odometry.source, "poses": len(track), "length_m": track.length_m}
 
 
 def _mounting(log: Log, base_T_laser: Pose) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from mavnav.metrics.map_quality import MeasuredMap, measure_map
 from mavnav.metrics.reference import COVERED_M, position_errors
 from mavnav.outputs.directory import checked_file, digests_of
 from mavnav.outputs.documents.run_json import FoundPose, Localisation, StartPose
-from mavnav.pose import MAX_GAP_NS, Pose
+from mavnav.pose import MAX_GAP_NS, Pose, Trajectory
 from mavnav.profiling import Stage, timed
 from mavnav.slam.methods.registry import LOCALIZERS
 from mavnav.units import DEG
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from mavnav.config.models import Config
     from mavnav.config.options import ReplayOptions
     from mavnav.logs import Log
-    from mavnav.pose import Trajectory
     from mavnav.slam.matching.prior_map import PriorMap
     from mavnav.slam.result import SlamResult
     from mavnav.slam.track import Placement

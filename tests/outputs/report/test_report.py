@@ -16,12 +16,11 @@ from mavnav.outputs.files.trajectory import write_true_walls
 from mavnav.outputs.pictures import map_axes
 from mavnav.outputs.pictures.canvas import rgb_of
 from mavnav.outputs.pictures.viewport import MUTED, Viewport
-from mavnav.outputs.report import charts, panels, tables, write_report
-from mavnav.outputs.report.closeups import differing_places
+from mavnav.outputs.report import charts, panels, tables
 from mavnav.outputs.report.entry import Entry, load
 from mavnav.outputs.report.headline import headline
-from mavnav.outputs.report.page import leaflet_script, leaflet_style
-from mavnav.outputs.report.pictures import draw
+from mavnav.outputs.report.page import leaflet_script, leaflet_style, write_report
+from mavnav.outputs.report.pictures import differing_places, draw
 from mavnav.outputs.run import Truth
 from mavnav.pose import Trajectory
 from support.html_page import Page
