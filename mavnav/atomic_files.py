@@ -156,14 +156,12 @@ def writing(path: Path, advice: str = "make room or name another") -> Iterator[N
 @contextmanager
 def replacing(target: Path, *, force: bool, another: str, room: str) -> Iterator[Path]:
     """Yield a path as `beside` does; raises OutputError that says what to choose if ``target`` is there, or no room."""
-    try:
-        with beside(target, exclusive=not force) as partial:
-            yield partial
-    except FileExistsError as error:
-        raise OutputError(f"{target} exists; choose {another}, or --force to replace it") from error
-    except OSError as error:
-        reason = error.strerror or error
-        raise OutputError(f"{target} cannot be written: {reason}; make room or choose {room}") from error
+    with writing(target, f"make room or choose {room}"):
+        try:
+            with beside(target, exclusive=not force) as partial:
+                yield partial
+        except FileExistsError as error:
+            raise OutputError(f"{target} exists; choose {another}, or --force to replace it") from error
 
 
 def no_space(error: BaseException) -> bool:

@@ -159,8 +159,7 @@ class Scan(Struct, frozen=True):
         """Times of the beams (beams,) after mid-sweep."""
         n = self.spec.beams
         times_s = self.spec.time_increment_s * np.arange(n) if self.times_s is None else self.times_s
-        late_s: NDArray[np.float64] = times_s - 0.5 * (times_s.min() + times_s.max())
-        return late_s
+        return np.asarray(times_s - 0.5 * (times_s.min() + times_s.max()))
 
     def seen_at_mid_sweep(self, twist: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return ranges (beams,) and directions (beams, 2) as from the pose at mid-sweep, of merged lasers.

@@ -123,7 +123,8 @@ def _config(file: str | None, sets: list[str], options: ReplayOptions[Path]) -> 
 
         base = run_layer(continued)
     config = load_config(file, sets, overrides, base)
-    shared.note_without_effect(config, [*(text.partition("=")[0] for text in sets), *overrides])
+    for key in config.without_effect([*(text.partition("=")[0] for text in sets), *overrides]):
+        note(f"mavnav: warning: {key} has no effect with method {config.method}")
     return config
 
 

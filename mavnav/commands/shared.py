@@ -54,7 +54,7 @@ from __future__ import annotations
 import inspect
 import os
 import sys
-from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
 from inspect import Parameter
@@ -71,7 +71,6 @@ from mavnav.config.options import OPTIONS
 from mavnav.errors import ExitCode, UsageError, missing, worst
 
 if TYPE_CHECKING:
-    from mavnav.config.models import Config
     from mavnav.metrics.gates import Gate
     from mavnav.pipelines.again import EarlierRun
 
@@ -259,12 +258,6 @@ def note_repetition(again: Path, document: dict[str, Any]) -> None:
     from mavnav.pipelines.again import EarlierRun
 
     note(f"mavnav: {EarlierRun(again, read_json(again / RUN_FILE)).outcome(document)}")
-
-
-def note_without_effect(config: Config, keys: Iterable[str]) -> None:
-    """Warn of settings that were given by their dotted keys and that the chosen method does not read."""
-    for key in config.without_effect(keys):
-        note(f"mavnav: warning: {key} has no effect with method {config.method}")
 
 
 def gates_of(texts: list[str] | None) -> list[Gate]:

@@ -38,12 +38,7 @@ def simulate(
     *,
     again: shared.Again = None,
     seed: Annotated[int | None, shared.input_option(metavar="N")] = None,
-    planner: Annotated[
-        str | None,
-        shared.input_option(
-            metavar="NAME", autocompletion=completion.words("wavefront", "field", "wall_following", "virtual_obstacles")
-        ),
-    ] = None,
+    planner: Annotated[str | None, shared.input_option(metavar="NAME", autocompletion=completion.planners)] = None,
     list_: Annotated[bool, shared.input_option("--list")] = False,
     schema: Annotated[bool, shared.schema_option()] = False,
     config: shared.ConfigFile = None,

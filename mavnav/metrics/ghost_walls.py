@@ -167,8 +167,7 @@ def _outside(passes: Array, ridge: NDArray[np.intp], side: int) -> Array:
     near, far = (round(2 * d) for d in OUTSIDE_CELLS)
     both = passes.mean(axis=1)
     bins = np.clip(ridge[:, None] + side * np.arange(near, far + 1), 0, both.shape[1] - 1)
-    mean: Array = np.take_along_axis(both, bins, axis=1).mean(axis=1)
-    return mean
+    return np.asarray(np.take_along_axis(both, bins, axis=1).mean(axis=1))
 
 
 def _places(twins: Array, grid: Grid) -> list[GhostWall]:

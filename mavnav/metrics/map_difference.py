@@ -94,8 +94,7 @@ class View:
         col, row = np.floor((xy_m - self.grid.origin_xy_m) / self.grid.cell_m).astype(np.int64).T
         rows, cols = cells.shape
         inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
-        values: NDArray[np.bool_] = cells[np.where(inside, row, 0), np.where(inside, col, 0)] & inside
-        return values
+        return np.asarray(cells[np.where(inside, row, 0), np.where(inside, col, 0)] & inside)
 
 
 def difference(a: View, b: View, a_T_b: Pose) -> Difference:

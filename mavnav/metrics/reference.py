@@ -202,8 +202,7 @@ def position_errors(estimate: Trajectory, truth: Trajectory, *, aligned: bool) -
     known, xy_m = np.isfinite(true_xy_m[:, 0]), estimate.xyyaw[:, :2]
     if aligned and known.any():
         xy_m = transform_points(rigid_fit(xy_m[known], true_xy_m[known]), xy_m)
-    errors_m: Array = np.hypot(*(xy_m - true_xy_m).T)
-    return errors_m
+    return np.asarray(np.hypot(*(xy_m - true_xy_m).T))
 
 
 def _stretches(path: Trajectory) -> NDArray[np.intp]:

@@ -274,5 +274,4 @@ def _quantile(hits: Array, share: float) -> Array:
     at = np.argmax((below >= wanted[:, None]) & (hits > 0.0), axis=1)
     rows = np.arange(len(hits))
     inside = hits[rows, at]
-    part: Array = at + 1.0 - (below[rows, at] - wanted) / np.where(inside > 0.0, inside, 1.0)
-    return part
+    return np.asarray(at + 1.0 - (below[rows, at] - wanted) / np.where(inside > 0.0, inside, 1.0))

@@ -145,6 +145,7 @@ def _motions(log: Log, outcome: SlamResult) -> Motions:
 def _document(request: CalibrationRequest, log: Log, outcome: SlamResult, result: Calibration) -> dict[str, Any]:
     assert log.odometry  # noqa: S101  checked by `_open`
     motion, quantities = result.motion, [_row(quantity, log) for quantity in result.quantities]
+    order = _TURN if log.sensor.time_increment_s else "the scans have no time between their beams (time_increment is 0)"
     upside_down = None if result.mirrored is None else result.mirrored != log.upside_down
     overhead = log.upside_down if upside_down is None else upside_down
     code = ExitCode.GATE_FAILED if all(q["refused"] for q in quantities) else ExitCode.DONE
@@ -178,7 +179,7 @@ def _document(request: CalibrationRequest, log: Log, outcome: SlamResult, result
         "refused": result.refused or None,
         "quantities": quantities,
         "upside_down": _switch(upside_down, log.upside_down, _TURN if result.fit else result.refused),
-        "beams_reversed": _switch(_is_reversed(log, outcome, result), False, _order(log)),
+        "beams_reversed": _switch(_is_reversed(log, outcome, result), False, order),
         "range_bias": {"value": None, "in_log": None, "agrees": None, "refused": RANGE_BIAS},
         "lines": {
             "static_transform": transform_line(quantities, log, overhead=overhead),
@@ -281,10 +282,6 @@ def _is_reversed(log: Log, outcome: SlamResult, result: Calibration) -> bool | N
         return True
     shown = log.sensor.time_increment_s and result.motion.turned_rad >= LEAST_TURN_RAD and not result.refused
     return False if shown else None
-
-
-def _order(log: Log) -> str:
-    return _TURN if log.sensor.time_increment_s else "the scans have no time between their beams (time_increment is 0)"
 
 
 def _write(request: CalibrationRequest, document: dict[str, Any], result: Calibration, motions: Motions) -> None:

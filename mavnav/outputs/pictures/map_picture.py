@@ -150,20 +150,16 @@ ON_PATH: Final = Mark(viewport.PATH_GREY, "true path", partial(circle, size_pt=2
 
 def write_true_map(run: RunResult, path: Path) -> None:
     """Draw the truth of a mission; the run must have one."""
-    if run.truth is None:
+    if (truth := run.truth) is None:
         raise ValueError("the truth is not known")
-    measured = [map_axes.MEASURED_WALL] if run.truth.measured_by_hand else []
+    measured = [map_axes.MEASURED_WALL] if truth.measured_by_hand else []
     named: list[Sign] = [WALL, *measured, ON_PATH, map_axes.START, FIRST_HEADING, map_axes.GOAL]
-    axes = map_axes.framed_map(
-        _truth_window(run.truth, run.turn_rad), 7.0, TRUTH_MARGINS, least=(legend_room(named), 0)
-    )
-    _draw_truth(axes, run.truth)
-    map_axes.finish(axes, named, f"{run.name}: the true map", _truth_subtitle(run.truth), path, about_y=62)
-
-
-def _truth_window(truth: Truth, turn_rad: float) -> viewport.Viewport:
     points = np.vstack((truth.map_T_laser.xyyaw[:, :2], [truth.goal_xy_map_m], *viewport.wall_lines(truth)))
-    return viewport.window_around(transform_points(Pose(yaw_rad=turn_rad), points), 0.1, turn_rad).widen(LEAST_SHARE)
+    turned = transform_points(Pose(yaw_rad=run.turn_rad), points)
+    window = viewport.window_around(turned, 0.1, run.turn_rad).widen(LEAST_SHARE)
+    axes = map_axes.framed_map(window, 7.0, TRUTH_MARGINS, least=(legend_room(named), 0))
+    _draw_truth(axes, truth)
+    map_axes.finish(axes, named, f"{run.name}: the true map", _truth_subtitle(truth), path, about_y=62)
 
 
 def _draw_truth(axes: Axes, truth: Truth) -> None:
