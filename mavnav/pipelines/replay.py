@@ -26,7 +26,6 @@ from mavnav.outputs.run import RunResult, Timing, half_sweep_s
 from mavnav.outputs.writers import WITHOUT_MAP, check_groups, write_run
 from mavnav.pipelines import maps
 from mavnav.pipelines.again import replay_words
-from mavnav.pipelines.reach import with_reach
 from mavnav.pose import Pose, correct_path
 from mavnav.profiling import Progress, Stage, new_profile, scans_s, timed
 from mavnav.slam.findings import TrackedAgain
@@ -214,7 +213,7 @@ def _track_and_write(
     request: ReplayRequest, log: Log, given: Given, progress: Progress, stop: Stop, began: Timing
 ) -> tuple[RunResult, dict[str, Any]]:
     """Track, measure and write; ``began`` holds the clocks as they stood at the start."""
-    config, warnings = with_reach(request.config, log)
+    config, warnings = maps.with_reach(request.config, log)
     outcome = _track(request, log, config, given.known, progress, stop)
     outcome = changed(outcome, warnings=(*warnings, *outcome.warnings))
     log = log.as_recorded() if TrackedAgain(AS_RECORDED, kept=True) in outcome.attempts else log

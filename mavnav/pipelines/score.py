@@ -26,8 +26,7 @@ from mavnav.outputs.documents.sections import PoseJump
 from mavnav.outputs.run import RunResult, Timing, half_sweep_s
 from mavnav.outputs.writers import write_run
 from mavnav.pipelines.again import changed_values
-from mavnav.pipelines.maps import check_references, compared_fields, measured_map, references_in_map
-from mavnav.pipelines.reach import with_reach
+from mavnav.pipelines.maps import check_references, compared_fields, measured_map, references_in_map, with_reach
 from mavnav.pipelines.replay import ReplayRequest, open_request
 from mavnav.pipelines.trajectory_source import LASER, WHOLE, Program, TrajectorySource, run_program
 from mavnav.pose import Pose, Trajectory
