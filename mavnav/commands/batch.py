@@ -142,8 +142,8 @@ def batch(
     document = _run(plan, json=json, quiet=quiet)
     if plan.request.new_baseline and not quiet:
         codes = [row["code"] for row in document["cells"]]
-        failed = f"{sum(map(bool, codes))} of {len(codes)} runs in it failed"
-        note(f"mavnav: wrote the baseline {plan.request.new_baseline}; {failed}")
+        failures = f"{sum(map(bool, codes))} of {len(codes)} runs in it failed"
+        note(f"mavnav: wrote the baseline {plan.request.new_baseline}; {failures}")
     try:
         _write_for_ci(document, junit, summary, annotations=annotations)
     finally:

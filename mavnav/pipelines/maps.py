@@ -179,7 +179,7 @@ def with_true_map_placed(
     return replace(references, true_map=of_map(file, place, text))
 
 
-def compared_fields(references: References, held: Trajectory, outcome: SlamResult, config: Config) -> dict[str, Any]:
+def comparison_fields(references: References, held: Trajectory, outcome: SlamResult, config: Config) -> dict[str, Any]:
     """Return what a `RunResult` has of the comparison with references in its frame.
 
     ``held`` are its poses at the times of the truth.

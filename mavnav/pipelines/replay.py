@@ -91,12 +91,12 @@ class ReplayRequest(Struct, frozen=True):
         """The paths that the run reads; None for those that are not given."""
         config = Path(self.typed.config) if self.typed.config else None
         named = (self.log, *self.more, *paths_of(self.options), config)
-        drawn = [path for path in (self.options.get("map"), self.options.get("truth_map")) if path]
-        if not drawn:
+        map_paths = [path for path in (self.options.get("map"), self.options.get("truth_map")) if path]
+        if not map_paths:
             return named
         from mavnav.ground_truth.map_file import map_files  # noqa: PLC0415  few runs need it
 
-        return *named, *(file for path in drawn for file in map_files(path))
+        return *named, *(file for path in map_paths for file in map_files(path))
 
 
 class Given(Struct, frozen=True):
@@ -229,7 +229,7 @@ def _track_and_write(
     begin_ns = outcome.begin_ns + int(later_ns) if given.own_frame and outcome.begin_ns is not None else None
     references, warnings = maps.references_in_map(given.references, log, begin_ns, outcome.map_T_begin)
     outcome = changed(outcome, warnings=(*outcome.warnings, *warnings))
-    compared = maps.compared_fields(references, held, outcome, config)
+    comparison = maps.comparison_fields(references, held, outcome, config)
     metrics = maps.measured_map(outcome, log) if request.has_map else None
     timing = changed(began, wall_s=perf_counter() - began.wall_s, cpu_s=process_time() - began.cpu_s)
     known = request.options.get("map")
@@ -246,7 +246,7 @@ def _track_and_write(
         slices=maps.slices_of(outcome, log, config) if request.has_map else None,
         continued=continuation.section if continuation else None,
         earlier=continuation.earlier if continuation else (),
-        **compared,
+        **comparison,
     )
     progress("writing", 0, None)
     document = write_run(run, request.directory, force=request.force, report=request.report, groups=request.outputs)

@@ -26,7 +26,7 @@ from mavnav.outputs.documents.sections import PoseJump
 from mavnav.outputs.run import RunResult, Timing, half_sweep_s
 from mavnav.outputs.writers import write_run
 from mavnav.pipelines.again import changed_values
-from mavnav.pipelines.maps import check_references, compared_fields, measured_map, references_in_map, with_reach
+from mavnav.pipelines.maps import check_references, comparison_fields, measured_map, references_in_map, with_reach
 from mavnav.pipelines.replay import ReplayRequest, open_request
 from mavnav.pipelines.trajectory_source import LASER, WHOLE, Program, TrajectorySource, run_program
 from mavnav.pose import Pose, Trajectory
@@ -154,12 +154,12 @@ def check_names(sources: Sequence[TrajectorySource], programs: Sequence[Program]
 def _poses_of_program(program: Program, request: ScoreRequest, log: Log, progress: Progress) -> _GivenPoses:
     """Run a program on the log and return what it wrote; raises ProgramError where that cannot be used."""
     run = request.directory_of(program.name)
-    written = run.parent / PROGRAMS / f"{run.name}.tum"
-    cost = run_program(program, request.log, written, request.limit_s)
+    file = run.parent / PROGRAMS / f"{run.name}.tum"
+    cost = run_program(program, request.log, file, request.limit_s)
     if cost.problem:
         raise ProgramError(cost.problem)
     try:
-        poses = _read(TrajectorySource(program.name, str(written), LASER), request, log, progress)
+        poses = _read(TrajectorySource(program.name, str(file), LASER), request, log, progress)
     except UsageError as error:
         raise ProgramError(str(error)) from error
     measured = {"wall_s": cost.wall_s, "cpu_s": cost.cpu_s, "peak_memory_mb": cost.peak_memory_mb}
@@ -219,7 +219,7 @@ def _score(
     held = in_time_of_truth(outcome.trajectory, half_sweep_s(log, outcome), config.truth_at)
     references, warnings = references_in_map(references, log, int(held.stamps_ns[0]) if len(held) else None)
     outcome = replace(outcome, warnings=(*outcome.warnings, *poses.warnings, *warnings))
-    compared = compared_fields(references, held, outcome, config)
+    comparison = comparison_fields(references, held, outcome, config)
     run = RunResult(
         log=log,
         config=config,
@@ -236,7 +236,7 @@ def _score(
             misfit_mm=misfit_m / MM,
             **{"source": source.text, **poses.program, **difference_section(outcome.trajectory, poses.own, log)},
         ),
-        **compared,
+        **comparison,
     )
     return write_run(run, request.directory_of(source.name), force=request.force, report=request.report)
 

@@ -155,8 +155,8 @@ def write_true_map(run: RunResult, path: Path) -> None:
     measured = [map_axes.MEASURED_WALL] if truth.measured_by_hand else []
     named: list[Sign] = [WALL, *measured, ON_PATH, map_axes.START, FIRST_HEADING, map_axes.GOAL]
     points = np.vstack((truth.map_T_laser.xyyaw[:, :2], [truth.goal_xy_map_m], *viewport.wall_lines(truth)))
-    turned = transform_points(Pose(yaw_rad=run.turn_rad), points)
-    window = viewport.window_around(turned, 0.1, run.turn_rad).widen(LEAST_SHARE)
+    points = transform_points(Pose(yaw_rad=run.turn_rad), points)
+    window = viewport.window_around(points, 0.1, run.turn_rad).widen(LEAST_SHARE)
     axes = map_axes.framed_map(window, 7.0, TRUTH_MARGINS, least=(legend_room(named), 0))
     _draw_truth(axes, truth)
     map_axes.finish(axes, named, f"{run.name}: the true map", _truth_subtitle(truth), path, about_y=62)

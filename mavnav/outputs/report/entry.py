@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Struct, field
 from msgspec.structs import replace
 from numpy.typing import NDArray
 from PIL import Image
@@ -76,8 +76,8 @@ class Entry(Struct, frozen=True):
     grid: Grid
     scans: ScanColumns
     cuts: WallCuts
-    true_walls: list[NDArray[np.float64]]
-    goal_xy_m: NDArray[np.float64]
+    true_walls: list[NDArray[np.float64]] = []
+    goal_xy_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
     view_3d: Image.Image | None = None
     sessions: tuple[SessionPart, ...] = (SessionPart("", "result.mcap", 0),)
     run: RunResult | None = None
@@ -197,8 +197,6 @@ def load_merge(document: dict[str, Any], folder: Path) -> Entry:
         grid=read_npz(folder / "hits.npz"),
         scans=_columns(poses),
         cuts=gridmap.read_cuts(walls) if walls.is_file() else WallCuts(np.zeros((0, 2)), *np.zeros((3, 0))),
-        true_walls=[],
-        goal_xy_m=np.zeros((0, 2)),
         sessions=tuple(
             SessionPart(each["name"], each["recording"], first) for each, first in zip(joined, firsts, strict=False)
         ),
