@@ -258,9 +258,10 @@ def print_batch(document: dict[str, Any], request: BatchRequest, *, json: bool) 
     if json:
         emit(_line({"event": "batch", **{k: v for k, v in document.items() if k != "cells"}}))
         return
-    table_console().print(_table(document))
+    rows = worst_first(document["cells"])[:MAX_ROWS]
+    table_console().print(_table(rows, len(document["cells"]) - len(rows)))
     emit("")
-    for row in worst_first(document["cells"])[:MAX_ROWS]:
+    for row in rows:
         if text := remark(row):
             emit(printable(f"{row['name']}: {text}"))
     results = request.directory if request.part else request.directory / PAGE_FILE
@@ -269,11 +270,11 @@ def print_batch(document: dict[str, Any], request: BatchRequest, *, json: bool) 
         note(f"mavnav: {kind}: {text}")
 
 
-def _table(document: dict[str, Any]) -> Table:
+def _table(rows: list[dict[str, Any]], more: int) -> Table:
+    """Return the table of some runs, with how many ``more`` there are."""
     from rich.table import Table
     from rich.text import Text
 
-    from mavnav.batch.document import worst_first
     from mavnav.batch.summary import FIGURES, change_text
     from mavnav.outputs.documents.quantities import verdict_texts
 
@@ -283,13 +284,13 @@ def _table(document: dict[str, Any]) -> Table:
     for figure in FIGURES:
         table.add_column(figure.head, justify="right", no_wrap=True)
     table.add_column("", overflow="fold")
-    for row in worst_first(document["cells"])[:MAX_ROWS]:
+    for row in rows:
         texts = [figure.text_of(row["run"]) for figure in FIGURES]
         remarks = [change_text(row), "reused" if row["status"] == "cached" else ""]
         text = printable("; ".join(filter(None, remarks))).replace("::", ":\\x3a")
         name = Text(printable(row["name"]).replace("::", ":\\x3a"), style="red" if row["code"] else "")
         word = Text(*verdict_mark(verdict_texts(row["run"])[0]))
         table.add_row(name, word, *texts, Text(text))  # a name may be folded anywhere
-    if len(document["cells"]) > MAX_ROWS:
-        table.caption = f"{len(document['cells']) - MAX_ROWS} more in batch.csv"
+    if more:
+        table.caption = f"{more} more in batch.csv"
     return table

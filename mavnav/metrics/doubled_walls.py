@@ -18,12 +18,10 @@ from numpy.typing import NDArray
 from mavnav.kernels.walls.scan_pairs import best_alignments, wall_gaps, wall_normals
 from mavnav.metrics.ghost_walls import GhostWall, GhostWalls, as_ghost_walls
 from mavnav.metrics.journey import PlacedScans, spread, used_beams
-from mavnav.metrics.walls import fit_line, link, members
+from mavnav.metrics.walls import Array, fit_line, link, members
 from mavnav.pose import Trajectory
 from mavnav.scan import LaserSpec
 from mavnav.units import DEG, MM, NS
-
-Array = NDArray[np.float64]
 
 LEAST_OFFSET_M, MAX_OFFSET_M = 0.08, 1.15
 """Least and greatest distance of two copies of a wall, with a margin to the documented 0.1 to 1 m."""

@@ -15,11 +15,9 @@ from numpy.typing import NDArray
 from mavnav.mapping.occupancy_grid import FREE, Grid, occupancy, occupied_xy_m
 from mavnav.metrics.map_quality import only_occupied
 from mavnav.metrics.wall_spread import WallCuts
-from mavnav.metrics.walls import straight_walls, wall_sections
+from mavnav.metrics.walls import Array, straight_walls, wall_sections
 from mavnav.pose import Pose, transform_points
 from mavnav.units import DEG
-
-Array = NDArray[np.float64]
 
 SNAP_RAD: Final = 5.0 * DEG
 """Walls that differ less from the main direction, or from its normal, are turned into it."""

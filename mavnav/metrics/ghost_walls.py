@@ -17,10 +17,8 @@ from numpy.typing import NDArray
 from mavnav.kernels.walls.profiles import wall_profiles
 from mavnav.mapping.occupancy_grid import Grid, cell_centres
 from mavnav.metrics.fields import Measured, number
-from mavnav.metrics.walls import Sections, fit_line, link, members
+from mavnav.metrics.walls import Array, Sections, fit_line, link, members
 from mavnav.units import DEG, MM
-
-Array = NDArray[np.float64]
 
 LEAST_OFFSET_CELLS: Final = 1.5
 MAX_OFFSET_CELLS: Final = 13

@@ -19,10 +19,8 @@ from mavnav.kernels.walls.straight_beams import straight_beams
 from mavnav.mapping.occupancy_grid import Grid
 from mavnav.metrics.fields import ABSENT, OPTIONAL, Measured, number, text
 from mavnav.metrics.journey import PlacedScans, spread
-from mavnav.metrics.walls import Sections, WallThickness, link, quantiles, summary
+from mavnav.metrics.walls import Array, Sections, WallThickness, link, quantiles, summary
 from mavnav.units import DEG, MM
-
-Array = NDArray[np.float64]
 
 WALL_SCANS: Final = 200
 SPACING_M: Final = 0.02
