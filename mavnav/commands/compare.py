@@ -88,11 +88,13 @@ def compare(
             from mavnav.comparison.side_by_side import check_given
             from mavnav.jobs.pool import usable_cores
             from mavnav.outputs.documents.provenance import Typed
+            from mavnav.pipelines.trajectory_source import read_program, read_source
         target = directory or pipeline.comparison_directory(logs or ())
         if not logs:
             logs, true_map = _sample(target, report)
             options.setdefault("truth_map", true_map)
-        given_poses = _given_poses(trajectories or (), programs or (), program_s)
+        sources = tuple(map(read_source, trajectories or ())), tuple(map(read_program, programs or ()))
+        given_poses = (*sources, program_s) if any(sources) else None
         searches, usual = (methods or (), grids or (), azimuths or ()), () if given_poses else pipeline.PAPER_GRIDS
         settings = pipeline.comparison_settings(config, sets or (), *searches, settings_of(options), usual=usual)
         typed, workers = Typed(context.obj, config, tuple(sets or ())), jobs or usable_cores()
@@ -109,14 +111,6 @@ def compare(
         if cell["directory"]:
             shared.show_preview(target / cell["directory"], cell["name"], stderr=json)
     raise typer.Exit(document["exit_code"])
-
-
-def _given_poses(trajectories: Sequence[str], programs: Sequence[str], limit_s: float) -> GivenPoses | None:
-    """Read what stands beside mavnav's own runs; None for nothing."""
-    from mavnav.pipelines.trajectory_source import read_program, read_source
-
-    given = tuple(map(read_source, trajectories)), tuple(map(read_program, programs))
-    return (*given, limit_s) if any(given) else None
 
 
 def _compare_finished(

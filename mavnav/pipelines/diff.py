@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -72,17 +72,12 @@ def diff_maps(request: DiffRequest, progress: Progress) -> dict[str, Any]:
         picture = partial(difference_picture.write, view_a, view_b, alignment.a_T_b, result, title)
     if request.picture or request.report:
         progress("writing", 0, None)
-        _write(request, document, picture)
-    return document
-
-
-def _write(request: DiffRequest, document: dict[str, Any], picture: Callable[[Path], None] | None) -> None:
-    """Write the picture, if the maps could be aligned, and the page; raises OutputError."""
     if request.picture and picture:
         write_file(request.picture, picture, force=request.force)
     if request.report:
         summary = diff_summary(document, draw_png(picture) if picture else None)
         write_file(request.report, partial(write_summary, summary), force=request.force)
+    return document
 
 
 def read_grid(path: Path) -> tuple[Grid, Pose]:

@@ -37,7 +37,6 @@ from mavnav.units import DEG, NS
 if TYPE_CHECKING:
     from mavnav.outputs.documents.run_json import Provenance
     from mavnav.outputs.files.finished_run import FinishedRun
-    from mavnav.pipelines.sessions import Continuation
     from mavnav.sessions.group import Session
     from mavnav.slam.matching.prior_map import PriorMap
     from mavnav.slam.result import SlamResult
@@ -220,8 +219,13 @@ def _track_and_write(
     stopped = stop()
     if stopped is not None and not len(outcome.trajectory):
         raise StoppedError(f"{request.log}: stopped before the first pose; nothing is written", stopped)
-    continuation = _continue(outcome, log, given, config, progress, stopped=stopped is not None)
-    outcome = continuation.outcome if continuation else outcome
+    continuation, is_stopped = None, stopped is not None
+    if given.run:
+        from mavnav.pipelines.sessions import continue_run  # noqa: PLC0415  few runs need it
+
+        with Stage("joining"):
+            continuation = continue_run(given.run, given.earlier, outcome, log, config, progress, stopped=is_stopped)
+        outcome = continuation.outcome
     if request.has_map:
         progress("measuring", 0, None)
     held = in_time_of_truth(outcome.trajectory, half_sweep_s(log, outcome), config.truth_at)
@@ -251,18 +255,6 @@ def _track_and_write(
     progress("writing", 0, None)
     document = write_run(run, request.directory, force=request.force, report=request.report, groups=request.outputs)
     return run, document
-
-
-def _continue(
-    outcome: SlamResult, log: Log, given: Given, config: Config, progress: Progress, *, stopped: bool
-) -> Continuation | None:
-    """Place the log in the map of the run that it continues; None without one."""
-    if given.run is None:
-        return None
-    from mavnav.pipelines.sessions import continue_run  # noqa: PLC0415  few runs need it
-
-    with Stage("joining"):
-        return continue_run(given.run, given.earlier, outcome, log, config, progress, stopped=stopped)
 
 
 def open_request(request: ReplayRequest, progress: Progress, *, odom: str, truth: str | None) -> Log:
