@@ -17,6 +17,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -224,17 +225,16 @@ def row_printer(total: int, *, json: bool, quiet: bool) -> Callable[[dict[str, A
     from mavnav.batch.document import remark
 
     silent = quiet or sys.stderr.isatty()
-    ended = 0
+    numbers = count(1)
 
     def print_row(row: dict[str, Any]) -> None:
-        nonlocal ended
-        ended += 1
+        number = next(numbers)
         if json:
             emit(_line({"event": "run", **row}))
         if row["status"] != "cached" and not silent:
             end = ", ".join(filter(None, ("" if row["code"] else "passed", remark(row))))
             took = f" in {row['seconds']:.1f} s" if row["seconds"] else ""
-            note(f"mavnav: {ended} of {total}: {row['name']}{took}: {end}")
+            note(f"mavnav: {number} of {total}: {row['name']}{took}: {end}")
 
     return print_row
 

@@ -43,6 +43,8 @@ FREE_SHARE: Final = 0.5
 AT_A_TIME: Final = 2_000
 """Number of stations whose profiles are in memory at a time."""
 
+DRAWING: Final = "copy was drawn, from the first scan; null without scans"
+
 OUTSIDE_CELLS: Final = (2.0, 5.0)
 REACH_M, ACROSS_CELLS, TURN_RAD = 0.15, 3.0, 12.0 * DEG
 
@@ -56,12 +58,8 @@ class GhostWall(Struct, frozen=True):
     length_m: Annotated[float, number("length of the front ridge")]
     offset_mm: Annotated[float, number("distance from the front ridge to the rear one")]
     scan_pairs: Annotated[int | None, number("pairs of scans that show it; null without scans")] = None
-    front_s: Annotated[
-        float | None, number("when the front copy was drawn, from the first scan; null without scans")
-    ] = None
-    rear_s: Annotated[float | None, number("when the rear copy was drawn, from the first scan; null without scans")] = (
-        None
-    )
+    front_s: Annotated[float | None, number(f"when the front {DRAWING}")] = None
+    rear_s: Annotated[float | None, number(f"when the rear {DRAWING}")] = None
 
 
 class GhostWalls(Struct, frozen=True):
