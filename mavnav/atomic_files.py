@@ -7,7 +7,6 @@ number. Only processes of the same machine decide by the number whether that pro
 from __future__ import annotations
 
 import ctypes
-import errno
 import glob
 import os
 import platform
@@ -84,7 +83,7 @@ def _put(partial: Path, final: Path) -> None:
     try:
         partial.replace(final)
     except OSError as error:
-        if error.errno not in (errno.ENOTEMPTY, errno.EEXIST) or not partial.is_dir():
+        if error.errno not in (ENOTEMPTY, EEXIST) or not partial.is_dir():
             raise
         _exchange(partial, final)
 
@@ -157,14 +156,12 @@ def writing(path: Path, advice: str = "make room or name another") -> Iterator[N
 @contextmanager
 def replacing(target: Path, *, force: bool, another: str, room: str) -> Iterator[Path]:
     """Yield a path as `beside` does; raises OutputError that says what to choose if ``target`` is there, or no room."""
-    try:
-        with beside(target, exclusive=not force) as partial:
-            yield partial
-    except FileExistsError as error:
-        raise OutputError(f"{target} exists; choose {another}, or --force to replace it") from error
-    except OSError as error:
-        reason = error.strerror or error
-        raise OutputError(f"{target} cannot be written: {reason}; make room or choose {room}") from error
+    with writing(target, f"make room or choose {room}"):
+        try:
+            with beside(target, exclusive=not force) as partial:
+                yield partial
+        except FileExistsError as error:
+            raise OutputError(f"{target} exists; choose {another}, or --force to replace it") from error
 
 
 def no_space(error: BaseException) -> bool:

@@ -24,6 +24,7 @@ from mavnav.errors import ExitCode, MavnavError, lacks_memory
 LIBRARIES = ("numpy", "numba", "scipy", "mcap", "rosbags", "msgspec", "pillow", "typer")
 
 _STREAM_ERRORS = (errno.ENOSPC, errno.EBADF, errno.EIO, errno.EFBIG, errno.EDQUOT)
+"""Errors of a full or closed stream; errors of files have a file name."""
 
 _PATH_ERRORS = {errno.ENAMETOOLONG: "choose a shorter name"} | dict.fromkeys(
     (errno.EACCES, errno.EPERM), "check its folders' permissions"
@@ -163,7 +164,7 @@ def _explain(error: BaseException) -> int:
             return error.exit_code
         case BrokenPipeError() | SystemExit(__context__=BrokenPipeError()):  # typer's, if a reader ends, as in `| head`
             return ExitCode.OUTPUT
-        case OSError() if _is_stdout(error):
+        case OSError(filename=None) if error.errno in _STREAM_ERRORS:
             note(f"mavnav: error: the result cannot be written to stdout: {error.strerror}; make room, or redirect it")
             return ExitCode.OUTPUT
         case SystemExit():  # shell completion
@@ -212,11 +213,6 @@ def _written(answer: str) -> str:
 
 def _answer(answers: dict[str, str], word: str) -> str:
     return next((answer for answer, names in answers.items() if word in names.split()), "")
-
-
-def _is_stdout(error: OSError) -> bool:
-    """Return whether an error is of a full or closed stream; errors of files have a file name."""
-    return error.filename is None and error.errno in _STREAM_ERRORS
 
 
 def _split_debug(args: Sequence[str]) -> tuple[list[str], bool]:

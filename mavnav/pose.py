@@ -126,8 +126,7 @@ class Trajectory(Struct, frozen=True):
     def __post_init__(self) -> None:
         """Check the shapes and freeze the arrays."""
         if self.stamps_ns.ndim != 1 or self.xyyaw.shape != (len(self.stamps_ns), 3):
-            msg = f"shapes {self.stamps_ns.shape} and {self.xyyaw.shape} are no trajectory"
-            raise ValueError(msg)
+            raise ValueError(f"shapes {self.stamps_ns.shape} and {self.xyyaw.shape} are no trajectory")
         self.stamps_ns.flags.writeable = False
         self.xyyaw.flags.writeable = False
 
@@ -260,8 +259,7 @@ class Rotation(Struct, frozen=True):
     def tilts_rad(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the tilt at other stamps (m,): 0 where it is not known."""
         since = (stamps_ns - self.stamps_ns[0], self.stamps_ns - self.stamps_ns[0])
-        tilts_rad: NDArray[np.float64] = np.interp(*since, self.tilt_rad, left=0.0, right=0.0)
-        return tilts_rad
+        return np.asarray(np.interp(*since, self.tilt_rad, left=0.0, right=0.0))
 
 
 def ups_of_quaternions(xyzw: NDArray[np.float64]) -> NDArray[np.float64]:

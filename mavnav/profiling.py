@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable, Iterator
-from functools import wraps
+from contextlib import ContextDecorator
 from math import nan
 from time import perf_counter
-from typing import ParamSpec, TypeVar
+from typing import TypeVar
 
-P = ParamSpec("P")
 R = TypeVar("R")
 
 Progress = Callable[[str, int, int | None], None]
@@ -27,6 +26,7 @@ MAXRSS_MB = 1e-6 if sys.platform == "darwin" else 1.024e-3
 
 _spent_s: dict[str, float] = {}
 _scans_s: list[float] = []
+_enclosing: list[str] = []
 _on = OTHER
 _since_s = 0.0
 
@@ -73,37 +73,23 @@ def _switch(name: str) -> str:
     return before
 
 
-class Stage:
-    """A named stage of the work: ``with Stage("search"):``."""
+class Stage(ContextDecorator):
+    """A named stage of the work: ``with Stage("search"):``, or each call of a function: ``@timed("search")``."""
 
     def __init__(self, name: str) -> None:
-        """Name the stage; it begins with the block."""
-        self.name, self.before = name, OTHER
+        """Name the stage; it begins with the block or the call."""
+        self.name = name
 
     def __enter__(self) -> None:
         """Pause the enclosing stage and begin this one."""
-        self.before = _switch(self.name)
+        _enclosing.append(_switch(self.name))
 
     def __exit__(self, *_: object) -> None:
         """End this stage and continue the enclosing one."""
-        _switch(self.before)
+        _switch(_enclosing.pop())
 
 
-def timed(name: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Make each call of a function a stage of the work."""
-
-    def decorate(function: Callable[P, R]) -> Callable[P, R]:
-        @wraps(function)
-        def call(*args: P.args, **kwargs: P.kwargs) -> R:
-            before = _switch(name)
-            try:
-                return function(*args, **kwargs)
-            finally:
-                _switch(before)
-
-        return call
-
-    return decorate
+timed = Stage
 
 
 def each(name: str, items: Iterable[R]) -> Iterator[R]:

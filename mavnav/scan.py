@@ -102,23 +102,15 @@ class LaserSpec(Struct, frozen=True, dict=True):
         low, high = PLAUSIBLE_SWEEP
         return low <= self.stated_turn_s / max(self.usual_turn_s(period_s), 1e-9) <= high
 
+    @lru_cache(maxsize=8)  # noqa: B019  equal sensors are one
     def turning_in(self, turn_s: float) -> LaserSpec:
         """Return the sensor with a time between two beams of so long a turn; in reverse order if it is negative."""
-        return _turning_in(self, turn_s)
+        return replace(self, time_increment_s=turn_s * abs(self.angle_step_rad) / tau)
 
+    @lru_cache(maxsize=8)  # noqa: B019  as above
     def turned_over(self) -> LaserSpec:
         """Return the sensor as seen from above where it is mounted upside down: turned about its x axis."""
-        return _turned_over(self)
-
-
-@lru_cache(maxsize=8)
-def _turning_in(spec: LaserSpec, turn_s: float) -> LaserSpec:
-    return replace(spec, time_increment_s=turn_s * abs(spec.angle_step_rad) / tau)
-
-
-@lru_cache(maxsize=8)
-def _turned_over(spec: LaserSpec) -> LaserSpec:
-    return replace(spec, angle_min_rad=-spec.angle_min_rad, angle_step_rad=-spec.angle_step_rad)
+        return replace(self, angle_min_rad=-self.angle_min_rad, angle_step_rad=-self.angle_step_rad)
 
 
 @lru_cache(maxsize=8)
@@ -167,8 +159,7 @@ class Scan(Struct, frozen=True):
         """Times of the beams (beams,) after mid-sweep."""
         n = self.spec.beams
         times_s = self.spec.time_increment_s * np.arange(n) if self.times_s is None else self.times_s
-        late_s: NDArray[np.float64] = times_s - 0.5 * (times_s.min() + times_s.max())
-        return late_s
+        return np.asarray(times_s - 0.5 * (times_s.min() + times_s.max()))
 
     def seen_at_mid_sweep(self, twist: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return ranges (beams,) and directions (beams, 2) as from the pose at mid-sweep, of merged lasers.

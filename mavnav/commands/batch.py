@@ -17,6 +17,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -141,11 +142,13 @@ def batch(
         plan = _plan(options, progress)
     document = _run(plan, json=json, quiet=quiet)
     if plan.request.new_baseline and not quiet:
-        _print_baseline(document, plan.request.new_baseline)
+        codes = [row["code"] for row in document["cells"]]
+        failures = f"{sum(map(bool, codes))} of {len(codes)} runs in it failed"
+        note(f"mavnav: wrote the baseline {plan.request.new_baseline}; {failures}")
     try:
         _write_for_ci(document, junit, summary, annotations=annotations)
     finally:
-        print_batch(document, _results(plan.request), json=json)
+        print_batch(document, plan.request, json=json)
     raise typer.Exit(document["exit_code"])
 
 
@@ -176,19 +179,6 @@ def _run(plan: BatchPlan, *, json: bool, quiet: bool) -> dict[str, Any]:
             directory = plan.request.directory
             note(f"mavnav: runs that are finished stay in {directory}; the same call makes the others")
             raise
-
-
-def _print_baseline(document: dict[str, Any], path: Path) -> None:
-    """Print on stderr which baseline file was written, and how many of its runs failed."""
-    codes = [row["code"] for row in document["cells"]]
-    note(f"mavnav: wrote the baseline {path}; {sum(map(bool, codes))} of {len(codes)} runs in it failed")
-
-
-def _results(request: BatchRequest) -> Path:
-    """Return where more of the results is: the page, or the directory of a part, which has none."""
-    from mavnav.batch.files import PAGE_FILE
-
-    return request.directory if request.part else request.directory / PAGE_FILE
 
 
 @contextmanager
@@ -235,17 +225,16 @@ def row_printer(total: int, *, json: bool, quiet: bool) -> Callable[[dict[str, A
     from mavnav.batch.document import remark
 
     silent = quiet or sys.stderr.isatty()
-    ended = 0
+    numbers = count(1)
 
     def print_row(row: dict[str, Any]) -> None:
-        nonlocal ended
-        ended += 1
+        number = next(numbers)
         if json:
             emit(_line({"event": "run", **row}))
         if row["status"] != "cached" and not silent:
             end = ", ".join(filter(None, ("" if row["code"] else "passed", remark(row))))
             took = f" in {row['seconds']:.1f} s" if row["seconds"] else ""
-            note(f"mavnav: {ended} of {total}: {row['name']}{took}: {end}")
+            note(f"mavnav: {number} of {total}: {row['name']}{took}: {end}")
 
     return print_row
 
@@ -256,32 +245,36 @@ def _line(document: dict[str, Any]) -> str:
     return json_text(plain(document))
 
 
-def print_batch(document: dict[str, Any], results: Path, *, json: bool) -> None:
+def print_batch(document: dict[str, Any], request: BatchRequest, *, json: bool) -> None:
     """Print the result of a batch on stdout: a table, worst runs first, or with ``json`` one line without the rows.
 
-    Below the table is why runs did not pass or are suspect, and ``results``, the path with further results.
+    Below the table is why runs did not pass or are suspect, and where more of the results is: the page, or the
+    directory of a part, which has none.
     """
     from mavnav.batch.document import remark, worst_first
+    from mavnav.batch.files import PAGE_FILE
     from mavnav.batch.summary import batch_headline, missing_lines
 
     if json:
         emit(_line({"event": "batch", **{k: v for k, v in document.items() if k != "cells"}}))
         return
-    table_console().print(_table(document))
+    rows = worst_first(document["cells"])[:MAX_ROWS]
+    table_console().print(_table(rows, len(document["cells"]) - len(rows)))
     emit("")
-    for row in worst_first(document["cells"])[:MAX_ROWS]:
+    for row in rows:
         if text := remark(row):
             emit(printable(f"{row['name']}: {text}"))
+    results = request.directory if request.part else request.directory / PAGE_FILE
     emit(f"\n{printable(batch_headline(document))}; {printable(results)}")
     for kind, text in missing_lines(document):
         note(f"mavnav: {kind}: {text}")
 
 
-def _table(document: dict[str, Any]) -> Table:
+def _table(rows: list[dict[str, Any]], more: int) -> Table:
+    """Return the table of some runs, with how many ``more`` there are."""
     from rich.table import Table
     from rich.text import Text
 
-    from mavnav.batch.document import worst_first
     from mavnav.batch.summary import FIGURES, change_text
     from mavnav.outputs.documents.quantities import verdict_texts
 
@@ -291,13 +284,13 @@ def _table(document: dict[str, Any]) -> Table:
     for figure in FIGURES:
         table.add_column(figure.head, justify="right", no_wrap=True)
     table.add_column("", overflow="fold")
-    for row in worst_first(document["cells"])[:MAX_ROWS]:
+    for row in rows:
         texts = [figure.text_of(row["run"]) for figure in FIGURES]
         remarks = [change_text(row), "reused" if row["status"] == "cached" else ""]
         text = printable("; ".join(filter(None, remarks))).replace("::", ":\\x3a")
         name = Text(printable(row["name"]).replace("::", ":\\x3a"), style="red" if row["code"] else "")
         word = Text(*verdict_mark(verdict_texts(row["run"])[0]))
         table.add_row(name, word, *texts, Text(text))  # a name may be folded anywhere
-    if len(document["cells"]) > MAX_ROWS:
-        table.caption = f"{len(document['cells']) - MAX_ROWS} more in batch.csv"
+    if more:
+        table.caption = f"{more} more in batch.csv"
     return table

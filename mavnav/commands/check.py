@@ -9,13 +9,12 @@ mavnav check runs/* --gate 'map.accepted_share>=0.95' --gate 'tracking.lost==fal
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from mavnav.commands import shared
 from mavnav.commands.terminal import emit, emit_json, note, printable
-from mavnav.errors import ExitCode
 
 
 def check(
@@ -33,18 +32,10 @@ def check(
         Directories of runs, comparisons or batches.
     """
     from mavnav.batch.check import check_runs
-    from mavnav.metrics.gates import read_accept
+    from mavnav.metrics.gates import failure_text, read_accept
 
     accepted = frozenset(map(read_accept, accept or ()))
     rows, code = check_runs(shared.without_latest(runs), shared.gates_of(gates), accepted)
-    _print_result(rows, code, json=json)
-    raise typer.Exit(code)
-
-
-def _print_result(rows: list[dict[str, Any]], code: ExitCode, *, json: bool) -> None:
-    """Print the results on stdout, and what failed on stderr too with ``json``."""
-    from mavnav.metrics.gates import failure_text
-
     if json:
         emit_json({"schema_version": 1, "runs": rows, "exit_code": int(code)})
     for row in rows:
@@ -56,3 +47,4 @@ def _print_result(rows: list[dict[str, Any]], code: ExitCode, *, json: bool) -> 
                 note(f"mavnav: error: {row['run']}: {failure_text(gate)}")
         if row["error"]:
             note(f"mavnav: error: {row['run']}: {row['error']}")
+    raise typer.Exit(code)

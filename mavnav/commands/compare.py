@@ -85,14 +85,16 @@ def compare(
         with loading_modules():
             from mavnav.batch.runner import load_kernels
             from mavnav.comparison import pipeline
-            from mavnav.comparison.scores import check_given
+            from mavnav.comparison.side_by_side import check_given
             from mavnav.jobs.pool import usable_cores
             from mavnav.outputs.documents.provenance import Typed
+            from mavnav.pipelines.trajectory_source import read_program, read_source
         target = directory or pipeline.comparison_directory(logs or ())
         if not logs:
             logs, true_map = _sample(target, report)
             options.setdefault("truth_map", true_map)
-        given_poses = _given_poses(trajectories or (), programs or (), program_s)
+        sources = tuple(map(read_source, trajectories or ())), tuple(map(read_program, programs or ()))
+        given_poses = (*sources, program_s) if any(sources) else None
         searches, usual = (methods or (), grids or (), azimuths or ()), () if given_poses else pipeline.PAPER_GRIDS
         settings = pipeline.comparison_settings(config, sets or (), *searches, settings_of(options), usual=usual)
         typed, workers = Typed(context.obj, config, tuple(sets or ())), jobs or usable_cores()
@@ -111,21 +113,13 @@ def compare(
     raise typer.Exit(document["exit_code"])
 
 
-def _given_poses(trajectories: Sequence[str], programs: Sequence[str], limit_s: float) -> GivenPoses | None:
-    """Read what stands beside mavnav's own runs; None for nothing."""
-    from mavnav.pipelines.trajectory_source import read_program, read_source
-
-    given = tuple(map(read_source, trajectories)), tuple(map(read_program, programs))
-    return (*given, limit_s) if any(given) else None
-
-
 def _compare_finished(
     runs: list[Path], directory: Path | None, gates: list[Gate], *, json: bool, quiet: bool
 ) -> dict[str, Any]:
     """Compare finished runs; return comparison.json."""
     with reporting(quiet=quiet) as report:
         with loading_modules():
-            from mavnav.comparison.finished import compare_finished
+            from mavnav.comparison.side_by_side import compare_finished
             from mavnav.outputs.writers import REPORT_FILE, write_page
         target = directory or shared.free_directory(Path("runs/compare"), force=False)
         document = compare_finished(runs, target, gates)
@@ -149,7 +143,7 @@ def _run_and_draw(plan: BatchPlan, given_poses: GivenPoses | None, *, quiet: boo
     """Run what is missing, and draw the report unless it shows these results; return comparison.json and its path."""
     from mavnav.batch.runner import run_cases
     from mavnav.comparison.pipeline import is_report_current, write_results
-    from mavnav.comparison.scores import compare_with_poses
+    from mavnav.comparison.side_by_side import compare_with_poses
     from mavnav.outputs.writers import REPORT_FILE, write_page
 
     directory, drawn = plan.request.directory, is_report_current(plan)  # before comparison.json is written again

@@ -88,14 +88,15 @@ def print_comparison(document: dict[str, Any]) -> None:
 
 
 def _table(document: dict[str, Any], less: set[str]) -> Table:
-    """Return the table without what is in ``less``, see `NARROWER`."""
+    """Return the table without what is in ``less``, see `NARROWER`, and without metrics that no run has."""
     from rich.table import Table
 
     from mavnav.comparison.document import labels, ratio
-    from mavnav.outputs.documents.quantities import verdict_texts
+    from mavnav.outputs.documents.quantities import QUANTITIES, verdict_texts
 
     table = Table(box=None, pad_edge=False, header_style="bold")
-    known = [figure for figure in _known_quantities(document) if figure.name not in less]
+    runs = [cell["run"] for cell in document["cells"]]
+    known = [q for q in QUANTITIES if q.name not in less and any(q.of(run) is not None for run in runs)]
     costs = {EVALUATIONS: "evaluations", CPU: "cpu"}
     shown = {title: name for title, name in costs.items() if title not in less}
     several = len(document["logs"]) > 1
@@ -114,13 +115,6 @@ def _table(document: dict[str, Any], less: set[str]) -> Table:
         word = [] if SIGNS in less else [_text(marked[:1] if WORDS in less else marked, style)]
         table.add_row(*log, *map(_text, labels(cell)), *word, *figures, *ratios, _text(_state(cell)))
     return table
-
-
-def _known_quantities(document: dict[str, Any]) -> list[Quantity]:
-    """Return the metrics for which any run has a value."""
-    from mavnav.outputs.documents.quantities import QUANTITIES
-
-    return [figure for figure in QUANTITIES if any(figure.of(cell["run"]) is not None for cell in document["cells"])]
 
 
 def _text(text: str, style: str = "") -> Text:

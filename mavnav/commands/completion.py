@@ -24,6 +24,7 @@ def words(*names: str) -> Completer:
 
 
 attitude_topics: Final = words("auto", "off", "/attitude")
+planners: Final = words("wavefront", "field", "wall_following", "virtual_obstacles")
 verdicts: Final = words("good", "suspect", "wrong", "lost")
 outputs: Final = words(
     "trajectory", "map", "metrics", "slices", "pictures", "mcap", "report", "svg", "scale", "graph", "all"

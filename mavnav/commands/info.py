@@ -18,7 +18,7 @@ import typer
 
 from mavnav.commands import shared
 from mavnav.commands.progress import reporting
-from mavnav.commands.sources import LocalLog, local_log
+from mavnav.commands.sources import local_log
 from mavnav.commands.terminal import Rows, note_problems, print_result
 from mavnav.config.options import read_options
 from mavnav.errors import ExitCode
@@ -29,22 +29,19 @@ from mavnav.units import DEG, NS, pluralize
 def info(logs: shared.LogParts, *, json: shared.Json = False, quiet: shared.Quiet = False, **given: object) -> None:
     """Examine a log: topics, sensor, scans, rate, validity of ranges, odometry, and everything that is damaged."""
     options = read_options(given)
-    with local_log(logs) as source:
-        _print_info(source, options.get("topic"), options.get("strict", False), json=json, quiet=quiet)
+    with local_log(logs) as log:
+        from mavnav.pipelines.info import info_document
 
-
-def _print_info(log: LocalLog, name: str | None, strict: bool, *, json: bool, quiet: bool) -> None:
-    from mavnav.pipelines.info import info_document
-
-    with reporting(quiet=quiet) as report:
-        shown, error = info_document(log.path, name, log.more, strict=strict, progress=partial(report, "reading"))
-    shown["input"] |= {"path": log.name} | ({"parts": [*map(str, log.more)]} if log.more else {})
-    if error and not json:  # the error line names its cause
-        shown["damage"] = [each for each in shown["damage"] if each["what"] not in str(error)]
-    print_result(shown, _rows(shown), json=json)
-    if not json:
-        note_problems(shown)
-    raise error or typer.Exit(shown["exit_code"])
+        with reporting(quiet=quiet) as report:
+            strict, progress = options.get("strict", False), partial(report, "reading")
+            document, error = info_document(log.path, options.get("topic"), log.more, strict=strict, progress=progress)
+        document["input"] |= {"path": log.name} | ({"parts": [*map(str, log.more)]} if log.more else {})
+        if error and not json:  # the error line names its cause
+            document["damage"] = [each for each in document["damage"] if each["what"] not in str(error)]
+        print_result(document, _rows(document), json=json)
+        if not json:
+            note_problems(document)
+        raise error or typer.Exit(document["exit_code"])
 
 
 def _rows(document: dict[str, Any]) -> Rows:

@@ -17,7 +17,7 @@ import typer
 from mavnav.commands import shared
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.run_screen import spread_text
-from mavnav.commands.terminal import Rows, emit_json, note, print_verdict
+from mavnav.commands.terminal import emit_json, note, print_verdict
 from mavnav.config.named_files import read_json
 from mavnav.units import pluralize
 
@@ -63,15 +63,10 @@ def merge(
     if json:
         emit_json(document)
     else:
-        print_verdict(document, [*map(_row, document["sessions"]), *_wall_rows(target), ("written", str(target))])
+        spread = read_json(target / "run.json")["wall_thickness"]["spread"]
+        more = ("walls", spread_text(spread)), ("written", str(target))
+        print_verdict(document, [*map(_row, document["sessions"]), *more])
     raise typer.Exit(document["exit_code"])
-
-
-def _wall_rows(directory: Path) -> Rows:
-    """Yield the row on the thickness of the walls."""
-    from mavnav.outputs.directory import RUN_FILE
-
-    yield "walls", spread_text(read_json(directory / RUN_FILE)["wall_thickness"]["spread"])
 
 
 def _label(session: dict[str, Any]) -> str:
@@ -92,17 +87,16 @@ def _note_input(session: dict[str, Any]) -> None:
 
 def _row(session: dict[str, Any]) -> tuple[str, str]:
     """Return the row of a session; a verdict that is not good is part of it."""
-    name, text = _joined_text(session)
-    known = session["verdict"]
-    return name, text if not known or known["word"] == "good" else f"{text}; {known['word']}: {known['reason']}"
+    text, known = f"{session['input']}, {_joined_text(session)}", session["verdict"]
+    verdict = "" if not known or known["word"] == "good" else f"; {known['word']}: {known['reason']}"
+    return session["name"], f"{text}{verdict}"
 
 
-def _joined_text(session: dict[str, Any]) -> tuple[str, str]:
+def _joined_text(session: dict[str, Any]) -> str:
     if not session["joined"]:
-        return session["name"], f"{session['input']}, not joined: {session['why']}"
-    scans = f"{session['input']}, {session['scans']} scans"
+        return f"not joined: {session['why']}"
     to = ", ".join(other["name"] for other in session["joined_to"])
     if not to:
-        return session["name"], f"{scans}, the first of the group"
+        return f"{session['scans']} scans, the first of the group"
     evidence = f"{session['closures']} of {session['tested']} key frames agree, {session['residual_mm']:.0f} mm"
-    return session["name"], f"{scans}, joined to {to}: {evidence}"
+    return f"{session['scans']} scans, joined to {to}: {evidence}"

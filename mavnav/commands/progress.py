@@ -7,6 +7,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import count
 from math import inf
 from time import monotonic
 from typing import TYPE_CHECKING, Final, ParamSpec
@@ -209,15 +210,13 @@ def watching(names: Sequence[str], *, quiet: bool, lines: bool = True) -> Iterat
 def _line_listener(names: Sequence[str], *, ends: bool) -> Listener:
     from mavnav.jobs.worker import Ended, Retried
 
-    ended = 0
+    numbers = count(1)
 
     def listen(event: Event) -> None:
-        nonlocal ended
         if isinstance(event, Retried):
             note(_retry_text(names[event.index], event))
         elif isinstance(event, Ended) and ends:
-            ended += 1
-            note(f"mavnav: {ended} of {len(names)}: {names[event.index]} {_ending(event.outcome)}")
+            note(f"mavnav: {next(numbers)} of {len(names)}: {names[event.index]} {_ending(event.outcome)}")
 
     return listen
 
@@ -237,11 +236,10 @@ def _bar_listener(shown: Bars, names: Sequence[str]) -> Listener:
     """Show a bar for all runs and one for each current run; print a line for each failure."""
     from mavnav.jobs.worker import Ended, Progressed, Retried, Started, Status
 
-    failed, whole = 0, shown.add_task(f"{len(names)} runs", total=len(names))
+    failures, whole = count(1), shown.add_task(f"{len(names)} runs", total=len(names))
     tasks: dict[int, TaskID] = {}
 
     def listen(event: Event) -> None:
-        nonlocal failed
         match event:
             case Started(index):
                 tasks[index] = shown.add_task(printable(names[index]), total=None)
@@ -255,8 +253,7 @@ def _bar_listener(shown: Bars, names: Sequence[str]) -> Listener:
                 shown.remove_task(tasks.pop(index))
                 shown.advance(whole)
                 if outcome.status is not Status.DONE:
-                    failed += 1
-                    shown.update(whole, description=f"{len(names)} runs, {failed} failed")
+                    shown.update(whole, description=f"{len(names)} runs, {next(failures)} failed")
                     note(f"mavnav: {names[index]} {_ending(outcome)}")
 
     return listen

@@ -123,7 +123,8 @@ def _config(file: str | None, sets: list[str], options: ReplayOptions[Path]) -> 
 
         base = run_layer(continued)
     config = load_config(file, sets, overrides, base)
-    shared.note_without_effect(config, [*(text.partition("=")[0] for text in sets), *overrides])
+    for key in config.without_effect([*(text.partition("=")[0] for text in sets), *overrides]):
+        note(f"mavnav: warning: {key} has no effect with method {config.method}")
     return config
 
 
@@ -138,10 +139,13 @@ def _check_files(logs: list[Path], options: ReplayOptions[Path]) -> None:
 
 def _note_continued(continued: dict[str, Any]) -> None:
     """Print the warning where the run to which a log was added is of another version."""
-    from mavnav.pipelines.sessions import run_to_continue, version_warning
+    from mavnav.pipelines.sessions import run_to_continue
+    from mavnav.version import __version__
 
-    if warning := version_warning(run_to_continue(Path(continued["run"]))):
-        note(f"mavnav: warning: {warning}")
+    version = run_to_continue(Path(continued["run"])).record.mavnav_version
+    if version != __version__:
+        text = f"{continued['run']} is of mavnav {version}, this is {__version__}; maps may differ"
+        note(f"mavnav: warning: {text}")
 
 
 def _measures(document: dict[str, Any]) -> Rows:

@@ -52,10 +52,9 @@ program_s
 from __future__ import annotations
 
 import inspect
-import json
 import os
 import sys
-from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
 from inspect import Parameter
@@ -72,7 +71,6 @@ from mavnav.config.options import OPTIONS
 from mavnav.errors import ExitCode, UsageError, missing, worst
 
 if TYPE_CHECKING:
-    from mavnav.config.models import Config
     from mavnav.metrics.gates import Gate
     from mavnav.pipelines.again import EarlierRun
 
@@ -190,11 +188,10 @@ def output_values(outputs: str | None, *, report: bool, preview: bool | None) ->
 
 def check_logs(logs: Sequence[Path]) -> None:
     """Raise UsageError for a log that is not there; what is named like a folder beside a log is where to write."""
-    present, gone = [log for log in logs if log.exists()], [log for log in logs if not log.exists()]
+    gone = [log for log in logs if not log.exists()]
     if gone:
-        raise UsageError(
-            missing(gone[0], f"to write there, use -o {gone[0]}" if present and not gone[0].suffix else "name a log")
-        )
+        folder = len(gone) < len(logs) and not gone[0].suffix
+        raise UsageError(missing(gone[0], f"to write there, use -o {gone[0]}" if folder else "name a log"))
 
 
 def again_directory(again: Path) -> Path:
@@ -228,29 +225,22 @@ def run_to_repeat(
 ) -> EarlierRun:
     """Return the run that ``--again`` repeats, of a mission or a replay, and report what differs since.
 
-    Raises UsageError for what is no such run, and as `_check_again` does; ``free`` are parameters as there.
+    ``free`` are parameters, besides those of the output, that it does not take from there. Raises UsageError for what
+    is no such run, for an option that it takes from there, and where the result would replace the run.
     """
     from mavnav.pipelines.again import earlier_run
 
-    _check_again(context, directory or again_directory(again), *free)
-    run = earlier_run(again, simulated=simulated)
-    for difference in run.differences():
-        note(f"mavnav: warning: {difference}")
-    return run
-
-
-def _check_again(context: typer.Context, target: Path, *free: str) -> None:
-    """Raise UsageError where ``--again`` would replace the run that it repeats, or an option that it takes from there.
-
-    ``free`` are parameters, besides those of the output, that it does not take from there.
-    """
-    again = context.params["again"]
+    target = directory or again_directory(again)
     replaced, kept = Path(os.path.realpath(target)), Path(os.path.realpath(again))
     if kept.is_relative_to(replaced):
         what = "is" if kept == replaced else "contains"
         raise UsageError(f"{target} {what} the run to repeat; choose another directory with -o")
     for flag in typed_flags(context, (*_OF_A_RUN, *free)):
         raise UsageError(f"--again takes {flag} from the run; leave one of them out")
+    run = earlier_run(again, simulated=simulated)
+    for difference in run.differences():
+        note(f"mavnav: warning: {difference}")
+    return run
 
 
 def typed_flags(context: typer.Context, allowed: Container[str | None]) -> Iterator[str]:
@@ -263,17 +253,11 @@ def typed_flags(context: typer.Context, allowed: Container[str | None]) -> Itera
 
 def note_repetition(again: Path, document: dict[str, Any]) -> None:
     """Print whether a repetition has the files of the run that it repeats."""
+    from mavnav.config.named_files import read_json
     from mavnav.outputs.directory import RUN_FILE
     from mavnav.pipelines.again import EarlierRun
 
-    made = json.loads((again / RUN_FILE).read_text(encoding="utf-8"))
-    note(f"mavnav: {EarlierRun(again, made).outcome(document)}")
-
-
-def note_without_effect(config: Config, keys: Iterable[str]) -> None:
-    """Warn of settings that were given by their dotted keys and that the chosen method does not read."""
-    for key in config.without_effect(keys):
-        note(f"mavnav: warning: {key} has no effect with method {config.method}")
+    note(f"mavnav: {EarlierRun(again, read_json(again / RUN_FILE)).outcome(document)}")
 
 
 def gates_of(texts: list[str] | None) -> list[Gate]:

@@ -14,10 +14,9 @@ mavnav simulate --list
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -29,9 +28,6 @@ from mavnav.config.options import SEARCHING, read_options, settings_of
 from mavnav.errors import ExitCode, UsageError
 from mavnav.units import DEG
 
-if TYPE_CHECKING:
-    from mavnav.simulation.world import Scenario
-
 
 @shared.with_options("attitude", *SEARCHING, attitude={"usage": "--attitude auto|off", "completer": ""})
 def simulate(
@@ -42,12 +38,7 @@ def simulate(
     *,
     again: shared.Again = None,
     seed: Annotated[int | None, shared.input_option(metavar="N")] = None,
-    planner: Annotated[
-        str | None,
-        shared.input_option(
-            metavar="NAME", autocompletion=completion.words("wavefront", "field", "wall_following", "virtual_obstacles")
-        ),
-    ] = None,
+    planner: Annotated[str | None, shared.input_option(metavar="NAME", autocompletion=completion.planners)] = None,
     list_: Annotated[bool, shared.input_option("--list")] = False,
     schema: Annotated[bool, shared.schema_option()] = False,
     config: shared.ConfigFile = None,
@@ -90,15 +81,13 @@ def simulate(
     animate
         Also write an animation.
     """
-    if schema:
-        from mavnav.simulation.world import scenario_schema
+    from mavnav.config.loading import scenarios
+    from mavnav.simulation.world import load_scenario, scenario_schema
 
+    if schema:
         emit_json(scenario_schema())
         return
     if list_:
-        from mavnav.config.loading import scenarios
-        from mavnav.simulation.world import load_scenario
-
         print_table((name, load_scenario(name).about) for name in scenarios())
         return
     if scenario is None and again is None:
@@ -107,7 +96,7 @@ def simulate(
     fields = {} if again is None else _earlier_fields(context, again, directory)
     options = {f"slam.{key}": value for key, value in settings_of(read_options(given)).items()}
     options |= {"seed": seed, "planner.technique": planner}
-    chosen = fields.pop("scenario", None) or _load(str(scenario), sets or (), config, options)
+    chosen = fields.pop("scenario", None) or load_scenario(str(scenario), sets or (), options, config)
     shared.check_gates(bounds, "mission", "truth", "reference")
     with reporting(quiet=quiet, stages=MISSION) as progress:
         started_s = perf_counter()
@@ -139,40 +128,25 @@ def _earlier_fields(context: typer.Context, again: Path, directory: Path | None)
     return simulation_again(shared.run_to_repeat(context, again, directory, "record", "animate", simulated=True))
 
 
-def _load(scenario: str, sets: Sequence[str], config: str | None, options: dict[str, object]) -> Scenario:
-    from mavnav.simulation.world import load_scenario
-
-    return load_scenario(scenario, sets, options, config)
-
-
 def _note_failure(document: dict[str, Any], directory: Path) -> None:
     """Print on stderr why a mission failed."""
-    if not document["mission"]["reached"]:
+    mission, lost = document["mission"], document["exit_code"] == ExitCode.TRACKING_LOST
+    if not mission["reached"]:
         from mavnav.outputs.files.document import MAP_PICTURE, OTHER_PICTURE
 
         picture = directory / MAP_PICTURE if MAP_PICTURE in document["outputs"] else OTHER_PICTURE
-        note(f"mavnav: error: {_failure(document)}; look at {picture}")
-
-
-def _failure(document: dict[str, Any]) -> str:
-    mission, lost = document["mission"], document["exit_code"] == ExitCode.TRACKING_LOST
-    also = ", and tracking was lost for good" if lost and mission["reason"] != "tracking lost" else ""
-    return f"the mission failed: {mission['reason']}{also}"
-
-
-def _outcome(document: dict[str, Any]) -> str:
-    if not document["mission"]["reached"]:
-        return str(document["mission"]["reason"])
-    lost = document["exit_code"] == ExitCode.TRACKING_LOST
-    return "goal reached, but tracking was lost for good" if lost else "goal reached"
+        also = ", and tracking was lost for good" if lost and mission["reason"] != "tracking lost" else ""
+        note(f"mavnav: error: the mission failed: {mission['reason']}{also}; look at {picture}")
 
 
 def _flight_rows(document: dict[str, Any]) -> Rows:
     """Yield the rows on how a mission went."""
     mission = document["mission"]
     steps, least_m = mission["steps"], mission["min_clearance_m"]
+    lost = ", but tracking was lost for good" if document["exit_code"] == ExitCode.TRACKING_LOST else ""
+    outcome = f"goal reached{lost}" if mission["reached"] else mission["reason"]
     clearance = "no wall at flight height" if least_m is None else f"clearance {least_m:.2f} m at least"
-    yield "mission", f"{_outcome(document)}; {mission['path_length_m']:.2f} m flown, {clearance}"
+    yield "mission", f"{outcome}; {mission['path_length_m']:.2f} m flown, {clearance}"
     yield "used", f"{100 * document['scans']['accepted'] / steps:.0f} % of {steps} scans have a pose"
     yield from refusal_rows(document)
 

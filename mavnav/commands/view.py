@@ -47,6 +47,7 @@ def view(
     """
     with reporting(quiet=quiet) as report:
         with loading_modules():
+            from mavnav.outputs.directory import check_file, write_file
             from mavnav.outputs.report.page import finished_page
         report("drawing the page", 0, None)
         name, text = finished_page(directory)
@@ -54,21 +55,15 @@ def view(
     if serve:
         _serve(page)
         return
-    path = _write(page, output or directory / name)
+    path = output or directory / name
+    check_file(path, ".html", force=True)
+    write_file(path, lambda partial: partial.write_bytes(page), force=True)
     emit(str(path))
     if not no_browser:
         import webbrowser
 
         if not webbrowser.open(path.absolute().as_uri()):
             note(f"mavnav: warning: no browser could be started; open {path}, or use --serve on a remote machine")
-
-
-def _write(page: bytes, path: Path) -> Path:
-    from mavnav.outputs.directory import check_file, write_file
-
-    check_file(path, ".html", force=True)
-    write_file(path, lambda partial: partial.write_bytes(page), force=True)
-    return path
 
 
 def _serve(page: bytes) -> None:

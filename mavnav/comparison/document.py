@@ -9,7 +9,7 @@ import csv
 import io
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from mavnav.atomic_files import beside, writing
 from mavnav.batch.cases import CaseResult
@@ -17,22 +17,14 @@ from mavnav.batch.document import ENDS, run_row
 from mavnav.errors import ExitCode, worst
 from mavnav.jobs.run_cache import PlannedRun
 from mavnav.metrics.gates import Gate, failure_text, judge_some, stored_verdict
-from mavnav.outputs.documents.quantities import (
-    QUANTITIES,
-    UNUSABLE,
-    Run,
-    comparable,
-    number,
-    ranked_values,
-    size_note,
-    verdict_texts,
-    winners,
-)
+from mavnav.outputs.documents import quantities
+from mavnav.outputs.documents.quantities import QUANTITIES, UNUSABLE, Run, number, verdict_texts
 from mavnav.outputs.documents.verdict import Verdict, worst_verdict
 from mavnav.outputs.files.document import plain, to_json
 from mavnav.outputs.report.entry import name_of, setting_of
 from mavnav.outputs.report.headline import headline
 from mavnav.outputs.report.markdown import escape, inert, table_row
+from mavnav.outputs.report.tables import NamedRun
 from mavnav.version import DOCUMENT_HEAD
 
 COMPARISON_FILE: Final = "comparison.json"
@@ -73,13 +65,6 @@ def comparison_document(results: Sequence[CaseResult], directory: Path, gates: S
     }
 
 
-class NamedDocument(NamedTuple):
-    """A run by its name within its log, and its run.json."""
-
-    name: str
-    document: dict[str, Any]
-
-
 def _logs(
     planned: Sequence[PlannedRun], names: Sequence[str], runs: Sequence[dict[str, Any] | None]
 ) -> list[dict[str, Any]]:
@@ -90,7 +75,7 @@ def _logs(
     return [
         {
             "log": str(log),
-            "headline": headline([NamedDocument(names[k], run) for k in group if (run := runs[k])]),
+            "headline": headline([NamedRun(names[k], run) for k in group if (run := runs[k])]),
             "cells": group,
             "best": {name: [group[k] for k in places] for name, places in best([runs[k] for k in group]).items()},
         }
@@ -105,12 +90,12 @@ def _judge(gates: Sequence[Gate], run: dict[str, Any], costs: dict[str, list[Any
 
 def best(runs: Sequence[Run | None]) -> dict[str, list[int]]:
     """Return the indices of the best runs by each metric."""
-    return {figure.name: winners(figure, runs) for figure in QUANTITIES}
+    return {figure.name: quantities.winners(figure, runs) for figure in QUANTITIES}
 
 
 def one_best(runs: Sequence[Run | None]) -> dict[str, int | None]:
     """Return the index of the first of the best runs by each metric; None where not all runs can be compared."""
-    compared = {f.name: comparable(f, [runs[k] for k in ranked_values(f, runs)]) for f in QUANTITIES}
+    compared = {figure.name: quantities.comparable(figure, runs) for figure in QUANTITIES}
     return {name: next(iter(places), None) if compared[name] else None for name, places in best(runs).items()}
 
 
@@ -214,7 +199,8 @@ def winning(document: dict[str, Any], metric: str) -> set[int]:
 def cell_size_notes(document: dict[str, Any]) -> list[str]:
     """Return a line for every log whose maps have several cell sizes: what is not compared, and why."""
     several = len(document["logs"]) > 1
-    notes = [(log["log"], size_note(document["cells"][k]["run"] for k in log["cells"])) for log in document["logs"]]
+    runs = [cell["run"] for cell in document["cells"]]
+    notes = [(log["log"], quantities.size_note(runs[k] for k in log["cells"])) for log in document["logs"]]
     return [f"{log}: {why}" if several else why for log, why in notes if why]
 
 

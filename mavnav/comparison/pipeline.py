@@ -13,17 +13,8 @@ from typing import Any, Final
 
 from msgspec.structs import replace
 
+from mavnav.batch import request as batch
 from mavnav.batch.cases import Case, CaseResult, make_cases
-from mavnav.batch.request import (
-    BatchLogs,
-    BatchRequest,
-    Rules,
-    RunLimits,
-    Setting,
-    crossed_settings,
-    named_settings,
-    swept,
-)
 from mavnav.batch.runner import BatchPlan, check_gates, plan_cases, run_cases
 from mavnav.comparison.document import COMPARISON_FILE, RELATIVE_COSTS, write_comparison
 from mavnav.config.models import Config
@@ -52,7 +43,7 @@ def comparison_settings(
     azimuths: Sequence[int],
     options: dict[str, object],
     usual: Sequence[str] = PAPER_GRIDS,
-) -> list[Setting]:
+) -> list[batch.Setting]:
     """Return a setting for every method and grid, methods in order, grids from coarse to fine.
 
     Parameters
@@ -76,18 +67,18 @@ def comparison_settings(
         The number of yaw samples is neither 0, 1, nor the number of grids.
     """
     configs: list[Config] = []
-    sweep = len(swept(sets)) > 1
+    sweep = len(batch.swept(sets)) > 1
     for method in [[name] for name in methods] or [[]]:
-        settings = crossed_settings(file, sets, method, grids or (() if sweep else usual), azimuths, options)
+        settings = batch.crossed_settings(file, sets, method, grids or (() if sweep else usual), azimuths, options)
         if len(grids) == 1 and not sweep:
-            settings += crossed_settings(file, sets, method, (), (), options)
+            settings += batch.crossed_settings(file, sets, method, (), (), options)
         configs += sorted((each.config for each in settings), key=lambda c: (c.grid.points, c.azimuth))
-    return named_settings(configs)
+    return batch.named_settings(configs)
 
 
 def comparison_request(
     logs: Sequence[Path],
-    settings: Sequence[Setting],
+    settings: Sequence[batch.Setting],
     directory: Path,
     options: ReplayOptions[Path],
     *,
@@ -95,20 +86,20 @@ def comparison_request(
     gates: Sequence[Gate] = (),
     force: bool = False,
     typed: Typed | None = None,
-) -> BatchRequest:
+) -> batch.BatchRequest:
     """Return the batch of every log with every setting.
 
     Raises UsageError for reference files with several logs.
     """
     if len(logs) > 1 and reference_files(options):
         raise UsageError("--truth, --truth-map and --relations are about one log; compare one log at a time with them")
-    return BatchRequest(
-        entries=tuple(BatchLogs((str(log),), options) for log in logs),
+    return batch.BatchRequest(
+        entries=tuple(batch.BatchLogs((str(log),), options) for log in logs),
         settings=tuple(settings),
         base=Path(),
         directory=directory,
-        limits=RunLimits(workers),
-        rules=Rules(tuple(gates)),
+        limits=batch.RunLimits(workers),
+        rules=batch.Rules(tuple(gates)),
         force=force,
         patterns=False,
         typed=typed or Typed(),
@@ -125,7 +116,7 @@ def check_comparison_directory(directory: Path) -> None:
     check_cache_directory(directory, _OWN_FILES)
 
 
-def plan_comparison(request: BatchRequest, progress: Progress) -> BatchPlan:
+def plan_comparison(request: batch.BatchRequest, progress: Progress) -> BatchPlan:
     """Return the plan of a comparison: its cases, and which of their runs are finished.
 
     Raises, before any run: UsageError for logs and files that cannot be read and for gates on unknown names, and

@@ -18,12 +18,10 @@ from numpy.typing import NDArray
 from mavnav.kernels.walls.scan_pairs import best_alignments, wall_gaps, wall_normals
 from mavnav.metrics.ghost_walls import GhostWall, GhostWalls, as_ghost_walls
 from mavnav.metrics.journey import PlacedScans, spread, used_beams
-from mavnav.metrics.walls import fit_line, link, members
+from mavnav.metrics.walls import Array, fit_line, link, members
 from mavnav.pose import Trajectory
 from mavnav.scan import LaserSpec
 from mavnav.units import DEG, MM, NS
-
-Array = NDArray[np.float64]
 
 LEAST_OFFSET_M, MAX_OFFSET_M = 0.08, 1.15
 """Least and greatest distance of two copies of a wall, with a margin to the documented 0.1 to 1 m."""
@@ -147,8 +145,7 @@ def _skews_rad(trajectory: Trajectory, spec: LaserSpec) -> Array:
     turn_s = spec.stated_turn_s if spec.has_plausible_sweep(period_s) else spec.usual_turn_s(period_s)
     rates = np.diff(np.unwrap(trajectory.xyyaw[:, 2])) / elapsed_s
     rate = np.abs([np.append(rates, rates[-1]), np.append(rates[0], rates)]).max(axis=0)
-    skews_rad: Array = rate * turn_s * spec.field_of_view_rad / tau
-    return skews_rad
+    return np.asarray(rate * turn_s * spec.field_of_view_rad / tau)
 
 
 def _pairs(keys: _Keys) -> NDArray[np.int64]:
@@ -217,8 +214,7 @@ def _shifts(keys: _Keys, pairs: NDArray[np.int64], b_T_a: Array, better: Array) 
     a, beams = pairs[:, :1], np.arange(0, keys.ranges_m.shape[1], keys.every)
     xy_m, normal = _ends(keys, a, beams), _rotate(b_T_a[:, None], keys.normals[a, beams])
     moved_m = _transform(better[:, None], xy_m) - _transform(b_T_a[:, None], xy_m)
-    shift_m: Array = (normal * moved_m).sum(axis=-1)
-    return shift_m
+    return np.asarray((normal * moved_m).sum(axis=-1))
 
 
 def _points(keys: _Keys, pairs: NDArray[np.int64], shift_m: Array, explained: NDArray[np.bool_]) -> _Doubled:
@@ -257,8 +253,7 @@ def _is_explained(before: NDArray[np.int64], after: NDArray[np.int64]) -> NDArra
     """Return which alignments (n,) explain the conflicts of their pairs, by the counts of `_count` before and after."""
     (_, agreed, through, _), (_, agrees, left, _) = (seen.T / np.maximum(seen[:, 0], 1) for seen in (before, after))
     fits = (after[:, 0] >= LEAST_POINTS) & (agrees >= np.maximum(LEAST_AGREEING, agreed + LEAST_GAIN))
-    explained: NDArray[np.bool_] = fits & (left <= np.minimum(MOST_THROUGH, MOST_THROUGH_LEFT * through))
-    return explained
+    return np.asarray(fits & (left <= np.minimum(MOST_THROUGH, MOST_THROUGH_LEFT * through)))
 
 
 def _places(points: _Doubled, keys: _Keys) -> list[GhostWall]:

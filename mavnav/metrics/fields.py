@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from msgspec import Meta
+from msgspec import Meta, field
 
 if TYPE_CHECKING:
     Measured = float
@@ -19,9 +19,8 @@ ABSENT: Final[Any] = object()
 """The value of a field whose key is left out of JSON."""
 
 
-def absent() -> Any:  # noqa: ANN401  the default of a field of any type
-    """Return `ABSENT`: the default factory of an optional key."""
-    return ABSENT
+OPTIONAL: Final[Any] = field(default_factory=lambda: ABSENT)
+"""The default of a field whose key not every document has."""
 
 
 def number(

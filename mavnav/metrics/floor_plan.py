@@ -15,11 +15,9 @@ from numpy.typing import NDArray
 from mavnav.mapping.occupancy_grid import FREE, Grid, occupancy, occupied_xy_m
 from mavnav.metrics.map_quality import only_occupied
 from mavnav.metrics.wall_spread import WallCuts
-from mavnav.metrics.walls import straight_walls, wall_sections
+from mavnav.metrics.walls import Array, straight_walls, wall_sections
 from mavnav.pose import Pose, transform_points
 from mavnav.units import DEG
-
-Array = NDArray[np.float64]
 
 SNAP_RAD: Final = 5.0 * DEG
 """Walls that differ less from the main direction, or from its normal, are turned into it."""
@@ -172,12 +170,6 @@ def _main_direction(lines: Array, xy_m: Array) -> float:
     return (mean + (np.pi / 2.0 if across > along else 0.0) + np.pi / 2.0) % np.pi - np.pi / 2.0
 
 
-def _snapped(angle_rad: float) -> float:
-    """Return a direction, that of an axis where it is near one."""
-    axis = round(angle_rad / (np.pi / 2.0)) * np.pi / 2.0
-    return axis if abs(angle_rad - axis) <= SNAP_RAD else angle_rad
-
-
 def _axes(angle_rad: float) -> Array:
     """Return the unit vectors along and across a direction as columns, (2, 2)."""
     c, s = np.round((np.cos(angle_rad), np.sin(angle_rad)), 12) + 0.0
@@ -197,7 +189,8 @@ def _parts(
     wall = wall[np.argsort(along[wall], kind="stable")]
     chains = [c for c in _split(wall, along, OPENING_M[1]) if along[c[0]] <= 0.0 <= along[c[-1]]]
     groups = [group for chain in chains for group in _split(chain, along, max(GAP_M, SUPPORT_CELLS * cell_m))]
-    axes = _axes(_snapped(angle_rad))
+    axis_rad = round(angle_rad / (np.pi / 2.0)) * np.pi / 2.0
+    axes = _axes(axis_rad if abs(angle_rad - axis_rad) <= SNAP_RAD else angle_rad)
     u, v = ((xy_m - middle) @ axes).T
     least_m = LEAST_LENGTH_M - cell_m
     kept = [g for g in groups if along[g[-1]] - along[g[0]] >= least_m and 2 * np.count_nonzero(fresh[g]) >= len(g)]
@@ -226,10 +219,9 @@ def _gaps(parts: Array) -> Array:
     gaps = np.column_stack((parts[:-1, 2:], parts[1:, :2]))
     width_m, beside_m = _lengths(gaps), _lengths(parts[:-1]) + _lengths(parts[1:])
     straight = np.abs(gaps[:, 2:] - gaps[:, :2]).min(axis=1) < ACROSS_M
-    kept: Array = gaps[
-        straight & (width_m >= OPENING_M[0]) & (width_m <= OPENING_M[1]) & (beside_m >= BESIDE * width_m)
-    ]
-    return kept
+    return np.asarray(
+        gaps[straight & (width_m >= OPENING_M[0]) & (width_m <= OPENING_M[1]) & (beside_m >= BESIDE * width_m)]
+    )
 
 
 def _is_open(gap: Array, grid: Grid, plan_T_grid: Pose, free: NDArray[np.bool_]) -> bool:

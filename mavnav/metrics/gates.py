@@ -184,11 +184,8 @@ def check_known(gates: Iterable[Gate], documents: Sequence[Mapping[str, Any]]) -
 
 
 def _has(document: Mapping[str, Any], name: str) -> bool:
-    try:
-        find(document, name)
-    except UsageError:
-        return False
-    return True
+    value = _value(document, name)
+    return value is None or isinstance(value, Number)
 
 
 def _judge(gate: Gate, document: Mapping[str, Any]) -> GateResult:
@@ -198,15 +195,11 @@ def _judge(gate: Gate, document: Mapping[str, Any]) -> GateResult:
     if gate.name == VERDICT:
         passed, known = OPERATORS[gate.comparison](value, gate.bound), document[VERDICT]
         return GateResult(gate, known["word"], "" if passed else f"{known['word']}: {known['reason']}")
-    if _about_a_meaningless_map(gate.name, document):
+    about_map = gate.name.startswith(MAP_SECTIONS) and gate.name != "map_quality.meaningful"
+    if about_map and (document.get("map_quality") or {}).get("meaningful", True) is False:
         reasons = "; ".join(map(str, document["map_quality"].get("why") or ["too little of it"]))
         return GateResult(gate, value, f"it is {_format(value)}, but the map is not meaningful: {reasons}")
     return GateResult(gate, value, "" if OPERATORS[gate.comparison](value, gate.bound) else f"it is {_format(value)}")
-
-
-def _about_a_meaningless_map(name: str, document: Mapping[str, Any]) -> bool:
-    about_the_map = name.startswith(MAP_SECTIONS) and name != "map_quality.meaningful"
-    return about_the_map and (document.get("map_quality") or {}).get("meaningful", True) is False
 
 
 def _format(value: Number) -> str:

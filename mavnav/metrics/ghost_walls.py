@@ -17,10 +17,8 @@ from numpy.typing import NDArray
 from mavnav.kernels.walls.profiles import wall_profiles
 from mavnav.mapping.occupancy_grid import Grid, cell_centres
 from mavnav.metrics.fields import Measured, number
-from mavnav.metrics.walls import Sections, fit_line, link, members
+from mavnav.metrics.walls import Array, Sections, fit_line, link, members
 from mavnav.units import DEG, MM
-
-Array = NDArray[np.float64]
 
 LEAST_OFFSET_CELLS: Final = 1.5
 MAX_OFFSET_CELLS: Final = 13
@@ -45,6 +43,8 @@ FREE_SHARE: Final = 0.5
 AT_A_TIME: Final = 2_000
 """Number of stations whose profiles are in memory at a time."""
 
+DRAWING: Final = "copy was drawn, from the first scan; null without scans"
+
 OUTSIDE_CELLS: Final = (2.0, 5.0)
 REACH_M, ACROSS_CELLS, TURN_RAD = 0.15, 3.0, 12.0 * DEG
 
@@ -58,12 +58,8 @@ class GhostWall(Struct, frozen=True):
     length_m: Annotated[float, number("length of the front ridge")]
     offset_mm: Annotated[float, number("distance from the front ridge to the rear one")]
     scan_pairs: Annotated[int | None, number("pairs of scans that show it; null without scans")] = None
-    front_s: Annotated[
-        float | None, number("when the front copy was drawn, from the first scan; null without scans")
-    ] = None
-    rear_s: Annotated[float | None, number("when the rear copy was drawn, from the first scan; null without scans")] = (
-        None
-    )
+    front_s: Annotated[float | None, number(f"when the front {DRAWING}")] = None
+    rear_s: Annotated[float | None, number(f"when the rear {DRAWING}")] = None
 
 
 class GhostWalls(Struct, frozen=True):
@@ -167,8 +163,7 @@ def _outside(passes: Array, ridge: NDArray[np.intp], side: int) -> Array:
     near, far = (round(2 * d) for d in OUTSIDE_CELLS)
     both = passes.mean(axis=1)
     bins = np.clip(ridge[:, None] + side * np.arange(near, far + 1), 0, both.shape[1] - 1)
-    mean: Array = np.take_along_axis(both, bins, axis=1).mean(axis=1)
-    return mean
+    return np.asarray(np.take_along_axis(both, bins, axis=1).mean(axis=1))
 
 
 def _places(twins: Array, grid: Grid) -> list[GhostWall]:

@@ -13,10 +13,9 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from mavnav.pose import Trajectory
-from mavnav.scan import SAME_RAD, LaserSpec, Scan
+from mavnav.scan import SAME_RAD, Floats, LaserSpec, Scan
 from mavnav.units import NS
 
-Floats = NDArray[np.float64]
 Scans = Callable[[], Iterable[Scan]]
 """Reads all scans again at every call."""
 

@@ -94,8 +94,7 @@ class View:
         col, row = np.floor((xy_m - self.grid.origin_xy_m) / self.grid.cell_m).astype(np.int64).T
         rows, cols = cells.shape
         inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
-        values: NDArray[np.bool_] = cells[np.where(inside, row, 0), np.where(inside, col, 0)] & inside
-        return values
+        return np.asarray(cells[np.where(inside, row, 0), np.where(inside, col, 0)] & inside)
 
 
 def difference(a: View, b: View, a_T_b: Pose) -> Difference:
@@ -129,26 +128,22 @@ def _changes(
     """Return the walls that only one map has, and the centres of their cells (n, 2)."""
     from scipy.ndimage import binary_dilation, find_objects, label  # noqa: PLC0415  takes 0.1 s to load
 
-    cells = having.walls.copy()
+    cells, cell_m = having.walls.copy(), having.grid.cell_m
     there_m = transform_points(other_T_having, having.middles(cells))
     cells[cells] = other.at(other.clear & ~other.near, there_m)
-    reach = max(1, round(JOIN_M / having.grid.cell_m / 2))
+    reach = max(1, round(JOIN_M / cell_m / 2))
     labels, _ = label(binary_dilation(cells, np.ones((3, 3), bool), iterations=reach), np.ones((3, 3), int))
     changes: list[Change] = []
     places = [np.zeros((0, 2))]
     for number, box in enumerate(find_objects(labels), start=1):
         row, col = np.nonzero(cells[box] & (labels[box] == number))
-        xy_m = cell_centres(having.grid, row + box[0].start, col + box[1].start)
-        change = _change(kind, transform_points(a_T_having, xy_m), having.grid.cell_m)
+        xy_m = transform_points(a_T_having, cell_centres(having.grid, row + box[0].start, col + box[1].start))
+        (x_m, y_m), spans_m = xy_m.mean(axis=0).tolist(), np.ptp(xy_m, axis=0) + cell_m
+        change = Change(kind, x_m, y_m, len(xy_m) * cell_m**2, float(np.hypot(*spans_m)))
         if change.m2 >= LEAST_M2 and change.length_m >= LEAST_LENGTH_M:
             changes.append(change)
-            places.append(transform_points(a_T_having, xy_m))
+            places.append(xy_m)
     return changes, np.concatenate(places)
-
-
-def _change(kind: Kind, xy_m: NDArray[np.float64], cell_m: float) -> Change:
-    (x_m, y_m), spans_m = xy_m.mean(axis=0).tolist(), np.ptp(xy_m, axis=0) + cell_m
-    return Change(kind, x_m, y_m, len(xy_m) * cell_m**2, float(np.hypot(*spans_m)))
 
 
 def pair_changes(changes: Sequence[Change]) -> list[Change]:

@@ -16,7 +16,7 @@ from msgspec import Struct, field
 from msgspec.structs import asdict
 from numpy.typing import NDArray
 
-from mavnav.metrics.fields import Measured, absent, number
+from mavnav.metrics.fields import OPTIONAL, Measured, number
 from mavnav.pose import MAX_GAP_NS, Trajectory, between, motions, rigid_fit, transform_points
 from mavnav.units import DEG, MM
 
@@ -42,6 +42,8 @@ LOOP_NS: Final = 20_000_000_000
 
 COVERED_M: Final = 0.1
 
+ATE: Final = "absolute trajectory error against the truth"
+
 
 class AbsoluteError(Struct, frozen=True):
     """Absolute trajectory error (Sturm et al. 2012) over ``poses`` positions, in metres; NaN without poses."""
@@ -57,14 +59,7 @@ class AlignedError(Struct, frozen=True):
 
     alignment: str
     poses: Annotated[int, number("poses that have a truth")]
-    rmse_m: Annotated[
-        Measured,
-        number(
-            "absolute trajectory error against the truth, root mean square, after alignment",
-            title="ATE",
-            better="lower",
-        ),
-    ]
+    rmse_m: Annotated[Measured, number(f"{ATE}, root mean square, after alignment", title="ATE", better="lower")]
     median_m: Annotated[Measured, number("median of the errors, after alignment")]
     max_m: Annotated[Measured, number("largest of the errors, after alignment")]
     share: Annotated[float, number("part of the poses that have a truth")]
@@ -141,10 +136,10 @@ class Reference(Struct, frozen=True):
     ``ate`` and ``rpe`` are null if too few poses have a truth.
     """
 
-    ate: AlignedError | None = field(default_factory=absent)
-    rpe: RelativeError | None = field(default_factory=absent)
-    map_distance: MapDistance = field(default_factory=absent)
-    relations: dict[str, RelationErrors] = field(default_factory=absent)
+    ate: AlignedError | None = OPTIONAL
+    rpe: RelativeError | None = OPTIONAL
+    map_distance: MapDistance = OPTIONAL
+    relations: dict[str, RelationErrors] = OPTIONAL
 
 
 def pose_errors(trajectory: Trajectory, truth: Trajectory) -> tuple[AlignedError, RelativeError] | tuple[None, None]:
@@ -207,8 +202,7 @@ def position_errors(estimate: Trajectory, truth: Trajectory, *, aligned: bool) -
     known, xy_m = np.isfinite(true_xy_m[:, 0]), estimate.xyyaw[:, :2]
     if aligned and known.any():
         xy_m = transform_points(rigid_fit(xy_m[known], true_xy_m[known]), xy_m)
-    errors_m: Array = np.hypot(*(xy_m - true_xy_m).T)
-    return errors_m
+    return np.asarray(np.hypot(*(xy_m - true_xy_m).T))
 
 
 def _stretches(path: Trajectory) -> NDArray[np.intp]:
@@ -255,17 +249,9 @@ def _nearest(stamps_ns: NDArray[np.int64], wanted_ns: NDArray[np.int64]) -> tupl
 
 
 def _errors(error: Array, relations: int) -> RelationErrors:
-    n = len(error)
-    length_m, turn_deg = np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2]) / DEG
-    return RelationErrors(
-        relations=relations,
-        scored=n,
-        share=n / relations if relations else np.nan,
-        translation_mean_m=float(length_m.mean()) if n else np.nan,
-        translation_std_m=float(length_m.std()) if n else np.nan,
-        rotation_mean_deg=float(turn_deg.mean()) if n else np.nan,
-        rotation_std_deg=float(turn_deg.std()) if n else np.nan,
-    )
+    n, sizes = len(error), (np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2]) / DEG)
+    spreads = [float(value) for size in sizes for value in (size.mean(), size.std())] if n else [np.nan] * 4
+    return RelationErrors(relations, n, n / relations if relations else np.nan, *spreads)
 
 
 def map_distance(occupied_xy_m: Array, truth: TrueMap) -> MapDistance:

@@ -33,6 +33,8 @@ _BLOCK: Final = 50_000
 
 _GOLDEN: Final = 0.6180339887498949
 
+APART: Final = "how far scans of a place lie from scans of the same place"
+
 
 class Revisits(Struct, frozen=True):
     """Mean distances of scans that see the same walls; null without a pair.
@@ -43,14 +45,7 @@ class Revisits(Struct, frozen=True):
     """
 
     nn_s_mm: Annotated[Measured, number("how far scans lie from their neighbors in time", title="neighbors")]
-    nn_l_mm: Annotated[
-        Measured,
-        number(
-            "how far scans of a place lie from scans of the same place at another time",
-            title="revisits",
-            better="lower",
-        ),
-    ]
+    nn_l_mm: Annotated[Measured, number(f"{APART} at another time", title="revisits", better="lower")]
     pairs: Annotated[int, number("pairs of scans at revisits")]
     visible_share: Annotated[Measured, number("part of the points of revisits that the other scan could see")]
 

@@ -143,8 +143,7 @@ def gaussian(sigma_cells: float) -> NDArray[np.float64]:
     """Return the weights of a normal distribution from the middle to four sigma; those of both sides sum to 1."""
     far = int(4.0 * sigma_cells + 0.5)
     weights = np.exp(-0.5 / sigma_cells**2 * np.arange(-far, far + 1) ** 2)
-    half: NDArray[np.float64] = (weights / weights.sum())[far:]
-    return half
+    return np.asarray((weights / weights.sum())[far:])
 
 
 def highest(image: NDArray[np.float32], reach: int) -> NDArray[np.float32]:

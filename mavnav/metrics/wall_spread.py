@@ -11,18 +11,16 @@ from collections.abc import Mapping
 from typing import Annotated, Final
 
 import numpy as np
-from msgspec import Struct, field
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from mavnav.kernels.walls.profiles import wall_profiles
 from mavnav.kernels.walls.straight_beams import straight_beams
 from mavnav.mapping.occupancy_grid import Grid
-from mavnav.metrics.fields import Measured, absent, number, text
+from mavnav.metrics.fields import ABSENT, OPTIONAL, Measured, number, text
 from mavnav.metrics.journey import PlacedScans, spread
-from mavnav.metrics.walls import Sections, WallThickness, link, quantiles, summary
+from mavnav.metrics.walls import Array, Sections, WallThickness, link, quantiles, summary
 from mavnav.units import DEG, MM
-
-Array = NDArray[np.float64]
 
 WALL_SCANS: Final = 200
 SPACING_M: Final = 0.02
@@ -98,20 +96,18 @@ class PaperCells(Struct, frozen=True):
     ]
 
 
-class WallThicknessReport(Struct, frozen=True):
+class WallThicknessReport(Struct, frozen=True, rename=lambda name: name.removeprefix("hits_")):
     """Wall thickness: the spread of hits across the walls, the paper's count of cells, and the published map's walls.
 
     The sections under a number use that hit threshold.
     """
 
-    spread: WallSpread = field(default_factory=absent)
-    paper_cells: PaperCells = field(default_factory=absent)
-    hits_1: Annotated[WallThickness, text("cells of at least 1 hit")] = field(name="1", default_factory=absent)
-    hits_2: Annotated[WallThickness, text("cells of at least 2 hits")] = field(name="2", default_factory=absent)
-    hits_5: Annotated[WallThickness, text("cells of at least 5 hits")] = field(name="5", default_factory=absent)
-    published_map: Annotated[WallThickness, text("occupied cells of map.pgm, as of any tool's map file")] = field(
-        default_factory=absent
-    )
+    spread: WallSpread = OPTIONAL
+    paper_cells: PaperCells = OPTIONAL
+    hits_1: Annotated[WallThickness, text("cells of at least 1 hit")] = OPTIONAL
+    hits_2: Annotated[WallThickness, text("cells of at least 2 hits")] = OPTIONAL
+    hits_5: Annotated[WallThickness, text("cells of at least 5 hits")] = OPTIONAL
+    published_map: Annotated[WallThickness, text("occupied cells of map.pgm, as of any tool's map file")] = OPTIONAL
 
 
 def wall_report(
@@ -120,13 +116,12 @@ def wall_report(
     """Return the summary of the sections at each hit threshold, of the published map, and of the cuts, unless None."""
     by_hits = {hits: summary(cut, cell_m) for hits, cut in sections.items()}
     paper = by_hits.get(PAPER_MIN_HITS)
+    sizes = (paper.median_cells, paper.p95_cells, paper.max_cells) if paper else ()
     return WallThicknessReport(
-        spread=absent() if cuts is None else wall_spread(cuts, cell_m),
-        paper_cells=PaperCells(PAPER_MIN_HITS, paper.median_cells, paper.p95_cells, paper.max_cells)
-        if paper
-        else absent(),
+        spread=ABSENT if cuts is None else wall_spread(cuts, cell_m),
+        paper_cells=PaperCells(PAPER_MIN_HITS, *sizes) if sizes else ABSENT,
         **{f"hits_{hits}": thickness for hits, thickness in by_hits.items()},
-        published_map=absent() if published is None else summary(published, cell_m),
+        published_map=ABSENT if published is None else summary(published, cell_m),
     )
 
 
@@ -277,5 +272,4 @@ def _quantile(hits: Array, share: float) -> Array:
     at = np.argmax((below >= wanted[:, None]) & (hits > 0.0), axis=1)
     rows = np.arange(len(hits))
     inside = hits[rows, at]
-    part: Array = at + 1.0 - (below[rows, at] - wanted) / np.where(inside > 0.0, inside, 1.0)
-    return part
+    return np.asarray(at + 1.0 - (below[rows, at] - wanted) / np.where(inside > 0.0, inside, 1.0))

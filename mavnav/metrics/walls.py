@@ -93,8 +93,7 @@ def wall_sections(hits: NDArray[Any], cell_m: float, min_hits: int) -> Sections:
     ``hits`` is (rows, cols); a cell is occupied from ``min_hits`` (1 or more) on; ``cell_m`` is the size of a cell.
     """
     if min_hits < 1:
-        msg = f"a cell is occupied from 1 hit on, not {min_hits}"
-        raise ValueError(msg)
+        raise ValueError(f"a cell is occupied from 1 hit on, not {min_hits}")
     hits = counts(hits)
     down = _axis_cuts(hits, cell_m, min_hits, diagonal=True)
     col, row, *sizes, angle_rad, cells = _axis_cuts(hits.T, cell_m, min_hits, diagonal=False)

@@ -104,9 +104,8 @@ def check_directory(
     elif any(directory.iterdir()) and not (directory / marker).is_file():
         raise OutputError(f"{directory} holds other files (no {marker}); choose another directory with -o")
     elif inside := [path for path in inputs if path and _contains(directory, path)]:
-        raise UsageError(
-            f"{inside[0]} is an input, and would be lost if {directory} were replaced; choose another directory with -o"
-        )
+        loss = f"would be lost if {directory} were replaced"
+        raise UsageError(f"{inside[0]} is an input, and {loss}; choose another directory with -o")
     elif not force:
         raise OutputError(f"{directory} exists; choose another directory with -o, or --force to replace it")
 

@@ -179,11 +179,6 @@ class RunResult(Struct, frozen=True, dict=True):
         return self.truth or (given if given and len(given.segments_map) + len(given.arcs_map) else None)
 
     @property
-    def holds_s(self) -> float:
-        """Time after its stamp at which the pose of a scan holds, s: half a sweep."""
-        return half_sweep_s(self.log, self.slam)
-
-    @property
     def map_T_base(self) -> Trajectory | None:
         """The trajectory of the robot's base in the map frame, None where the mounting is not known."""
         mounting = self.log.base_T_laser

@@ -101,7 +101,7 @@ def write_run(
         path.write_text(plain_json(document), encoding="utf-8")
         if report:
             with Stage("page"):
-                pages = import_module("mavnav.outputs.report")
+                pages = import_module("mavnav.outputs.report.page")
                 page = pages.page_text(pages.single(document), folder, run)
                 (folder / REPORT_FILE).write_text(page, "utf-8", "backslashreplace")  # names need not be UTF-8
     return document
@@ -109,7 +109,7 @@ def write_run(
 
 def write_page(comparison: dict[str, Any], folder: Path) -> None:
     """Write report.html of a comparison, and its pictures, into the folder that has the runs below it."""
-    import_module("mavnav.outputs.report").write_report(comparison, folder, folder / REPORT_FILE)
+    import_module("mavnav.outputs.report.page").write_report(comparison, folder, folder / REPORT_FILE)
 
 
 def _writers(run: RunResult, groups: Collection[str] | None) -> dict[str, Callable[[Path], None]]:

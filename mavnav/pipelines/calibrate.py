@@ -31,7 +31,7 @@ from mavnav.outputs.files.document import plain, to_json, track_verdict
 from mavnav.outputs.pictures import calibration_picture
 from mavnav.outputs.report.summary_page import calibration_summary, draw_png, write_summary
 from mavnav.outputs.run import half_sweep_s
-from mavnav.pipelines.reach import with_reach
+from mavnav.pipelines.maps import with_reach
 from mavnav.pose import Pose
 from mavnav.profiling import Progress
 from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, LogOdometry, fit_odometry
@@ -143,7 +143,9 @@ def _motions(log: Log, outcome: SlamResult) -> Motions:
 
 
 def _document(request: CalibrationRequest, log: Log, outcome: SlamResult, result: Calibration) -> dict[str, Any]:
-    quantities = [_row(quantity, log) for quantity in result.quantities]
+    assert log.odometry  # noqa: S101  checked by `_open`
+    motion, quantities = result.motion, [_row(quantity, log) for quantity in result.quantities]
+    order = _TURN if log.sensor.time_increment_s else "the scans have no time between their beams (time_increment is 0)"
     upside_down = None if result.mirrored is None else result.mirrored != log.upside_down
     overhead = log.upside_down if upside_down is None else upside_down
     code = ExitCode.GATE_FAILED if all(q["refused"] for q in quantities) else ExitCode.DONE
@@ -152,18 +154,32 @@ def _document(request: CalibrationRequest, log: Log, outcome: SlamResult, result
         **DOCUMENT_HEAD,
         "verdict": None,
         "headline": "",
-        "input": _input(request, log),
+        "input": {
+            "path": str(request.log),
+            "topic": log.topic,
+            "frame_id": log.frame_id,
+            "base_frame": log.base_frame,
+            "odometry": {"topic": log.odometry.topic, "source": log.odometry.source},
+            "duration_s": round(log.duration_s, 3),
+        },
         "tracking": {
             "scans": log.counts.usable,
             "tracked_share": round(outcome.tracked_share, 4),
             "lost": outcome.lost_for_good,
             "doubt": None if outcome.doubt is None else round(outcome.doubt.probability, 4),
         },
-        "motion": _motion(result),
+        "motion": {
+            "path_m": round(motion.path_m, 3),
+            "turned_deg": round(motion.turned_rad / DEG, 1),
+            "odometry_path_m": round(motion.odom_path_m, 3),
+            "odometry_turned_deg": round(motion.odom_turned_rad / DEG, 1),
+            "steps": motion.steps,
+            "correlation": None if result.fit is None else round(result.fit.correlation, 4),
+        },
         "refused": result.refused or None,
         "quantities": quantities,
         "upside_down": _switch(upside_down, log.upside_down, _TURN if result.fit else result.refused),
-        "beams_reversed": _switch(_is_reversed(log, outcome, result), False, _order(log)),
+        "beams_reversed": _switch(_is_reversed(log, outcome, result), False, order),
         "range_bias": {"value": None, "in_log": None, "agrees": None, "refused": RANGE_BIAS},
         "lines": {
             "static_transform": transform_line(quantities, log, overhead=overhead),
@@ -210,32 +226,11 @@ SWITCHES: Final = {"upside_down": "the laser is mounted the other way up", "beam
 _TURN: Final = f"the laser turns by less than {LEAST_TURN_RAD / DEG:.0f} deg in all"
 
 
-def _input(request: CalibrationRequest, log: Log) -> dict[str, Any]:
-    assert log.odometry  # noqa: S101  checked by `_open`
-    return {
-        "path": str(request.log),
-        "topic": log.topic,
-        "frame_id": log.frame_id,
-        "base_frame": log.base_frame,
-        "odometry": {"topic": log.odometry.topic, "source": log.odometry.source},
-        "duration_s": round(log.duration_s, 3),
-    }
-
-
-def _motion(result: Calibration) -> dict[str, Any]:
-    motion = result.motion
-    return {
-        "path_m": round(motion.path_m, 3),
-        "turned_deg": round(motion.turned_rad / DEG, 1),
-        "odometry_path_m": round(motion.odom_path_m, 3),
-        "odometry_turned_deg": round(motion.odom_turned_rad / DEG, 1),
-        "steps": motion.steps,
-        "correlation": None if result.fit is None else round(result.fit.correlation, 4),
-    }
-
-
 def _row(quantity: QuantityValue, log: Log) -> dict[str, Any]:
-    """Describe a quantity: what was found, what the log says now, and whether they agree."""
+    """Describe a quantity: what was found, what the log says now, and whether they agree.
+
+    ``option`` is that of a replay which takes it; the mounting has one for three.
+    """
     kind, value, ci95 = quantity.kind, quantity.value, quantity.ci95
     in_log = _in_log(kind, log)
     if value is not None and kind.name == "offset_s" and log.odometry:
@@ -254,7 +249,7 @@ def _row(quantity: QuantityValue, log: Log) -> dict[str, Any]:
         "difference": _round(difference),
         "agrees": agrees,
         "refused": quantity.refused or None,
-        "option": option_of(kind.name, value),
+        "option": None if value is None or kind.name in MOUNTING else f"--set odometry.{kind.name}={value:.4f}",
     }
 
 
@@ -289,10 +284,6 @@ def _is_reversed(log: Log, outcome: SlamResult, result: Calibration) -> bool | N
     return False if shown else None
 
 
-def _order(log: Log) -> str:
-    return _TURN if log.sensor.time_increment_s else "the scans have no time between their beams (time_increment is 0)"
-
-
 def _write(request: CalibrationRequest, document: dict[str, Any], result: Calibration, motions: Motions) -> None:
     """Write the files that are asked for; raises OutputError."""
     title = log_name(request.log)
@@ -304,11 +295,6 @@ def _write(request: CalibrationRequest, document: dict[str, Any], result: Calibr
     if request.report:
         summary = calibration_summary(document, title, draw_png(picture) if picture else None)
         write_file(request.report, partial(write_summary, summary), force=request.force)
-
-
-def option_of(name: str, value: float | None) -> str | None:
-    """Return the option of a replay that takes a quantity; the mounting has one for three."""
-    return None if value is None or name in MOUNTING else f"--set odometry.{name}={value:.4f}"
 
 
 def transform_line(rows: list[dict[str, Any]], log: Log, *, overhead: bool) -> str | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -72,17 +72,12 @@ def diff_maps(request: DiffRequest, progress: Progress) -> dict[str, Any]:
         picture = partial(difference_picture.write, view_a, view_b, alignment.a_T_b, result, title)
     if request.picture or request.report:
         progress("writing", 0, None)
-        _write(request, document, picture)
-    return document
-
-
-def _write(request: DiffRequest, document: dict[str, Any], picture: Callable[[Path], None] | None) -> None:
-    """Write the picture, if the maps could be aligned, and the page; raises OutputError."""
     if request.picture and picture:
         write_file(request.picture, picture, force=request.force)
     if request.report:
         summary = diff_summary(document, draw_png(picture) if picture else None)
         write_file(request.report, partial(write_summary, summary), force=request.force)
+    return document
 
 
 def read_grid(path: Path) -> tuple[Grid, Pose]:
@@ -125,7 +120,13 @@ def _document(
         "b": str(request.b),
         "headline": diff_headline(numbers),
         "verdicts": {"a": run_verdict_at(request.a), "b": run_verdict_at(request.b)},
-        "alignment": alignment and _alignment(alignment),
+        "alignment": alignment
+        and {
+            **rounded_pose(alignment.a_T_b),
+            "places": alignment.taken,
+            "agreeing": alignment.agreeing,
+            "rms_mm": round(alignment.cost_m2**0.5 / MM, 1),
+        },
         "searched_all": searched_all,
         **numbers,
         "changes": [
@@ -169,12 +170,3 @@ def _numbers(result: Difference) -> dict[str, float]:
     counts = kinds.count("gone"), kinds.count("new"), sum(c.moved_with is not None for c in result.changes) // 2
     values = round(result.compared_m2, 3), round(result.same_share, 4), *areas_m2, *counts
     return dict(zip(NUMBERS, values, strict=True))
-
-
-def _alignment(alignment: Alignment) -> dict[str, float]:
-    return {
-        **rounded_pose(alignment.a_T_b),
-        "places": alignment.taken,
-        "agreeing": alignment.agreeing,
-        "rms_mm": round(alignment.cost_m2**0.5 / MM, 1),
-    }

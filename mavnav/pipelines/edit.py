@@ -63,9 +63,8 @@ def _rectangle(option: str, text: str) -> Rectangle:
         x0 = y0 = x1 = y1 = np.nan
     rectangle = Rectangle(min(x0, x1), min(y0, y1), max(x0, x1), max(y0, y1))
     if not (np.isfinite(rectangle).all() and x0 != x1 and y0 != y1):
-        raise UsageError(
-            f"{option} {text}: no rectangle; write two corners in m, X0,Y0,X1,Y1, as in {option} -2,-1,8,6"
-        )
+        advice = f"write two corners in m, X0,Y0,X1,Y1, as in {option} -2,-1,8,6"
+        raise UsageError(f"{option} {text}: no rectangle; {advice}")
     return rectangle
 
 
@@ -97,9 +96,8 @@ def edit_map(request: EditRequest, progress: Progress) -> dict[str, Any]:
     edited = edit_grid(grid, request.edits, map_T_grid)
     old, new = occupancy(grid), occupancy(edited)
     if not (new == OCCUPIED).any():
-        raise UsageError(
-            f"{request.path}: no wall would be left; name other rectangles, in m from the origin of the map"
-        )
+        advice = "name other rectangles, in m from the origin of the map"
+        raise UsageError(f"{request.path}: no wall would be left; {advice}")
     corner = map_T_grid @ Pose(*edited.origin_xy_m, 0.0)
     if is_run:
         _write_run(request, edited)

@@ -120,9 +120,8 @@ def _run(directory: Path) -> Subject:
     hits, poses, recording = (run.file(name) for name in NEEDED_FILES)
     map_T_laser = poses_of(run, poses.name)
     if record.scans.accepted and not len(map_T_laser):
-        raise UsageError(
-            f"{directory} is no whole run: {poses.name} is empty; make it again with mavnav replay --force"
-        )
+        reason = f"{poses.name} is empty; make it again with mavnav replay --force"
+        raise UsageError(f"{directory} is no whole run: {reason}")
     with _reading(directory, "replay"):
         grid = read_npz(hits)
         journey = Journey(
@@ -171,10 +170,8 @@ def _document(path: Path, what: Subject, references: References) -> dict[str, An
         check_times(references, *(int(what.trajectory.stamps_ns[k]) for k in (0, -1)))
     measured = measure_map(grid, what.journey, counted=what.has_counts)
     if references.of_first_scan and what.begins_late:
-        raise UsageError(
-            f"{path}: its map begins after the first scan of the mission, to which the walls of a scenario are "
-            "relative; give the true walls as a map file in the frame of the map"
-        )
+        reason = "its map begins after the first scan of the mission, to which the walls of a scenario are relative"
+        raise UsageError(f"{path}: {reason}; give the true walls as a map file in the frame of the map")
     sections = measured.sections if what.has_counts else {}  # a map file has no counts
     references = with_walls_moved(references, what.map_T_begin)
     held = what.trajectory and in_time_of_truth(what.trajectory, what.holds_s, what.truth_at)

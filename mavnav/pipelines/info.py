@@ -36,13 +36,31 @@ def info_document(
 ) -> tuple[dict[str, Any], MavnavError | None]:
     """Examine a log, or the scan topic of that name; return the document, and why no scan can be used.
 
+    The fields about one topic are empty where there are several, or none; ``scan_topics`` has them for each.
     ``more`` are further parts of the log. With ``strict``, scans from where a checksum does not match are left out.
     Raises UsageError and NoScansError where there is no log to examine.
     """
     contents = survey(log, topic=topic, strict=strict, progress=progress, more=more)
     logs, error = _choices(contents, topic)
     code = error.exit_code if error else ExitCode.DAMAGED_INPUT if contents.damage else ExitCode.DONE
-    return _info(contents, logs, code), error
+    topics = [_topic(each) for each in logs]
+    document = {
+        "schema_version": SCHEMA_VERSION,
+        "input": {
+            "path": str(contents.path),
+            "sha256": contents.sha256,
+            "format": contents.format,
+            "size_bytes": contents.size_bytes,
+        },
+        "topics": [asdict(topic) for topic in contents.topics],
+        "scans": _counts(contents, logs),
+        **(topics[0] if len(topics) == 1 else _topic(None)),
+        "scan_topics": [{"scans": asdict(each.counts), **topic} for each, topic in zip(logs, topics, strict=True)],
+        "damage": [asdict(damage) for damage in contents.damage],
+        "warnings": _warnings(contents, logs),
+        "exit_code": int(code),
+    }
+    return document, error
 
 
 def _choices(contents: Survey, topic: str | None) -> tuple[list[Log], MavnavError | None]:
@@ -55,31 +73,6 @@ def _choices(contents: Survey, topic: str | None) -> tuple[list[Log], MavnavErro
         except MavnavError as error:
             errors.append(error)
     return logs, None if logs else errors[0]
-
-
-def _info(contents: Survey, logs: list[Log], code: ExitCode) -> dict[str, Any]:
-    """Return the document of the contents of a log.
-
-    ``logs`` holds the usable scan topics. The fields about one topic are empty where there are several, or none;
-    ``scan_topics`` has them for each.
-    """
-    log, topics = logs[0] if len(logs) == 1 else None, [_topic(each) for each in logs]
-    return {
-        "schema_version": SCHEMA_VERSION,
-        "input": {
-            "path": str(contents.path),
-            "sha256": contents.sha256,
-            "format": contents.format,
-            "size_bytes": contents.size_bytes,
-        },
-        "topics": [asdict(topic) for topic in contents.topics],
-        "scans": _counts(contents, logs),
-        **(_topic(log) if log is None else topics[0]),
-        "scan_topics": [{"scans": asdict(each.counts), **topic} for each, topic in zip(logs, topics, strict=True)],
-        "damage": [asdict(damage) for damage in contents.damage],
-        "warnings": _warnings(contents, logs),
-        "exit_code": int(code),
-    }
 
 
 def _topic(log: Log | None) -> dict[str, Any]:
@@ -164,8 +157,7 @@ def _attitude(attitude: RecordedAttitude) -> dict[str, Any]:
 
 def _odometry(odometry: Odometry) -> dict[str, Any]:
     track = odometry.odom_T_base
-    length_m = track.length_m if len(track) > 1 else 0.0
-    return {"topic": odometry.topic, "source": odometry.source, "poses": len(track), "length_m": length_m}
+    return {"topic": odometry.topic, "source": odometry.source, "poses": len(track), "length_m": track.length_m}
 
 
 def _mounting(log: Log, base_T_laser: Pose) -> dict[str, Any]:

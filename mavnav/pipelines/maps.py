@@ -1,37 +1,68 @@
-"""The map of a run: its frame, the references in that, and what is measured of it before it is written."""
+"""The map of a run: which returns it is made of, its frame, the references in that, and what is measured of it.
+
+Returns are used beyond the default range where most of a log's are.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from collections.abc import Iterator, Sequence
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from msgspec.structs import replace
 
+from mavnav.config.models import Config, RobustConfig
 from mavnav.config.option_kinds import NOWHERE, WALLS
+from mavnav.config.options import ReplayOptions
 from mavnav.errors import UsageError
-from mavnav.ground_truth.references import References, check_times, of_map, place_walls
+from mavnav.ground_truth.references import References, check_times, compare_to, of_map, place_walls
+from mavnav.logs import Log
+from mavnav.logs.preprocessing import FARTHEST_M
 from mavnav.mapping.occupancy_grid import Grid, known_area, measured_area, occupied_xy_m
 from mavnav.mapping.slices import PlacedScan, Slices, scans_with_heights, slice_map
 from mavnav.metrics.floor_plan import turn_to_walls
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import MeasuredMap, measure_map
-from mavnav.metrics.reference import COVERED_M
+from mavnav.metrics.reference import COVERED_M, position_errors
 from mavnav.outputs.directory import checked_file, digests_of
 from mavnav.outputs.documents.run_json import FoundPose, Localisation, StartPose
-from mavnav.pose import MAX_GAP_NS, Pose
+from mavnav.pose import MAX_GAP_NS, Pose, Trajectory
 from mavnav.profiling import Stage, timed
+from mavnav.slam.matching.prior_map import PriorMap, prior_map_of
 from mavnav.slam.methods.registry import LOCALIZERS
-from mavnav.units import DEG
+from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
-
-    from mavnav.config.models import Config
-    from mavnav.logs import Log
-    from mavnav.slam.matching.prior_map import PriorMap
     from mavnav.slam.result import SlamResult
     from mavnav.slam.track import Placement
+
+
+LOOKED_AT: Final = 200
+"""Number of scans that are looked at."""
+
+MOST_BEYOND: Final = 0.5
+"""Share of the returns beyond the default from which the laser's own limit takes its place."""
+
+
+def with_reach(config: Config, log: Log) -> tuple[Config, tuple[str, ...]]:
+    """Return a configuration that uses the returns of a log, and a warning if it is another.
+
+    A ``robust.far_mm`` that is not the default stays.
+    """
+    far_m = config.robust.far_m
+    limit_m = min(log.sensor.range_max_m, FARTHEST_M)
+    if config.method != "robust" or config.robust.far_mm != RobustConfig().far_mm or limit_m <= far_m:
+        return config, ()
+    ranges_m = np.concatenate([scan.ranges_m for scan in islice(log.scans(), LOOKED_AT)])
+    returns_m = ranges_m[np.isfinite(ranges_m)]
+    beyond = np.count_nonzero(returns_m >= far_m) / max(len(returns_m), 1)
+    if beyond <= MOST_BEYOND:
+        return config, ()
+    text = f"{100 * beyond:.0f} % of the returns are farther than {far_m:g} m; returns up to {limit_m:g} m are used"
+    reaching = replace(config, robust=replace(config.robust, far_mm=limit_m / MM))
+    return reaching, (f"{text}: set robust.far_mm to choose another limit",)
 
 
 def known_map(path: Path | None, start_pose: Pose | None, method: str) -> PriorMap | None:
@@ -44,8 +75,7 @@ def known_map(path: Path | None, start_pose: Pose | None, method: str) -> PriorM
     if method not in LOCALIZERS:
         advice = f"use --method {' or '.join(LOCALIZERS)}"
         raise UsageError(f"--map: method {method} makes a map of its own; {advice}")
-    from mavnav.ground_truth.map_file import read_map  # noqa: PLC0415  few runs need them
-    from mavnav.slam.matching.prior_map import prior_map_of  # noqa: PLC0415
+    from mavnav.ground_truth.map_file import read_map  # noqa: PLC0415  few runs need it
 
     if path.is_dir():
         digests = digests_of(path)
@@ -92,20 +122,17 @@ def rounded_pose(pose: Pose) -> dict[str, float]:
     return {name: value + 0.0 for name, value in zip(("x_m", "y_m", "yaw_deg"), values, strict=True)}
 
 
-def check_references(
-    references: References, log: Log, truth_map: Path | None, start_s: float | None, *, own_frame: bool
-) -> None:
+def check_references(references: References, log: Log, options: ReplayOptions[Path], *, own_frame: bool) -> None:
     """Raise UsageError for references of another time than the log, or of a frame that its map will not have.
 
-    ``truth_map`` is the file of the true map, ``start_s`` where in the log the run starts. In its ``own_frame`` a map
-    begins at a scan of the log, else it is in that of a given map or run.
+    ``options`` are those of the run. In its ``own_frame`` a map begins at a scan of the log, else it is in that of a
+    given map or run.
     """
     check_times(_with_recorded_truth(references, log, None), log.first_ns, log.last_ns)
-    if start_s and references.of_first_scan and own_frame:
-        raise UsageError(
-            f"{truth_map}: the walls of a scenario are relative to the first scan of the mission; "
-            "leave out --start, or give the true walls as a map file in the frame of the map"
-        )
+    if options.get("start_s") and references.of_first_scan and own_frame:
+        relative = "the walls of a scenario are relative to the first scan of the mission"
+        advice = "leave out --start, or give the true walls as a map file in the frame of the map"
+        raise UsageError(f"{options.get('truth_map')}: {relative}; {advice}")
 
 
 def references_in_map(
@@ -139,8 +166,7 @@ def with_true_map_placed(
     file, true = references.map_file, references.true_map
     if file is None or true is None:
         return references
-    from mavnav.sessions.map_alignment import align  # noqa: PLC0415  few runs need them
-    from mavnav.slam.matching.prior_map import PriorMap, prior_map_of  # noqa: PLC0415
+    from mavnav.sessions.map_alignment import align  # noqa: PLC0415  few runs need it
 
     drawn = prior_map_of(grid, map_T_grid) if map_T_grid else PriorMap(known_area(grid), occupied_xy_m(grid))
     if not len(drawn.walls_xy_m) or np.median(true.distance_m(drawn.walls_xy_m)) <= COVERED_M:
@@ -151,6 +177,20 @@ def with_true_map_placed(
     place = alignment.a_T_b
     text = f"found at {place.x_m:.2f} m, {place.y_m:.2f} m, {place.yaw_rad / DEG:.1f} deg"
     return replace(references, true_map=of_map(file, place, text))
+
+
+def comparison_fields(references: References, held: Trajectory, outcome: SlamResult, config: Config) -> dict[str, Any]:
+    """Return what a `RunResult` has of the comparison with references in its frame.
+
+    ``held`` are its poses at the times of the truth.
+    """
+    references = with_true_map_placed(references, outcome.grid, config)
+    truth = references.truth
+    return {
+        "reference": compare_to(references, held, occupied_xy_m(outcome.grid)),
+        "true_map": references.true_map,
+        "position_errors_m": position_errors(held, truth, aligned=True) if truth else None,
+    }
 
 
 def _with_recorded_truth(

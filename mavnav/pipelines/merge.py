@@ -39,7 +39,7 @@ from mavnav.pipelines.replay import ReplayRequest, replay_log
 from mavnav.pipelines.sessions import UNREADABLE, mapped_share, read_session, session_of
 from mavnav.pose import Trajectory
 from mavnav.profiling import Progress
-from mavnav.sessions.group import Join, Session, SessionGroup, frame_of, merged_map
+from mavnav.sessions.group import Join, Session, frame_of, merged_map
 from mavnav.sessions.growth import join_sessions
 from mavnav.slam.methods.registry import load_kernels
 from mavnav.units import pluralize
@@ -91,8 +91,12 @@ def merge(request: MergeRequest, progress: Progress) -> dict[str, Any]:
             raise NoScansError("none of the logs and runs has a tracked scan; examine them with mavnav info")
         load_kernels(request.config, progress, rare=True)
         group, refused = join_sessions(sessions, request.config, lambda name: progress(f"joining {name}", 0, None))
-        grid, members = merged_map(group, request.config, [_first(group, sessions)], progress)
-        rows = _rows(inputs, [*group.joins, *refused], members)
+        numbers = {session.name: number for number, session in enumerate(group.sessions)}
+        first = next(numbers[session.name] for session in sessions if session.name in numbers)
+        grid, members = merged_map(group, request.config, [first], progress)
+        paths = {session.name: session.map_T_laser for session in members}
+        joins = {join.name: join for join in (*group.joins, *refused)}
+        rows = [_row(each, joins.get(each.name) or Join(each.name, why=each.why), paths) for each in inputs]
         progress("measuring", 0, None)
         tracks = [(session.map_T_laser, session.scans) for session in members]
         measured = measure_map(measured_area(grid), one_after_another(tracks, mapped_share(rows)))
@@ -171,17 +175,9 @@ def _read(name: str, run: FinishedRun, config: Config) -> Session:
     """Read the scans and poses of a run; raises UsageError where it is not whole."""
     try:
         return read_session(run, run.record.stored_sessions[0], config, name)
-    except NoScansError:
-        raise
     except UNREADABLE as error:
         reason = f"{run.directory} is no whole run: {reason_of(error)}"
         raise UsageError(f"{reason}; make it again with mavnav replay --force") from error
-
-
-def _first(group: SessionGroup, sessions: list[Session]) -> int:
-    """Return the number in a group of the session that was named first."""
-    inside = [session.name for session in group.sessions]
-    return next(inside.index(session.name) for session in sessions if session.name in inside)
 
 
 def _write(
@@ -251,13 +247,6 @@ def _document(
         "config": request.config.document(),
         "exit_code": int(worst([ExitCode.GATE_FAILED if refused else ExitCode.DONE, *codes])),
     }
-
-
-def _rows(inputs: list[Input], joins: list[Join], members: list[Session]) -> list[dict[str, Any]]:
-    """Describe what became of each input."""
-    by_name = {join.name: join for join in joins}
-    paths = {session.name: session.map_T_laser for session in members}
-    return [_row(each, by_name.get(each.name) or Join(each.name, why=each.why), paths) for each in inputs]
 
 
 def merge_verdict(sessions: list[dict[str, Any]], of_map: dict[str, Any]) -> Verdict:

@@ -16,28 +16,16 @@ from mavnav.config.models import Config, OdometryConfig
 from mavnav.config.option_kinds import recorded_topic
 from mavnav.config.options import ReplayOptions, paths_of, reference_files
 from mavnav.errors import ExitCode, StoppedError, UsageError
-from mavnav.ground_truth.references import References, compare_to, in_time_of_truth, load_references
+from mavnav.ground_truth.references import References, in_time_of_truth, load_references
 from mavnav.logs import Log, check_log, open_log
 from mavnav.logs.formats.detect import log_name
-from mavnav.mapping.occupancy_grid import occupied_xy_m
-from mavnav.metrics.reference import position_errors
 from mavnav.outputs.directory import check_directory
 from mavnav.outputs.documents.provenance import Typed, provenance, utc_now
 from mavnav.outputs.documents.sections import options_section
 from mavnav.outputs.run import RunResult, Timing, half_sweep_s
 from mavnav.outputs.writers import WITHOUT_MAP, check_groups, write_run
+from mavnav.pipelines import maps
 from mavnav.pipelines.again import replay_words
-from mavnav.pipelines.maps import (
-    check_references,
-    known_map,
-    localisation,
-    measured_map,
-    placement_of,
-    references_in_map,
-    slices_of,
-    with_true_map_placed,
-)
-from mavnav.pipelines.reach import with_reach
 from mavnav.pose import Pose, correct_path
 from mavnav.profiling import Progress, Stage, new_profile, scans_s, timed
 from mavnav.slam.findings import TrackedAgain
@@ -49,7 +37,6 @@ from mavnav.units import DEG, NS
 if TYPE_CHECKING:
     from mavnav.outputs.documents.run_json import Provenance
     from mavnav.outputs.files.finished_run import FinishedRun
-    from mavnav.pipelines.sessions import Continuation
     from mavnav.sessions.group import Session
     from mavnav.slam.matching.prior_map import PriorMap
     from mavnav.slam.result import SlamResult
@@ -103,12 +90,12 @@ class ReplayRequest(Struct, frozen=True):
         """The paths that the run reads; None for those that are not given."""
         config = Path(self.typed.config) if self.typed.config else None
         named = (self.log, *self.more, *paths_of(self.options), config)
-        maps = [path for path in (self.options.get("map"), self.options.get("truth_map")) if path]
-        if not maps:
+        map_paths = [path for path in (self.options.get("map"), self.options.get("truth_map")) if path]
+        if not map_paths:
             return named
         from mavnav.ground_truth.map_file import map_files  # noqa: PLC0415  few runs need it
 
-        return *named, *(file for path in maps for file in map_files(path))
+        return *named, *(file for path in map_paths for file in map_files(path))
 
 
 class Given(Struct, frozen=True):
@@ -149,7 +136,7 @@ def _to_continue(request: ReplayRequest) -> tuple[FinishedRun | None, tuple[Sess
 
 def _check_alignment(request: ReplayRequest) -> None:
     """Raise UsageError where the map cannot be aligned."""
-    if placement_of(request.options.get("align")) is None:
+    if maps.placement_of(request.options.get("align")) is None:
         return
     if {"map", "continue_from"} & request.options.keys():
         raise UsageError("--align: the map is in the frame of the one given by --map or --continue; leave out --align")
@@ -183,7 +170,7 @@ def replay_log(
     check_directory(request.directory, force=True, inputs=request.inputs)
     given = Given(
         load_references(**reference_files(options)),
-        known_map(options.get("map"), _pose(options.get("start_pose")), request.config.method),
+        maps.known_map(options.get("map"), _pose(options.get("start_pose")), request.config.method),
         replay_provenance(request),
         *_to_continue(request),
     )
@@ -193,7 +180,7 @@ def replay_log(
     log = with_corrected_odometry(log, request.config)
     if request.log_sha256 not in {None, log.sha256}:
         raise UsageError(f"{request.log}: changed since it was first read; run again once it is complete")
-    check_references(given.references, log, options.get("truth_map"), options.get("start_s"), own_frame=given.own_frame)
+    maps.check_references(given.references, log, options, own_frame=given.own_frame)
     check_directory(request.directory, force=request.force)  # that it exists is said last
     compiled_s, compiled_cpu_s = _compile(request.config, progress, rare=not given.own_frame)
     began = Timing(wall_s + compiled_s, cpu_s + compiled_cpu_s, compile_s + compiled_s, stages, scans_s())
@@ -225,59 +212,49 @@ def _track_and_write(
     request: ReplayRequest, log: Log, given: Given, progress: Progress, stop: Stop, began: Timing
 ) -> tuple[RunResult, dict[str, Any]]:
     """Track, measure and write; ``began`` holds the clocks as they stood at the start."""
-    config, warnings = with_reach(request.config, log)
+    config, warnings = maps.with_reach(request.config, log)
     outcome = _track(request, log, config, given.known, progress, stop)
     outcome = changed(outcome, warnings=(*warnings, *outcome.warnings))
     log = log.as_recorded() if TrackedAgain(AS_RECORDED, kept=True) in outcome.attempts else log
     stopped = stop()
     if stopped is not None and not len(outcome.trajectory):
         raise StoppedError(f"{request.log}: stopped before the first pose; nothing is written", stopped)
-    continuation = _continue(outcome, log, given, config, progress, stopped=stopped is not None)
-    outcome = continuation.outcome if continuation else outcome
+    continuation, is_stopped = None, stopped is not None
+    if given.run:
+        from mavnav.pipelines.sessions import continue_run  # noqa: PLC0415  few runs need it
+
+        with Stage("joining"):
+            continuation = continue_run(given.run, given.earlier, outcome, log, config, progress, stopped=is_stopped)
+        outcome = continuation.outcome
     if request.has_map:
         progress("measuring", 0, None)
     held = in_time_of_truth(outcome.trajectory, half_sweep_s(log, outcome), config.truth_at)
     later_ns = held.stamps_ns[:1].sum() - outcome.trajectory.stamps_ns[:1].sum()
     begin_ns = outcome.begin_ns + int(later_ns) if given.own_frame and outcome.begin_ns is not None else None
-    references, warnings = references_in_map(given.references, log, begin_ns, outcome.map_T_begin)
-    references = with_true_map_placed(references, outcome.grid, config)
+    references, warnings = maps.references_in_map(given.references, log, begin_ns, outcome.map_T_begin)
     outcome = changed(outcome, warnings=(*outcome.warnings, *warnings))
-    metrics = measured_map(outcome, log) if request.has_map else None
+    comparison = maps.comparison_fields(references, held, outcome, config)
+    metrics = maps.measured_map(outcome, log) if request.has_map else None
     timing = changed(began, wall_s=perf_counter() - began.wall_s, cpu_s=process_time() - began.cpu_s)
-    slices = slices_of(outcome, log, config) if request.has_map else None
-    truth, known = references.truth, request.options.get("map")
+    known = request.options.get("map")
     run = RunResult(
         log=log,
         config=config,
         slam=outcome,
         metrics=metrics,
         timing=timing,
-        reference=compare_to(references, held, occupied_xy_m(outcome.grid)),
-        true_map=references.true_map,
-        position_errors_m=position_errors(held, truth, aligned=True) if truth else None,
         stopped=stopped,
-        localisation=localisation(known, _pose(request.options.get("start_pose")), outcome) if known else None,
+        localisation=maps.localisation(known, _pose(request.options.get("start_pose")), outcome) if known else None,
         address=request.address,
         provenance=given.provenance,
-        slices=slices,
+        slices=maps.slices_of(outcome, log, config) if request.has_map else None,
         continued=continuation.section if continuation else None,
         earlier=continuation.earlier if continuation else (),
+        **comparison,
     )
     progress("writing", 0, None)
     document = write_run(run, request.directory, force=request.force, report=request.report, groups=request.outputs)
     return run, document
-
-
-def _continue(
-    outcome: SlamResult, log: Log, given: Given, config: Config, progress: Progress, *, stopped: bool
-) -> Continuation | None:
-    """Place the log in the map of the run that it continues; None without one."""
-    if given.run is None:
-        return None
-    from mavnav.pipelines.sessions import continue_run  # noqa: PLC0415  few runs need it
-
-    with Stage("joining"):
-        return continue_run(given.run, given.earlier, outcome, log, config, progress, stopped=stopped)
 
 
 def open_request(request: ReplayRequest, progress: Progress, *, odom: str, truth: str | None) -> Log:
@@ -327,7 +304,7 @@ def _track(
         last=FINISHING if request.has_map else SMOOTHING,
         base_T_laser=log.base_T_laser or Pose(),
         scans_ns=log.stamps_ns,
-        placement=placement_of(request.options.get("align")),
+        placement=maps.placement_of(request.options.get("align")),
         start_s=log.start_s,
         recorded_ns=log.odometry.recorded_ns if log.odometry else None,
         recorded=(lambda: takewhile(going, plain.scans())) if log.attitude and config.attitude == "auto" else None,

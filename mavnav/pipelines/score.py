@@ -15,12 +15,10 @@ from mavnav.config.loading import to_scalar
 from mavnav.config.models import Config
 from mavnav.config.options import REFERENCES, ReplayOptions, paths_of, reference_files, words_of
 from mavnav.errors import ProgramError, UsageError
-from mavnav.ground_truth.references import SWEEPS, References, compare_to, in_time_of_truth, load_references
+from mavnav.ground_truth.references import SWEEPS, References, in_time_of_truth, load_references
 from mavnav.ground_truth.tables import read_trajectory
 from mavnav.logs import Log
 from mavnav.logs.formats.detect import log_name
-from mavnav.mapping.occupancy_grid import occupied_xy_m
-from mavnav.metrics.reference import position_errors
 from mavnav.outputs.directory import check_directory
 from mavnav.outputs.documents.provenance import provenance, utc_now
 from mavnav.outputs.documents.run_json import External, StartPose
@@ -28,10 +26,9 @@ from mavnav.outputs.documents.sections import PoseJump
 from mavnav.outputs.run import RunResult, Timing, half_sweep_s
 from mavnav.outputs.writers import write_run
 from mavnav.pipelines.again import changed_values
-from mavnav.pipelines.maps import check_references, measured_map, references_in_map, with_true_map_placed
-from mavnav.pipelines.reach import with_reach
+from mavnav.pipelines.maps import check_references, comparison_fields, measured_map, references_in_map, with_reach
 from mavnav.pipelines.replay import ReplayRequest, open_request
-from mavnav.pipelines.trajectory_source import LASER, WHOLE, Program, ProgramCost, TrajectorySource, run_program
+from mavnav.pipelines.trajectory_source import LASER, WHOLE, Program, TrajectorySource, run_program
 from mavnav.pose import Pose, Trajectory
 from mavnav.profiling import Progress, new_profile
 from mavnav.slam.given_poses import draw_at_poses
@@ -108,7 +105,7 @@ def score_log(request: ScoreRequest, progress: Progress) -> list[Scored]:
     references = load_references(**reference_files(request.options))
     progress("reading", 0, None)
     log = open_request(request, progress, odom="off", truth=request.recorded_truth)
-    check_references(references, log, request.options.get("truth_map"), request.options.get("start_s"), own_frame=True)
+    check_references(references, log, request.options, own_frame=True)
     poses = [_read(source, request, log, progress) for source in request.sources]
     config, warnings = with_reach(request.config, log)
     load_kernels(config, progress)
@@ -123,12 +120,12 @@ def score_log(request: ScoreRequest, progress: Progress) -> list[Scored]:
     scored = [score(each) for each in poses]
     for program in request.programs:
         progress(program.name, 0, None)
-        cost = run_program(program, request.log, _written(program, request), request.limit_s)
-        poses_or_error = _written_poses(program, cost, request, log, progress)
-        if isinstance(poses_or_error, str):
-            scored.append(Scored(program.name, None, poses_or_error))
+        try:
+            given = _poses_of_program(program, request, log, progress)
+        except ProgramError as error:
+            scored.append(Scored(program.name, None, str(error)))
         else:
-            scored.append(score(poses_or_error))
+            scored.append(score(given))
     return scored
 
 
@@ -154,21 +151,17 @@ def check_names(sources: Sequence[TrajectorySource], programs: Sequence[Program]
     return names
 
 
-def _written(program: Program, request: ScoreRequest) -> Path:
+def _poses_of_program(program: Program, request: ScoreRequest, log: Log, progress: Progress) -> _GivenPoses:
+    """Run a program on the log and return what it wrote; raises ProgramError where that cannot be used."""
     run = request.directory_of(program.name)
-    return run.parent / PROGRAMS / f"{run.name}.tum"
-
-
-def _written_poses(
-    program: Program, cost: ProgramCost, request: ScoreRequest, log: Log, progress: Progress
-) -> _GivenPoses | str:
-    """Return what a program wrote, or why it cannot be used."""
+    file = run.parent / PROGRAMS / f"{run.name}.tum"
+    cost = run_program(program, request.log, file, request.limit_s)
     if cost.problem:
-        return cost.problem
+        raise ProgramError(cost.problem)
     try:
-        poses = _read(TrajectorySource(program.name, str(_written(program, request)), LASER), request, log, progress)
+        poses = _read(TrajectorySource(program.name, str(file), LASER), request, log, progress)
     except UsageError as error:
-        return str(error)
+        raise ProgramError(str(error)) from error
     measured = {"wall_s": cost.wall_s, "cpu_s": cost.cpu_s, "peak_memory_mb": cost.peak_memory_mb}
     return replace(poses, program={"source": program.command, **measured})
 
@@ -201,9 +194,8 @@ def _mounting(source: TrajectorySource, log: Log) -> Pose:
         known = ", ".join(filter(None, (LASER, BASE, log.frame_id.lstrip("/"), log.base_frame)))
         raise UsageError(f"{source.text},{source.frame}: no frame of the laser or its base; known are {known}")
     if log.base_T_laser is None:
-        raise UsageError(
-            f"{source.text},{source.frame}: the log has no mounting of the laser; give it with --extrinsic x,y,yaw"
-        )
+        advice = "give it with --extrinsic x,y,yaw"
+        raise UsageError(f"{source.text},{source.frame}: the log has no mounting of the laser; {advice}")
     return log.base_T_laser
 
 
@@ -226,15 +218,13 @@ def _score(
     )
     held = in_time_of_truth(outcome.trajectory, half_sweep_s(log, outcome), config.truth_at)
     references, warnings = references_in_map(references, log, int(held.stamps_ns[0]) if len(held) else None)
-    references = with_true_map_placed(references, outcome.grid, config)
     outcome = replace(outcome, warnings=(*outcome.warnings, *poses.warnings, *warnings))
-    origin = StartPose(world_T_map.x_m, world_T_map.y_m, world_T_map.yaw_rad / DEG)
-    metrics = measured_map(outcome, log)
+    comparison = comparison_fields(references, held, outcome, config)
     run = RunResult(
         log=log,
         config=config,
         slam=outcome,
-        metrics=metrics,
+        metrics=measured_map(outcome, log),
         timing=Timing(perf_counter() - wall_s, process_time() - cpu_s, 0.0, stages),
         provenance=provenance(utc_now(), request.typed, [*_again(request, source)]),
         external=External(
@@ -242,13 +232,11 @@ def _score(
             frame=poses.frame,
             pose_at=source.pose_at,
             poses=len(poses.world_T_laser),
-            origin=origin,
+            origin=StartPose(world_T_map.x_m, world_T_map.y_m, world_T_map.yaw_rad / DEG),
             misfit_mm=misfit_m / MM,
             **{"source": source.text, **poses.program, **difference_section(outcome.trajectory, poses.own, log)},
         ),
-        reference=compare_to(references, held, occupied_xy_m(outcome.grid)),
-        true_map=references.true_map,
-        position_errors_m=position_errors(held, references.truth, aligned=True) if references.truth else None,
+        **comparison,
     )
     return write_run(run, request.directory_of(source.name), force=request.force, report=request.report)
 

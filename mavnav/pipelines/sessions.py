@@ -27,7 +27,6 @@ from mavnav.sessions.growth import alike, extend_group
 from mavnav.slam.matching.observability import rotate_covariances
 from mavnav.slam.result import SlamResult
 from mavnav.units import NS
-from mavnav.version import __version__
 
 UNREADABLE: Final = (OSError, ValueError, LookupError, TypeError)
 """What reading a session raises besides errors of ours where a file is cut or altered."""
@@ -122,13 +121,6 @@ def earlier_sessions(run: FinishedRun, config: Config) -> list[Session]:
     except UNREADABLE as error:
         again = "repeat it with all its outputs and continue that"
         raise UsageError(f"{run.directory} cannot be continued: {error}; {again}") from error
-
-
-def version_warning(run: FinishedRun) -> str:
-    """Return a line where another version wrote the run; an empty one otherwise."""
-    version = run.record.mavnav_version
-    text = f"{run.directory} is of mavnav {version}, this is {__version__}; maps may differ"
-    return "" if version == __version__ else text
 
 
 def continue_run(

@@ -85,10 +85,8 @@ def simulate_mission(
     flight = fly(request.scenario, lambda phase, done: progress(phase, done, None))
     timing = Timing(perf_counter() - wall_s, process_time() - cpu_s, compile_s, stages, scans_s())
     if not len(flight.slam.trajectory):
-        raise NoScansError(
-            f"{request.path}: in {flight.mission.steps} scans the laser saw too little to begin a map; "
-            "change its section, or move the start"
-        )
+        text = f"in {flight.mission.steps} scans the laser saw too little to begin a map"
+        raise NoScansError(f"{request.path}: {text}; change its section, or move the start")
     recording = recording_of(flight)
     progress("writing", 0, None)
     with temporary_folder() as folder:

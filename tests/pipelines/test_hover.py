@@ -92,7 +92,7 @@ def test_the_attitude_of_every_scan_is_in_the_table_and_drawn(flown: Flown) -> N
     assert np.mean(heights) == pytest.approx(1.1, abs=0.03)
     assert max(abs(float(row["roll_rad"])) for row in rows) > 3 * DEG
     entry = load(single(flown.document)["cells"][0], flown.folder / "run")
-    assert [curve.name for curve in curves(entry)][-3:] == ["roll [deg]", "pitch [deg]", "height [m]"]
+    assert [*curves(entry)][-3:] == ["roll [deg]", "pitch [deg]", "height [m]"]
     assert (flown.folder / "flight.gif").stat().st_size > 1000
 
 

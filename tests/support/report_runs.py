@@ -13,7 +13,7 @@ from mavnav.outputs.files import gridmap, replay_log
 from mavnav.outputs.files.document import run_document, to_json
 from mavnav.outputs.files.gridmap import write_npz
 from mavnav.outputs.files.trajectory import write_csv
-from mavnav.outputs.report import single
+from mavnav.outputs.report.page import single
 
 
 def leave(run, folder: Path, *, recording: bool = False, **changes) -> dict:

@@ -229,8 +229,7 @@ def _factor(diagonal: Array, between: Array) -> Array:
 
 def _forward(factor: Array, errors: Array) -> Array:
     """Solve for the errors (n,) or (n, k) that a factor (2, n) gives."""
-    solved: Array = dgbsv(1, 0, np.vstack((np.zeros(factor.shape[1]), factor)), errors)[2]
-    return solved
+    return np.asarray(dgbsv(1, 0, np.vstack((np.zeros(factor.shape[1]), factor)), errors)[2])
 
 
 class NoiseModel(Struct, frozen=True):
@@ -258,8 +257,7 @@ class NoiseModel(Struct, frozen=True):
         shares = 1.0, np.square(self.speeds).mean() + LEAST, *(self.motions[self.linked].mean(axis=0) + LEAST)
 
         def variances(logs: Array) -> Array:
-            scaled: Array = total * np.exp(np.clip(logs, -14.0, 4.0)) / np.array(shares)
-            return scaled
+            return np.asarray(total * np.exp(np.clip(logs, -14.0, 4.0)) / np.array(shares))
 
         def unlikeliness(logs: Array) -> float:
             return self.noise(variances(logs), added).unlikeliness(errors)

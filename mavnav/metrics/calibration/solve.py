@@ -18,16 +18,8 @@ import numpy as np
 from msgspec import Struct
 from scipy.special import stdtrit
 
-from mavnav.metrics.calibration.motion import (
-    LONGEST_OFFSET_S,
-    OFFSET,
-    YAW,
-    Array,
-    Motions,
-    Noise,
-    NoiseModel,
-    PlaneSteps,
-)
+from mavnav.metrics.calibration import motion
+from mavnav.metrics.calibration.motion import OFFSET, YAW, Array, Motions, Noise, NoiseModel, PlaneSteps
 from mavnav.units import DEG
 
 ROUNDS, LIKELIEST, CLOSE = 20, (0, 2, 5), 1e-5
@@ -39,15 +31,15 @@ PARTS, STEPS_A_PART, LEAST_STEPS = 20, 5, 20
 PRIOR: Final = np.array((1.0, 1.0, 3.0, 0.5, 0.3, 0.3, 10 * DEG))
 """Standard deviations about a laser on the base's origin and good odometry: they only keep the unknown finite."""
 
-LOW: Final = np.array((-100.0, -100.0, -np.inf, -LONGEST_OFFSET_S, 1 / 3, 1 / 3, -1.0))
-HIGH: Final = np.array((100.0, 100.0, np.inf, LONGEST_OFFSET_S, 3.0, 3.0, 1.0))
+LOW: Final = np.array((-100.0, -100.0, -np.inf, -motion.LONGEST_OFFSET_S, 1 / 3, 1 / 3, -1.0))
+HIGH: Final = np.array((100.0, 100.0, np.inf, motion.LONGEST_OFFSET_S, 3.0, 3.0, 1.0))
 """No parameter is searched beyond."""
 
 FLOOR: Final = np.array((1e-3, 1e-3, 0.05 * DEG, 1e-3, 2.5e-3, 5e-4, 0.01 * DEG))
 """Standard deviations of what is wrong with all steps alike: of the track, measured with odometry without noise; and of
 the distances, as wheels that slip turn too far."""
 
-OFFSETS_S: Final = np.linspace(-LONGEST_OFFSET_S, LONGEST_OFFSET_S, 121)
+OFFSETS_S: Final = np.linspace(-motion.LONGEST_OFFSET_S, motion.LONGEST_OFFSET_S, 121)
 
 ANOTHER_S: Final = 0.25
 """Offsets farther apart are different ones."""

@@ -142,8 +142,8 @@ def verdict_texts(run: Run | None) -> tuple[str, str]:
 
 
 def comparable(quantity: Quantity, runs: Sequence[Run | None]) -> bool:
-    """Return whether a quantity of these runs may be compared: what is ``per_cell``, only if all have one cell size."""
-    return not quantity.per_cell or len(set(map(_cell_mm, runs))) == 1
+    """Return whether all ranked runs may be compared: by what is ``per_cell``, only if all have one cell size."""
+    return not quantity.per_cell or len({_cell_mm(runs[k]) for k in ranked_values(quantity, runs)}) == 1
 
 
 def winners(quantity: Quantity, runs: Sequence[Run | None]) -> list[int]:

@@ -1,7 +1,7 @@
 """The model of run.json: its sections and keys in their order, each number with its description.
 
 A new key is a field here, or in the record of its section in `mavnav.metrics`. JSON Schema, names of gates, titles and
-units follow from the fields (`mavnav.outputs.documents.schema`). A field of `absent` is a key that not every run has.
+units follow from the fields (`mavnav.outputs.documents.schema`). A field of `OPTIONAL` is a key that not every run has.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from msgspec import Struct
 
 from mavnav.config.models import Config, MethodName
 from mavnav.logs import Damage
-from mavnav.metrics.fields import Measured, number, text
+from mavnav.metrics.fields import OPTIONAL, Measured, number, text
 from mavnav.metrics.map_quality import MapQuality
 from mavnav.metrics.reference import Reference
 from mavnav.metrics.wall_spread import WallThicknessReport
-from mavnav.outputs.documents.sections import OPTIONAL, AttitudeSource, Continued, MapSlice, Options, PoseJump, Tracking
+from mavnav.outputs.documents.sections import AttitudeSource, Continued, MapSlice, Options, PoseJump, Tracking
 from mavnav.outputs.documents.verdict import Verdict
 
 

@@ -6,14 +6,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import numpy as np
-from msgspec import Struct, defstruct, field
+from msgspec import Struct, defstruct
 
 from mavnav.config.option_kinds import NUMBER, POSE, SWITCH, Option
 from mavnav.config.options import OPTIONS, ReplayOptions
 from mavnav.logs.levelling import RecordedAttitude
 from mavnav.mapping.occupancy_grid import OCCUPIED, occupancy
 from mavnav.mapping.slices import Slice, slice_name
-from mavnav.metrics.fields import Measured, absent, number, text
+from mavnav.metrics.fields import OPTIONAL, Measured, number, text
 from mavnav.metrics.wall_spread import PAPER_MIN_HITS, WallThicknessReport, wall_report
 from mavnav.metrics.walls import wall_sections
 from mavnav.units import DEG, MM
@@ -23,9 +23,6 @@ if TYPE_CHECKING:
 
     from mavnav.config.models import Config
     from mavnav.sessions.group import Join
-
-OPTIONAL: Final[Any] = field(default_factory=absent)
-"""The default of a key that not every run has."""
 
 
 class Interval(Struct, frozen=True):

@@ -158,12 +158,9 @@ def _start_warnings(run: RunResult) -> list[str]:
     if given is None or pose is None:
         return []
     distance_m = hypot(pose.x_m - given.x_m, pose.y_m - given.y_m)
-    if distance_m <= FAR_FROM_START_M:
-        return []
-    return [
-        f"the laser was found {distance_m:.1f} m from --start-pose, at x {pose.x_m:z.2f} m, y {pose.y_m:z.2f} m "
-        f"(scan {pose.scan}); check the pose found; if it is wrong, correct --start-pose"
-    ]
+    place = f"at x {pose.x_m:z.2f} m, y {pose.y_m:z.2f} m (scan {pose.scan}); check the pose found"
+    text = f"the laser was found {distance_m:.1f} m from --start-pose, {place}; if it is wrong, correct --start-pose"
+    return [text] if distance_m > FAR_FROM_START_M else []
 
 
 def with_picture(text: str, outputs: Collection[str]) -> str:

@@ -59,8 +59,6 @@ class GridMap(Struct, frozen=True, dict=True):
 
 def map_section(grid: Grid, accepted_share: float) -> Map:
     """Describe the known part of a map, which has the scans of a share of 0 to 1."""
-    from mavnav.outputs.documents.run_json import Map  # noqa: PLC0415  not for who only reads maps
-
     rows, cols = grid.hits.shape
     return Map(
         cell_mm=grid.cell_m / MM,
@@ -255,8 +253,6 @@ def write_cuts(cuts: WallCuts | None, path: Path) -> None:
 
 def read_cuts(path: Path) -> WallCuts:
     """Read the cuts of a run; raises OSError where there is no such file, ValueError where it is another."""
-    from mavnav.metrics.wall_spread import WallCuts  # noqa: PLC0415  not for who only reads maps
-
     with path.open(encoding="ascii", newline="") as file:
         rows = list(csv.reader(file))
     if not rows or tuple(rows[0]) != WALL_COLUMNS:

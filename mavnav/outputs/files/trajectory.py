@@ -13,7 +13,7 @@ import numpy as np
 
 from mavnav.logs.messages import cdr, definitions
 from mavnav.logs.writing.mcap_writer import OutputChannel, write_serialized
-from mavnav.outputs.run import RunResult, Walls
+from mavnav.outputs.run import RunResult, Walls, half_sweep_s
 from mavnav.pose import Trajectory, correct_path
 from mavnav.scan import Scan
 from mavnav.slam.findings import Edge
@@ -55,7 +55,7 @@ def write_truth_tum(run: RunResult, path: Path) -> None:
     """Write the true map_T_laser of every scan with the time of it; raises ValueError where the run is no mission."""
     if run.truth is None:
         raise ValueError("the truth is not known")
-    write_poses(correct_path(run.truth.map_T_laser, round(run.holds_s / NS)), path)
+    write_poses(correct_path(run.truth.map_T_laser, round(half_sweep_s(run.log, run.slam) / NS)), path)
 
 
 def write_true_walls(run: RunResult, path: Path) -> None:

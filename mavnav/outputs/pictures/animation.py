@@ -6,7 +6,6 @@ Drawn with pillow on a raster of few colours: a frame costs milliseconds, and a 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
@@ -47,16 +46,12 @@ def animate(run: RunResult, path: Path, *, force: bool = False) -> None:
     write_file(path, lambda partial: first.save(partial, "GIF", **options), force=force)
 
 
-@dataclass(slots=True)
 class _Raster:
     """A raster over a window of the map: pixel (column, row) with row 0 on top, and the hits that fell on each."""
 
-    window: Viewport
-    pixel_m: float
-    hits: NDArray[np.int32] = field(init=False)
-
-    def __post_init__(self) -> None:
-        width, height = (max(2, round(side / self.pixel_m)) for side in self.window.size_m)
+    def __init__(self, window: Viewport, pixel_m: float) -> None:
+        self.window, self.pixel_m = window, pixel_m
+        width, height = (max(2, round(side / pixel_m)) for side in window.size_m)
         self.hits = np.zeros((height, width), np.int32)
 
     def pixels(self, xy_m: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -7,16 +7,13 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mavnav.metrics.calibration.motion import Motions
+from mavnav.metrics.calibration.motion import Array, Motions
 from mavnav.metrics.calibration.solve import Estimate
 from mavnav.outputs.pictures.canvas import Canvas, stroke
 from mavnav.outputs.pictures.plot import Axes, Style, label_ticks, legend, legend_width, ticks
 from mavnav.outputs.pictures.viewport import INK, MEASURED_BLUE, TRUE_ORANGE
 from mavnav.units import DEG, MM
-
-Array = NDArray[np.float64]
 
 WIDTH, HEIGHT, LEFT, RIGHT = 1500, 1080, 110, 30
 TOPS: Final = (90, 450, 740)

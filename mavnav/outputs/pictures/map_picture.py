@@ -53,7 +53,10 @@ def write(run: RunResult, path: Path) -> None:
     named: list[Sign] = [*compress(signs, shown), *(mark for mark, _ in ends), *map_axes.KNOWN]
     axes = map_axes.framed_map(window, 7.5, map_axes.JUDGED_MARGINS, least=(max(960, legend_room(named)), 420))
     map_axes.draw_counts(axes, run.known, run.cells)
-    _draw_lines(axes, run, line)
+    axes.lines(line, parts_of_path(run.slam))
+    axes.lines(map_axes.LOOP, [trajectory.xyyaw[[loop.start, loop.end], :2] for loop in run.slam.loops.closed])
+    if run.true_walls:
+        axes.lines(map_axes.TRUE_WALL, viewport.wall_lines(run.true_walls))
     axes.mark(map_axes.POSE, trajectory.xyyaw[circles, :2])
     axes.lines(map_axes.DOUBTFUL, doubtful_parts(run.slam))
     for mark, xy_m in ends:
@@ -67,15 +70,6 @@ def points_to_show(run: RunResult) -> NDArray[np.float64]:
     walls = viewport.wall_lines(run.true_walls) if run.true_walls else []
     mission = () if truth is None else (truth.map_T_laser.xyyaw[:, :2], [truth.goal_xy_map_m])
     return np.vstack((xy_m, *mission, *walls))
-
-
-def _draw_lines(axes: Axes, run: RunResult, path: Style) -> None:
-    """Draw the path, the closed loops and the true walls."""
-    xy_m = run.slam.trajectory.xyyaw[:, :2]
-    axes.lines(path, parts_of_path(run.slam))
-    axes.lines(map_axes.LOOP, [xy_m[[loop.start, loop.end]] for loop in run.slam.loops.closed])
-    if run.true_walls:
-        axes.lines(map_axes.TRUE_WALL, viewport.wall_lines(run.true_walls))
 
 
 def _ends(run: RunResult, stamps_ns: list[int]) -> list[tuple[Mark, NDArray[np.float64]]]:
@@ -156,20 +150,16 @@ ON_PATH: Final = Mark(viewport.PATH_GREY, "true path", partial(circle, size_pt=2
 
 def write_true_map(run: RunResult, path: Path) -> None:
     """Draw the truth of a mission; the run must have one."""
-    if run.truth is None:
+    if (truth := run.truth) is None:
         raise ValueError("the truth is not known")
-    measured = [map_axes.MEASURED_WALL] if run.truth.measured_by_hand else []
+    measured = [map_axes.MEASURED_WALL] if truth.measured_by_hand else []
     named: list[Sign] = [WALL, *measured, ON_PATH, map_axes.START, FIRST_HEADING, map_axes.GOAL]
-    axes = map_axes.framed_map(
-        _truth_window(run.truth, run.turn_rad), 7.0, TRUTH_MARGINS, least=(legend_room(named), 0)
-    )
-    _draw_truth(axes, run.truth)
-    map_axes.finish(axes, named, f"{run.name}: the true map", _truth_subtitle(run.truth), path, about_y=62)
-
-
-def _truth_window(truth: Truth, turn_rad: float) -> viewport.Viewport:
     points = np.vstack((truth.map_T_laser.xyyaw[:, :2], [truth.goal_xy_map_m], *viewport.wall_lines(truth)))
-    return viewport.window_around(transform_points(Pose(yaw_rad=turn_rad), points), 0.1, turn_rad).widen(LEAST_SHARE)
+    points = transform_points(Pose(yaw_rad=run.turn_rad), points)
+    window = viewport.window_around(points, 0.1, run.turn_rad).widen(LEAST_SHARE)
+    axes = map_axes.framed_map(window, 7.0, TRUTH_MARGINS, least=(legend_room(named), 0))
+    _draw_truth(axes, truth)
+    map_axes.finish(axes, named, f"{run.name}: the true map", _truth_subtitle(truth), path, about_y=62)
 
 
 def _draw_truth(axes: Axes, truth: Truth) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from math import ceil, pi
+from math import ceil, pi, prod
 from typing import Final
 
 import numpy as np
@@ -62,11 +62,6 @@ class Viewport(Struct, frozen=True):
         a, c = min(a, cols - 1), min(c, rows - 1)
         return a, max(b, a + 1), c, max(d, c + 1)
 
-    @property
-    def area_m2(self) -> float:
-        """Area."""
-        return self.size_m[0] * self.size_m[1]
-
     def size_pixels(self, longest_in: float, least_in: float = 0.0) -> tuple[int, int]:
         """Return width and height in pixels that show the rectangle undistorted.
 
@@ -96,7 +91,7 @@ def window_of(grid: Grid, xy_m: NDArray[np.float64], turn_rad: float = 0.0) -> V
     whole, near = (
         _window(grid, cells, share, xy_m, turn_rad) for cells, share in ((hit, STRAY_SHARE), (seen, FAR_SHARE))
     )
-    return near if near.area_m2 < WORTH_IT * whole.area_m2 else whole
+    return near if prod(near.size_m) < WORTH_IT * prod(whole.size_m) else whole
 
 
 def _window(grid: Grid, cells: NDArray[np.intp], share: float, xy_m: NDArray[np.float64], turn_rad: float) -> Viewport:

@@ -41,7 +41,8 @@ def write(run: RunResult, path: Path) -> None:
     charts = _charts(run)
     tall = max(height, len(charts) * (HISTOGRAM[1] + 120))
     pitch, left = tall // len(charts), LEFT + width + RIGHT + 80
-    picture = Canvas.of(left + _chart_room(charts), TOP + tall + BOTTOM)
+    longest = max(font(TITLE_PT).getlength(line) for chart in charts for line in chart.title.split("\n"))
+    picture = Canvas.of(left + max(HISTOGRAM[0], ceil(longest)) + EDGE, TOP + tall + BOTTOM)
     top = TOP + (tall - height) // 2
     _draw_map(map_axes(picture, window, (LEFT, top, LEFT + width, top + height)), run)
     for k, chart in enumerate(charts):
@@ -50,13 +51,6 @@ def write(run: RunResult, path: Path) -> None:
         _draw_bars(picture, (left, y + 56, left + HISTOGRAM[0], y + pitch - 64), chart)
     picture.text((picture.width / 2, 26), f"{run.name}: wall thickness", 12.0, INK, bold=True)
     picture.save(path)
-
-
-def _chart_room(charts: list[_Chart]) -> int:
-    """Return the width of the histograms with their titles and the free space on the right, in pixels."""
-    lines = [line for chart in charts for line in chart.title.split("\n")]
-    longest: int = max(ceil(font(TITLE_PT).getlength(line)) for line in lines)
-    return max(HISTOGRAM[0], longest) + EDGE
 
 
 def _draw_map(axes: Axes, run: RunResult) -> None:

@@ -3,7 +3,3 @@
 The page is generated only from finished run directories and the comparison's document, so that it can be regenerated
 at any time. The same files give the same bytes.
 """
-
-from mavnav.outputs.report.page import list_text, page_text, single, write_report
-
-__all__ = ["list_text", "page_text", "single", "write_report"]

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from functools import partial
 from itertools import compress
 from math import ceil, floor, log10
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -189,33 +189,19 @@ def _mark_p95(axes: Axes, p95_mm: float) -> None:
     axes.canvas.text((x + beside, y + 3), f"p95 {p95_mm:.0f} mm", 8.0, P95.colour, anchor)
 
 
-class Curve(NamedTuple):
-    """A curve over time: its name with the unit, and a value (n,) for each scan, NaN if there is none."""
-
-    name: str
-    values: Floats
-
-
-def curves(entry: Entry) -> list[Curve]:
-    """Return the curves of a run."""
+def curves(entry: Entry) -> dict[str, Floats]:
+    """Return the curves of a run over time: a value (n,) for each scan, NaN if there is none, by name with the unit."""
     scans = entry.scans
     known = np.isfinite(scans.yaw_rad)
     yaw = scans.yaw_rad.copy()
     yaw[known] = np.unwrap(yaw[known])
-    always = [
-        Curve("x [m]", scans.xy_m[:, 0]),
-        Curve("y [m]", scans.xy_m[:, 1]),
-        Curve("yaw [deg]", yaw / DEG),
-        Curve("speed [m/s]", speeds(scans.time_s, scans.xy_m)),
-    ]
+    x_m, y_m = scans.xy_m.T
+    speed_m_s = speeds(scans.time_s, scans.xy_m)
+    always = {"x [m]": x_m, "y [m]": y_m, "yaw [deg]": yaw / DEG, "speed [m/s]": speed_m_s}
     roll, pitch, height_m = scans.roll_pitch_height.T
-    more = [
-        Curve("error [mm]", scans.error_m / MM),
-        Curve("roll [deg]", roll / DEG),
-        Curve("pitch [deg]", pitch / DEG),
-        Curve("height [m]", height_m),
-    ]
-    return always + [curve for curve in more if np.isfinite(curve.values).any()]
+    errors_mm = scans.error_m / MM
+    more = {"error [mm]": errors_mm, "roll [deg]": roll / DEG, "pitch [deg]": pitch / DEG, "height [m]": height_m}
+    return always | {name: values for name, values in more.items() if np.isfinite(values).any()}
 
 
 def speeds(time_s: Floats, xy_m: Floats) -> Floats:
@@ -237,20 +223,16 @@ def motion_panel(entry: Entry) -> Image:
     height = len(shown) * (CURVE_HEIGHT + CURVE_GAP) - CURVE_GAP
     canvas, (left, top, right, _) = panel((CHART[0], height), entry.name, CHART_MARGINS)
     end_s = max(float(entry.scans.time_s.max(initial=0.1)), 0.1)
-    for k, curve in enumerate(shown):
-        y = top + k * (CURVE_HEIGHT + CURVE_GAP)
-        axes = Axes.chart(canvas, (left, y, right, y + CURVE_HEIGHT), (0.0, end_s, *_limits(curve.values)))
-        _draw_curve(axes, entry, curve, last=k == len(shown) - 1)
+    in_x = ticks(0.0, end_s)
+    for k, (name, values) in enumerate(shown.items()):
+        y, last = top + k * (CURVE_HEIGHT + CURVE_GAP), k == len(shown) - 1
+        in_y = _limits(values)
+        axes = Axes.chart(canvas, (left, y, right, y + CURVE_HEIGHT), (0.0, end_s, *in_y))
+        axes.borders()
+        axes.ticks(label_ticks(in_x) if last else [(value, "") for value in in_x], label_ticks(ticks(*in_y, 5)))
+        axes.lines(CURVE, [np.column_stack((entry.scans.time_s, values))])
+        axes.names("time [s]" if last else "", name, FONT_PT, 72)
     return canvas.image
-
-
-def _draw_curve(axes: Axes, entry: Entry, curve: Curve, *, last: bool) -> None:
-    axes.borders()
-    x0, x1, y0, y1 = axes.limits
-    in_x = ticks(x0, x1)
-    axes.ticks(label_ticks(in_x) if last else [(value, "") for value in in_x], label_ticks(ticks(y0, y1, 5)))
-    axes.lines(CURVE, [np.column_stack((entry.scans.time_s, curve.values))])
-    axes.names("time [s]" if last else "", curve.name, FONT_PT, 72)
 
 
 def _limits(values: Floats) -> tuple[float, float]:

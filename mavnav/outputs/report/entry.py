@@ -5,13 +5,15 @@ Of a merge: one map, and the sessions' scans one after the other.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from csv import DictReader
 from itertools import accumulate
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Struct, field
+from msgspec.structs import replace
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -74,8 +76,8 @@ class Entry(Struct, frozen=True):
     grid: Grid
     scans: ScanColumns
     cuts: WallCuts
-    true_walls: list[NDArray[np.float64]]
-    goal_xy_m: NDArray[np.float64]
+    true_walls: list[NDArray[np.float64]] = []
+    goal_xy_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
     view_3d: Image.Image | None = None
     sessions: tuple[SessionPart, ...] = (SessionPart("", "result.mcap", 0),)
     run: RunResult | None = None
@@ -138,26 +140,27 @@ def load(cell: dict[str, Any], base: Path, run: RunResult | None = None) -> Entr
 
 
 def _scans(path: Path) -> ScanColumns:
+    """Read trajectory.csv; an empty field is NaN, and so are all fields of a missing column."""
     with path.open(encoding="ascii", newline="") as file:
         rows = list(DictReader(file))
-    stamps_s = _column(rows, "stamp")
+    return _scan_columns(lambda name: np.array([float(row.get(name) or "nan") for row in rows], np.float64))
+
+
+def _scan_columns(column: Callable[[str], NDArray[np.float64]]) -> ScanColumns:
+    """Return the scans of a table, given the function that returns a column, (n,), by its name in trajectory.csv."""
+    stamps_s = column("stamp")
     return ScanColumns(
         stamp_s=stamps_s,
         time_s=stamps_s - stamps_s[:1],
-        cost_mm2=_column(rows, "cost_m2") * 1e6,
-        threshold_mm2=_column(rows, "threshold_m2") * 1e6,
-        xy_m=np.column_stack((_column(rows, "x_m"), _column(rows, "y_m"))),
-        tracked=_column(rows, "tracked") > 0,
-        doubtful=_column(rows, "doubtful") > 0,
-        yaw_rad=_column(rows, "yaw_rad"),
-        error_m=_column(rows, "position_error_m"),
-        roll_pitch_height=np.column_stack([_column(rows, name) for name in ATTITUDE_COLUMNS]),
+        cost_mm2=column("cost_m2") * 1e6,
+        threshold_mm2=column("threshold_m2") * 1e6,
+        xy_m=np.column_stack((column("x_m"), column("y_m"))),
+        tracked=column("tracked") > 0,
+        doubtful=column("doubtful") > 0,
+        yaw_rad=column("yaw_rad"),
+        error_m=column("position_error_m"),
+        roll_pitch_height=np.column_stack([column(name) for name in ATTITUDE_COLUMNS]),
     )
-
-
-def _column(rows: list[dict[str, str]], name: str) -> NDArray[np.float64]:
-    """Return a column of the table; an empty field is NaN, and so are all fields of a missing column."""
-    return np.array([float(row.get(name) or "nan") for row in rows], np.float64)
 
 
 def _view_3d(path: Path) -> Image.Image | None:
@@ -194,8 +197,6 @@ def load_merge(document: dict[str, Any], folder: Path) -> Entry:
         grid=read_npz(folder / "hits.npz"),
         scans=_columns(poses),
         cuts=gridmap.read_cuts(walls) if walls.is_file() else WallCuts(np.zeros((0, 2)), *np.zeros((3, 0))),
-        true_walls=[],
-        goal_xy_m=np.zeros((0, 2)),
         sessions=tuple(
             SessionPart(each["name"], each["recording"], first) for each, first in zip(joined, firsts, strict=False)
         ),
@@ -209,20 +210,11 @@ def _read_tum(path: Path) -> NDArray[np.float64]:
 
 
 def _columns(sessions: list[NDArray[np.float64]]) -> ScanColumns:
+    """Return the scans of sessions, of which the poses are known, (n, 4) as of `_read_tum`."""
     poses = np.concatenate(sessions)
-    unknown = np.full(len(poses), np.nan)
-    return ScanColumns(
-        stamp_s=poses[:, 0],
-        time_s=_one_after_the_other([session[:, 0] for session in sessions]),
-        xy_m=poses[:, 1:3],
-        tracked=np.ones(len(poses), np.bool_),
-        doubtful=np.zeros(len(poses), np.bool_),
-        yaw_rad=poses[:, 3],
-        roll_pitch_height=np.full((len(poses), 3), np.nan),
-        cost_mm2=unknown,
-        threshold_mm2=unknown,
-        error_m=unknown,
-    )
+    known = dict(zip(("stamp", "x_m", "y_m", "yaw_rad"), poses.T, strict=True)) | {"tracked": np.ones(len(poses))}
+    scans = _scan_columns(lambda name: known.get(name, np.full(len(poses), np.nan)))
+    return replace(scans, time_s=_one_after_the_other([session[:, 0] for session in sessions]))
 
 
 def _one_after_the_other(stamps_s: list[NDArray[np.float64]]) -> NDArray[np.float64]:

@@ -66,13 +66,8 @@ def _of_one(run: NamedRun) -> str:
         return f"{accepted}; {NO_MAP}."
     if not quality.get("meaningful", True) or word in quantities.UNUSABLE:
         return f"{accepted}; measures of the map say nothing."
-    thin = "" if p95_mm is None else f"95 % of the wall length is at most {_mm(p95_mm)} thick"
-    walls = thin or "there is no straight wall to measure"
-    return f"{accepted}; {walls}{_ghosts(run)}."
-
-
-def _mm(value_mm: float) -> str:
-    return f"{tables.text(value_mm, 0)} mm"
+    thin = f"95 % of the wall length is at most {tables.text(p95_mm, 0)} mm thick"
+    return f"{accepted}; {'there is no straight wall to measure' if p95_mm is None else thin}{_ghosts(run)}."
 
 
 def _ghosts(entry: NamedRun) -> str:

@@ -60,8 +60,7 @@ def environment(*packages: str) -> Environment:
 
 def inline(templates: Environment, *names: str, before: str = "") -> Inlined:
     """Return files of ours one after the other, as they stand, ``before`` them a library of others."""
-    ours = "".join(templates.loader.get_source(templates, name)[0] for name in names)  # type: ignore[union-attr]
-    text = before + ours
+    text = before + "".join(templates.loader.get_source(templates, name)[0] for name in names)  # type: ignore[union-attr]
     digest = b64encode(sha256(text.encode()).digest()).decode()
     return Inlined(Markup(text), f"'sha256-{digest}'")  # noqa: S704  nothing of a log is in it
 

@@ -70,7 +70,9 @@ def write_report(comparison: dict[str, Any], directory: Path, path: Path) -> Non
     sections = _sections(comparison, directory)
     with writing(path, "make room or choose another with -o"):
         for number, section in enumerate(sections, 1):
-            _write_pictures(section, path.parent, "" if number == 1 else f"_{number}")
+            for name, picture in section.pictures.sheets().items() if section.pictures else ():
+                with beside(path.with_name(f"{name}{'' if number == 1 else f'_{number}'}.png")) as unfinished:
+                    unfinished.write_bytes(panels.png(picture))
         with beside(path) as unfinished:
             unfinished.write_text(_page(comparison, sections), "utf-8", "backslashreplace")  # names need not be UTF-8
 
@@ -82,13 +84,14 @@ def _sections(comparison: dict[str, Any], directory: Path, run: RunResult | None
 
 def _section(log: str, loaded: list[Entry | Failure]) -> LogSection:
     entries, failures = _by_kind(loaded)
+    runs = [tables.NamedRun(entry.name, entry.document) for entry in entries]
     return LogSection(
         log=log,
-        headline=headline(entries),
-        facts=facts([e.document for e in entries]),
+        headline=headline(runs),
+        facts=facts([run.document for run in runs]),
         entries=entries,
         failures=failures,
-        table=tables.table(entries),
+        table=tables.table(runs),
         pictures=draw(entries) if entries else None,
     )
 
@@ -96,13 +99,6 @@ def _section(log: str, loaded: list[Entry | Failure]) -> LogSection:
 def _by_kind(loaded: Sequence[Entry | Failure]) -> tuple[list[Entry], list[Failure]]:
     """Divide what was loaded."""
     return [e for e in loaded if isinstance(e, Entry)], [e for e in loaded if isinstance(e, Failure)]
-
-
-def _write_pictures(section: LogSection, folder: Path, number: str) -> None:
-    sheets = section.pictures.sheets() if section.pictures else {}
-    for name, picture in sheets.items():
-        with beside(folder / f"{name}{number}.png") as unfinished:
-            unfinished.write_bytes(panels.png(picture))
 
 
 def page_text(comparison: dict[str, Any], directory: Path, run: RunResult | None = None) -> str:

@@ -12,9 +12,10 @@ from collections.abc import Sequence
 from functools import partial
 from itertools import compress
 from math import hypot
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
+from msgspec.structs import astuple
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -115,18 +116,15 @@ WIDE, TALL = 2.2, 1.4
 
 def common_window(entries: Sequence[Entry]) -> Viewport:
     """Return the window that contains the maps of all runs, their paths and the true walls."""
-    windows = [window_of(e.grid, _points_to_show(e)) for e in entries]
-    return Viewport(
-        min(w.x0_m for w in windows),
-        max(w.x1_m for w in windows),
-        min(w.y0_m for w in windows),
-        max(w.y1_m for w in windows),
-    )
+    points = (np.vstack((_path(e), *e.true_walls, e.goal_xy_m)) for e in entries)
+    windows = [astuple(window_of(e.grid, xy_m)) for e, xy_m in zip(entries, points, strict=True)]
+    x0, x1, y0, y1, _ = zip(*windows, strict=True)
+    return Viewport(min(x0), max(x1), min(y0), max(y1))
 
 
-def _points_to_show(entry: Entry) -> Any:  # noqa: ANN401  numpy's stack of arrays
-    tracked = entry.scans.xy_m[np.isfinite(entry.scans.xy_m[:, 0])]
-    return np.vstack((tracked, *entry.true_walls, entry.goal_xy_m))
+def _path(entry: Entry) -> NDArray[np.float64]:
+    """Return the positions of the scans that have one, (n, 2) in m."""
+    return entry.scans.xy_m[np.isfinite(entry.scans.xy_m[:, 0])]
 
 
 def shape(window: Viewport) -> str:
@@ -175,9 +173,8 @@ def draw_map(
     axes.lines(PATH, [entry.scans.xy_m])
     axes.lines(map_axes.DOUBTFUL, [np.where(entry.scans.doubtful[:, None], entry.scans.xy_m, np.nan)])
     if ends:
-        xy_m = entry.scans.xy_m[np.isfinite(entry.scans.xy_m[:, 0])]
-        axes.mark(map_axes.START, xy_m[:1])
-        axes.mark(map_axes.END, xy_m[-1:])
+        axes.mark(map_axes.START, _path(entry)[:1])
+        axes.mark(map_axes.END, _path(entry)[-1:])
         axes.mark(map_axes.GOAL, entry.goal_xy_m)
     for letter, box in boxes:
         _draw_box(axes, letter, box)
@@ -213,16 +210,18 @@ def _draw_box(axes: Axes, letter: str, box: Viewport) -> None:
     axes.canvas.text((x + LETTER / 2, top + LETTER / 2), letter, FONT_PT, "#ffffff", bold=True)
 
 
-def legend_panel(top_hits: float, *, truth: bool, ghost: bool, doubtful: bool, ends: bool, goal: bool) -> Image.Image:
-    """Draw the color scale of hits that all maps share, and the legend of their lines."""
+def legend_panel(entries: Sequence[Entry], top_hits: float, *, ends: bool) -> Image.Image:
+    """Draw the color scale of hits that all maps share, and the legend of their lines; ``ends`` as in `map_panel`."""
     canvas, box = panel((390, 21), "", (15, 40, 375, 36))
     axes = Axes.chart(canvas, box, (0.0, 1.0, 0.0, 1.0))
     canvas.gradient(box, map_axes.HIT_COLOURS)
     axes.ticks(map_axes.hit_ticks(top_hits), length=5)
     canvas.text((box[0], box[1] - 8), "laser hits per cell", FONT_PT, MUTED, "ls")
+    doubtful, truth = any(e.scans.doubtful.any() for e in entries), any(e.true_walls for e in entries)
     named = (PATH, map_axes.DOUBTFUL, map_axes.TRUE_WALL, GHOST)
-    lines: list[Mark | Style] = list(compress(named, (True, doubtful, truth, ghost)))
-    places = list(compress((map_axes.START, map_axes.END, map_axes.GOAL), (ends, ends, ends and goal)))
+    lines: list[Mark | Style] = list(compress(named, (True, doubtful, truth, any(map(ghosts, entries)))))
+    goal = ends and any(len(e.goal_xy_m) for e in entries)
+    places = list(compress((map_axes.START, map_axes.END, map_axes.GOAL), (ends, ends, goal)))
     for marks, left in ((lines, 24), (places, 250)):
         first = (canvas.height - (len(marks) - 1) * LINE) // 2
         for k, mark in enumerate(marks):

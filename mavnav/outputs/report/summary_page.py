@@ -22,9 +22,10 @@ class PageTable(NamedTuple):
 
 
 class Summary(NamedTuple):
-    """The content of the page; ``picture`` is a PNG file, None for none, ``lines`` are commands to copy.
+    """The content of the page, with the ``tables`` that have rows; ``lines`` are commands to copy.
 
-    ``verdicts`` are those of what was compared, by its name, or that of the result by an empty name.
+    ``picture`` is a PNG file, None for none. ``verdicts`` are those of what was compared, by its name, or that of the
+    result by an empty name.
     """
 
     title: str
@@ -65,9 +66,9 @@ def merge_summary(document: dict[str, Any], picture: bytes) -> Summary:
     rows = [_session_row(each) for each in sessions]
     table = PageTable("Sessions", tuple(rows[0]), tuple(tuple(row.values()) for row in rows))
     refused = tuple((each["name"], each["input"], each["why"]) for each in sessions if not each["joined"])
-    others = _unless_empty("Not joined", ("session", "input", "reason"), refused, prose=True)
+    others = PageTable("Not joined", ("session", "input", "reason"), refused, prose=True)
     title, verdicts = ", ".join(each["name"] for each in sessions), (("", document["verdict"]),)
-    return Summary(title, document["headline"], (table, *others), picture, verdicts=verdicts)
+    return Summary(title, document["headline"], (table, others), picture, verdicts=verdicts)
 
 
 def _session_row(session: dict[str, Any]) -> dict[str, str]:
@@ -109,7 +110,7 @@ def diff_summary(document: dict[str, Any], picture: bytes | None) -> Summary:
     placed = (x, y, f"{pose['yaw_deg']:z.2f} deg", f"{pose['rms_mm']:.0f} mm")
     alignment = PageTable("Pose of the second map in the first", ("x", "y", "yaw", "RMS of the walls"), (placed,))
     verdicts = tuple((document[name], known) for name, known in document["verdicts"].items() if known)
-    tables = (*_unless_empty("Changes", head, rows), alignment)
+    tables = (PageTable("Changes", head, rows), alignment)
     return Summary(title, document["headline"], tables, picture, verdicts=verdicts)
 
 
@@ -121,8 +122,8 @@ def calibration_summary(document: dict[str, Any], title: str, picture: bytes | N
     rows = tuple(_calibrated_row(each) for each in measured)
     refused = tuple((_quantity_name(each)[0], each["refused"]) for each in every if each["refused"])
     head = ("quantity", "value", "95 % interval", "log or configuration", "difference")
-    missing = _unless_empty("Not determined", ("quantity", "reason"), refused, prose=True)
-    tables = _unless_empty("Quantities", head, rows) + missing
+    missing = PageTable("Not determined", ("quantity", "reason"), refused, prose=True)
+    tables = (PageTable("Quantities", head, rows), missing)
     lines, verdicts = tuple(filter(None, document["lines"].values())), (("", document["verdict"]),)
     return Summary(title, document["headline"], tables, picture, lines, verdicts)
 
@@ -150,12 +151,6 @@ def _calibrated_row(row: dict[str, Any]) -> tuple[str, ...]:
     value, within, in_log, difference = (_text(row.get(key), digits) for key in keys)
     unit = f", {row['unit']}" if row.get("unit") else ""
     return f"{name}{unit}", value, f"± {within}" if within else "", in_log, difference
-
-
-def _unless_empty(
-    heading: str, head: tuple[str, ...], rows: tuple[tuple[str, ...], ...], *, prose: bool = False
-) -> tuple[PageTable, ...]:
-    return (PageTable(heading, head, rows, prose),) if rows else ()
 
 
 def _text(value: float | None, digits: int) -> str:

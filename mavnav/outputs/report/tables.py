@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any, Final, Protocol
+from typing import Any, Final, NamedTuple
 
 from msgspec import Struct
 
@@ -23,16 +23,11 @@ MAX_GHOSTS: Final = 20
 METHODS: Final = ("paper", "robust")
 
 
-class NamedRun(Protocol):
-    """A run on the page, or one of which only run.json is at hand."""
+class NamedRun(NamedTuple):
+    """A run by its name within its log, and its run.json."""
 
-    @property
-    def name(self) -> str:
-        """Its name within its log."""
-
-    @property
-    def document(self) -> dict[str, Any]:
-        """Its run.json."""
+    name: str
+    document: dict[str, Any]
 
 
 class Field(Struct, frozen=True):
@@ -67,22 +62,22 @@ class RunTable(Struct, frozen=True):
     not_compared: str
 
 
-def table(entries: Sequence[Entry]) -> RunTable:
+def table(runs: Sequence[NamedRun]) -> RunTable:
     """Return the table of the runs of one log."""
-    runs = [e.document for e in entries]
-    columns = tuple(c for c in COLUMNS if any(c.of(run) is not None for run in runs))
-    best = {c: quantities.winners(c, runs) for c in columns}
+    documents = [run.document for run in runs]
+    columns = tuple(c for c in COLUMNS if any(c.of(document) is not None for document in documents))
+    best = {c: quantities.winners(c, documents) for c in columns}
     rows = tuple(
         RunRow(
-            e.name,
-            quantities.verdict_texts(e.document)[0],
-            tuple(Field(text(c.of(e.document), c.digits), k in best[c]) for c in columns),
-            (relative_cost(entries, e), relative_cost(entries, e, "timing.cpu_s")),
-            quantities.why_not_meaningful(e.document),
+            run.name,
+            quantities.verdict_texts(run.document)[0],
+            tuple(Field(text(c.of(run.document), c.digits), k in best[c]) for c in columns),
+            (relative_cost(runs, run), relative_cost(runs, run, "timing.cpu_s")),
+            quantities.why_not_meaningful(run.document),
         )
-        for k, e in enumerate(entries)
+        for k, run in enumerate(runs)
     )
-    return RunTable(columns, rows, quantities.size_note(runs))
+    return RunTable(columns, rows, quantities.size_note(documents))
 
 
 def text(value: float | None, digits: int) -> str:

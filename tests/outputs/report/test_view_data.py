@@ -21,8 +21,18 @@ from mavnav.outputs.files.gridmap import slice_files, write_npz, write_slice
 from mavnav.outputs.files.trajectory import write_poses, write_scans
 from mavnav.outputs.report import page
 from mavnav.outputs.report.entry import Entry, file_in, load, load_merge
-from mavnav.outputs.report.recording import Recording, beams, odometry_path, read_recording, recording_of
-from mavnav.outputs.report.view_data import SHADES, map_images, pack, slice_images, view_data
+from mavnav.outputs.report.view_data import (
+    SHADES,
+    Recording,
+    beams,
+    map_images,
+    odometry_path,
+    pack,
+    read_recording,
+    recording_of,
+    slice_images,
+    view_data,
+)
 from mavnav.pose import Pose, Trajectory
 from support.report_runs import leave
 

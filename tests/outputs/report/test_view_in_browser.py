@@ -12,8 +12,8 @@ from msgspec.structs import replace
 from mavnav.mapping.slices import Slice, Slices
 from mavnav.outputs.files import gridmap
 from mavnav.outputs.files.gridmap import slice_files, write_slice
-from mavnav.outputs.report import list_text, write_report
 from mavnav.outputs.report.entry import load
+from mavnav.outputs.report.page import list_text, write_report
 from mavnav.pose import Pose, transform_points
 from support.browser import WAIT_S, browser
 from support.report_runs import doubled, leave, quality
