@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
-from msgspec import Struct, field
+from msgspec import field
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
@@ -20,7 +19,7 @@ from mavnav.logs.messages.records import DecodeError, LaserMessage
 from mavnav.logs.namespaces import topic_and_frame
 from mavnav.logs.preprocessing import ScanFilter
 from mavnav.logs.read_report import ReadReport
-from mavnav.logs.records import Channel, Damage, Gap, Imu, Odometry, RecordedTruth, ScanCounts, Topic
+from mavnav.logs.records import Channel, Gap, Imu, LogContents, Odometry, RecordedTruth, ScanCounts
 from mavnav.logs.segments import Recorded, SweepJoiners
 from mavnav.logs.stamps import StampSource
 from mavnav.logs.topic_scans import KEPT_BYTES
@@ -33,7 +32,7 @@ _MOST_WAITING: Final = 64
 _WAITING_BYTES: Final = 64 << 20
 
 
-class Log(Struct, frozen=True, eq=False, kw_only=True):
+class Log(LogContents, frozen=True, eq=False, kw_only=True):
     """One scan topic of a log. Iterate it for its scans, as often as needed.
 
     Attributes
@@ -102,11 +101,6 @@ class Log(Struct, frozen=True, eq=False, kw_only=True):
         Stamps (n,) of the usable scans, in ns.
     """
 
-    path: Path
-    format: str
-    size_bytes: int
-    sha256: str
-    topics: tuple[Topic, ...]
     topic: str
     frame_id: str
     sensor: LaserSpec
@@ -119,7 +113,6 @@ class Log(Struct, frozen=True, eq=False, kw_only=True):
     gaps: tuple[Gap, ...]
     stamp_source: StampSource
     clock: Clock | None = None
-    window_s: tuple[float | None, float | None]
     base_T_laser: Pose | None = None
     mounting_source: Literal["tf_static", "option"] | None = None
     base_frame: str | None = None
@@ -128,10 +121,6 @@ class Log(Struct, frozen=True, eq=False, kw_only=True):
     imu: Imu | None = None
     attitude: RecordedAttitude | None = None
     truth: RecordedTruth | None = None
-    damage: tuple[Damage, ...]
-    warnings: tuple[str, ...]
-    strict: bool
-    more: tuple[Path, ...] = ()
     _order: NDArray[np.int64]
     stamps_ns: NDArray[np.int64]
     _ranges: list[tuple[LaserSpec, NDArray[np.float64]]] | None = None

@@ -20,7 +20,7 @@ from mavnav.logs.messages.other_scans import OTHER_TYPES
 from mavnav.logs.namespaces import topic_and_frame
 from mavnav.logs.periods import comes_in_bursts, period_and_gaps
 from mavnav.logs.preprocessing import KINDS
-from mavnav.logs.records import ScanCounts
+from mavnav.logs.records import LogContents, ScanCounts
 from mavnav.logs.survey import Survey, survey
 from mavnav.logs.topic_scans import REPEATED_SHARE, Timeline, TopicScans
 from mavnav.logs.trajectories import laser_odometry, laser_truth
@@ -138,16 +138,7 @@ def choose(
         _order=timeline.order,
         stamps_ns=timeline.stamps_ns,
         _ranges=scans.ranges,
-        path=survey.path,
-        format=survey.format,
-        size_bytes=survey.size_bytes,
-        sha256=survey.sha256,
-        topics=survey.topics,
-        damage=survey.damage,
-        warnings=survey.warnings,
-        window_s=survey.window_s,
-        strict=survey.strict,
-        more=survey.more,
+        **{name: getattr(survey, name) for name in LogContents.__struct_fields__},
     )
     if timeline.distrust:
         text = f"{name}: the scans' own stamps are unusable ({timeline.distrust}); the times of recording are used"
