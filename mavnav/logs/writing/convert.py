@@ -18,10 +18,8 @@ from mavnav.logs.formats.decompress import DecompressError, unpack_message
 from mavnav.logs.messages.records import DecodeError
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import LATCHING, QOS, AttachedFile, Channel, Damage, MetadataRecord, RawMessage, Schema, Topic
-from mavnav.logs.writing.mcap_writer import CHUNK_BYTES, OutputChannel, qos_text
+from mavnav.logs.writing.mcap_writer import CHUNK_BYTES, OutputChannel, qos_text, writable_stamp, write_extra
 from mavnav.logs.writing.translation import Translator
-
-_MAX_STAMP_NS = (1 << 63) - 1
 
 
 class Conversion(Struct, frozen=True):
@@ -127,7 +125,7 @@ class _Writing(Struct):
             alike = (n for known, n in self.numbers.items() if added and _kind(known) == _kind(channel))
             number = self.numbers[channel] = next(alike, None) or self._register(writer, channel)
         sent_ns = message.log_ns if message.publish_ns is None else message.publish_ns
-        writer.add_message(number, _stamp(message.log_ns), data, _stamp(sent_ns))
+        writer.add_message(number, writable_stamp(message.log_ns), data, writable_stamp(sent_ns))
         self.counts[_kind(channel)] += 1
 
     def put_extra(self, writer: Any, extra: AttachedFile | MetadataRecord | str) -> None:  # noqa: ANN401
@@ -135,11 +133,8 @@ class _Writing(Struct):
         if isinstance(extra, str):
             self.left_out["extras"] += 1
             self.report.warn(f"{extra}; it is left out")
-        elif isinstance(extra, MetadataRecord):
-            writer.add_metadata(extra.name, extra.values)
         else:
-            created_ns, log_ns = _stamp(extra.created_ns), _stamp(extra.log_ns)
-            writer.add_attachment(created_ns, log_ns, extra.name, extra.media_type, extra.data)
+            write_extra(writer, extra)
 
     def _register(self, writer: Any, channel: Channel) -> int:  # noqa: ANN401
         schema = channel.schema
@@ -158,10 +153,6 @@ class _Writing(Struct):
 
 def _kind(channel: Channel) -> tuple[str, str, str]:
     return channel.topic, channel.type, channel.encoding
-
-
-def _stamp(time_ns: int) -> int:
-    return min(max(time_ns, 0), _MAX_STAMP_NS)
 
 
 def _write(
