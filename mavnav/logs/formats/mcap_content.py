@@ -241,15 +241,10 @@ def check_data_section(source: Source, start: int, state: McapState) -> None:
 
     The state gets the results; a mismatch is reported. A data section that lost its end has no CRC.
     """
-    opcodes, end = set[int](), None
-    for opcode, offset in _record_heads(source, start + len(MAGIC)):
-        opcodes.add(opcode)
-        if opcode == Op.DATA_END:
-            end = offset
-            break
-    end = _last_data_end(source, _BLOCK_BYTES, start) if end is None else end
+    heads = dict(_record_heads(source, start + len(MAGIC)))
+    end = heads.get(Op.DATA_END) or _last_data_end(source, _BLOCK_BYTES, start)
     declared = 0 if end is None else int.from_bytes(source.read(end + HEAD.size, 4), "little")
-    state.chunked |= Op.CHUNK in opcodes or Op.MESSAGE_INDEX in opcodes
+    state.chunked |= Op.CHUNK in heads or Op.MESSAGE_INDEX in heads
     if end is None or declared == 0:
         state.verified = state.unsound = False
         return
@@ -261,9 +256,12 @@ def check_data_section(source: Source, start: int, state: McapState) -> None:
 
 
 def _record_heads(source: Source, offset: int) -> Iterator[tuple[int, int]]:
-    """Yield opcode and offset of records, up to the first invalid one; fast, because there may be millions."""
-    block, base = b"", offset
-    while True:
+    """Yield opcode and offset of records, up to the end of the data or the first invalid one.
+
+    It is fast, because there may be millions.
+    """
+    block, base, opcode = b"", offset, 0
+    while opcode != Op.DATA_END:
         if offset + HEAD.size > base + len(block):
             block, base = source.read(offset, _HOP_BYTES), offset
             if len(block) < HEAD.size:
