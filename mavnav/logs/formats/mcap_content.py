@@ -33,6 +33,7 @@ SCHEMA_ENCODINGS: Final = frozenset(
 
 _ENCODING_OF_SCHEMA = {"ros2msg": "cdr", "ros2idl": "cdr", "ros1msg": "ros1"}
 _NO_SCHEMA = Schema()
+_MESSAGE = int(Op.MESSAGE)
 
 
 class McapState(ReaderState):
@@ -60,22 +61,12 @@ class McapState(ReaderState):
         self.messages, self.closed, self.reported_outside, self.data_ended = 0, False, False, False
 
 
-def plain_message(content: bytes, state: McapState) -> RawMessage | None:
-    """Return the message of a record on a usual channel."""
-    if len(content) < MESSAGE_HEAD.size:
-        return None
-    number, _, log_ns, publish_ns = MESSAGE_HEAD.unpack_from(content)
-    if (channel := state.usual_channel(number)) is None:
-        return None
-    state.messages += 1
-    return RawMessage(channel, log_ns, content[MESSAGE_HEAD.size :], publish_ns=publish_ns)
-
-
-def apply_record(opcode: int, content: bytes, where: str, state: McapState) -> RawMessage | None:
-    """Return the message of a record; a record of another kind updates the state and returns None."""
+def apply_record(opcode: int, content: bytes, source: Source, at: int, state: McapState) -> RawMessage | None:
+    """Return the message of a record at an offset; a record of another kind updates the state and returns None."""
     try:
-        if opcode == Op.MESSAGE:
-            return _message(content, where, state)
+        if opcode == _MESSAGE:
+            return _message(content, source, at, state)
+        where = source.where(at)
         if opcode == Op.SCHEMA:
             _declare_schema(RecordFields(content), where, state)
         elif opcode == Op.CHANNEL:
@@ -87,15 +78,15 @@ def apply_record(opcode: int, content: bytes, where: str, state: McapState) -> R
         elif opcode == Op.FOOTER:
             state.closed = True
     except struct.error as error:
-        state.report.damage(f"a record cannot be read ({error})", where)
+        state.report.damage(f"a record cannot be read ({error})", source.where(at))
     return None
 
 
-def _message(content: bytes, where: str, state: McapState) -> RawMessage | None:
+def _message(content: bytes, source: Source, at: int, state: McapState) -> RawMessage | None:
     number, _, log_ns, publish_ns = MESSAGE_HEAD.unpack_from(content)
     state.messages += 1
     data = content[MESSAGE_HEAD.size :]
-    channel, declared = state.channel(number, data, "channel", where)
+    channel, declared = state.channel(number, data, "channel", source, at)
     if channel is None:
         return None
     return RawMessage(channel, log_ns, data, not declared, publish_ns if declared else None)
@@ -215,20 +206,21 @@ def _search_summary(source: Source, state: McapState) -> None:
 
 def _parse_summary(summary: bytes, state: McapState, *, sound: bool) -> None:
     own = McapState(ReadReport())
-    for opcode, content in _records(summary):
+    source = Source(BytesIO(summary), len(summary))
+    for opcode, content in _records(source):
         if opcode in (Op.SCHEMA, Op.CHANNEL):
-            apply_record(opcode, content, "summary", own)
+            apply_record(opcode, content, source, 0, own)
         elif opcode == Op.CHUNK_INDEX:
             state.chunked |= any(content[_CHUNK_LENGTH])
     state.spare, state.spare_is_sound = own.channels, sound
 
 
-def _records(summary: bytes) -> Iterator[tuple[int, bytes]]:
+def _records(source: Source) -> Iterator[tuple[int, bytes]]:
     """Yield opcode and content of the records; after bytes that are no record, continue at the next one."""
-    source, offset = Source(BytesIO(summary), len(summary)), 0
+    offset = 0
     while offset < source.size:
         behind = offset
-        for opcode, content in mcap_records.plain_records(summary[offset:]):
+        for opcode, content in mcap_records.plain_records(source.read(offset, source.size)):
             if mcap_records.record_at(source, behind) is None:
                 break
             yield opcode, content
