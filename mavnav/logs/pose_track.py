@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 from msgspec import Struct, field
 
 from mavnav.logs.clocks import clock_of, shift_s
 from mavnav.logs.log import Log
+from mavnav.logs.messages.columns import merge
 from mavnav.logs.messages.records import Poses
 from mavnav.logs.stamps import Stamps, in_order
-from mavnav.logs.transforms import planar_poses
+from mavnav.logs.transforms import frame_name, planar_poses
 from mavnav.pose import Trajectory
 from mavnav.units import NS
 
@@ -20,7 +22,8 @@ from mavnav.units import NS
 class PoseTrack(Struct):
     """Poses of a body, frame ``base_frame``, in a fixed frame, as they came: 40 bytes each, with both stamps.
 
-    Those of a path came in one message, so that the time of recording says nothing about their clock.
+    Those of a path came in one message, so that the time of recording says nothing about their clock. Those of odometry
+    are of odometry messages or of transforms, by their ``source``.
     """
 
     topic: str
@@ -29,6 +32,7 @@ class PoseTrack(Struct):
     xyyaw: array[float] = field(default_factory=lambda: array("d"))
     unusable: int = 0
     is_path: bool = False
+    source: Literal["odom", "tf"] = "odom"
 
     def add(self, poses: Poses) -> None:
         """Take in poses; those that are not finite, or have no orientation, are only counted."""
@@ -57,3 +61,9 @@ class PoseTrack(Struct):
             text = f"{abs(added_s):.2f} s {ahead} those of the scans, by the times of recording, and corrected by that"
             warn(f"{self.topic}: its stamps are {text}: synchronize the clocks")
         return Trajectory(stamps[keep] + round(added_s / NS), poses[keep]), added_s
+
+
+def add_poses(tracks: dict[str, PoseTrack], topic: str, parts: list[Poses]) -> None:
+    """Take in messages of one pose each, of a topic."""
+    poses = merge(parts)
+    tracks.setdefault(topic, PoseTrack(topic, frame_name(poses.child))).add(poses)

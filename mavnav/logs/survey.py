@@ -23,6 +23,7 @@ from mavnav.logs.messages.definitions import IMU, ODOMETRY, PATH, POSE
 from mavnav.logs.messages.other_scans import OTHER_TYPES
 from mavnav.logs.messages.records import DecodeError
 from mavnav.logs.namespaces import FRAME, laser_topics, namespace
+from mavnav.logs.pose_track import add_poses
 from mavnav.logs.preprocessing import ScanFilter
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel, LogContents, RawMessage, Topic
@@ -68,11 +69,12 @@ class Motion(Struct):
         if self.attitudes.takes(channel):
             yield partial(self.attitudes.add, channel.topic)
         if self.truth.takes(channel):
-            yield partial(self.truth.add_path if channel.type == PATH else self.truth.add, channel.topic)
+            add = self.truth.add_path if channel.type == PATH else partial(add_poses, self.truth.topics)
+            yield partial(add, channel.topic)
         elif channel.type == IMU:
             yield self.imus.setdefault(channel.topic, ImuTrack(channel.topic)).add
         elif channel.type == ODOMETRY or self.odometry.takes(channel):
-            yield partial(self.odometry.add_odometry, channel.topic)
+            yield partial(add_poses, self.odometry.topics, channel.topic)
         elif channel.type != POSE:
             static = channel.topic.endswith("tf_static")
             yield partial(self.frames[namespace(channel.topic)].add, static=static)
@@ -275,7 +277,7 @@ def _by_laser(state: _Pass, report: ReadReport) -> Iterator[tuple[str, TopicScan
     """Yield the scans of every topic, or of every frame on it where it is of several lasers, or a frame is wanted."""
     wanted = scan_topics(state.topic or "")
     for topic, scans in state.scans.items():
-        frames = sorted(scans.frames())
+        frames = scans.frames()
         chosen = [frame for frame in frames if f"{topic}{FRAME}{frame}" in wanted]
         if chosen or scans.is_of_several_lasers():
             yield from ((f"{topic}{FRAME}{frame}", scans.of_frame(frame)) for frame in chosen or frames)

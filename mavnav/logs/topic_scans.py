@@ -105,12 +105,9 @@ class TopicScans(Struct):
         self._suspect.append(suspect)
         self._cleaning.extend(counts)
 
-    def frames(self) -> Counter[str]:
-        """Count the scans of every frame."""
-        counts = Counter[str]()
-        for number, count in Counter(self._kind).items():
-            counts[self._kinds[number][1]] += count
-        return counts
+    def frames(self) -> list[str]:
+        """Return the frames of the scans, each once, sorted."""
+        return sorted({self._kinds[number][1] for number in set(self._kind)})
 
     def is_of_several_lasers(self) -> bool:
         """Return whether the frames of the scans change to and fro, as those of several lasers."""
@@ -121,14 +118,15 @@ class TopicScans(Struct):
     def of_frame(self, frame: str) -> TopicScans:
         """Return the scans of one laser; those that are not usable are of no frame."""
         numbers = [k for k, kind in enumerate(self._kind) if self._kinds[kind][1] == frame]
-        own, beams = Stamps(), np.array(self._cleaning, np.int64).reshape(-1, len(KINDS))
-        for k in numbers:
-            own.add(self._stamps.header_ns[k], self._stamps.log_ns[k])
+        beams = np.array(self._cleaning, np.int64).reshape(-1, len(KINDS))
+        stamps_ns = (
+            array("q", [column[k] for k in numbers]) for column in (self._stamps.header_ns, self._stamps.log_ns)
+        )
         return TopicScans(
             self.scan_filter,
             len(numbers),
             ranges=None if self.ranges is None else [self.ranges[k] for k in numbers],
-            _stamps=own,
+            _stamps=Stamps(*stamps_ns),
             _kind=array("I", [self._kind[k] for k in numbers]),
             _suspect=bytearray(self._suspect[k] for k in numbers),
             _content=array("q", [self._content[k] for k in numbers]),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable
-from typing import Final, Literal
+from typing import Final
 
 from msgspec import Struct, field
 
@@ -34,12 +34,6 @@ TRUTH_NAMES: Final = re.compile(
 """Topic names that stand for ground truth; others may hold goals or estimates, and are never taken automatically."""
 
 
-class OdometryTrack(PoseTrack):
-    """Poses of the base in the odometry frame, of odometry messages or of transforms."""
-
-    source: Literal["odom", "tf"] = "odom"
-
-
 class OdometryTracks(Struct):
     """All odometry of a log: nav_msgs/Odometry by topic, and the edges of /tf that start at an ``odom`` frame.
 
@@ -47,25 +41,20 @@ class OdometryTracks(Struct):
     """
 
     wanted: str = "auto"
-    topics: dict[str, OdometryTrack] = field(default_factory=dict)
-    transforms: dict[tuple[str, str], OdometryTrack] = field(default_factory=dict)
+    topics: dict[str, PoseTrack] = field(default_factory=dict)
+    transforms: dict[tuple[str, str], PoseTrack] = field(default_factory=dict)
 
     def takes(self, channel: Channel) -> bool:
         """Return whether the poses of a channel are wanted as odometry."""
         named = self.wanted not in ("auto", "off") and frame_name(channel.topic) == frame_name(self.wanted)
         return named and channel.type in (POSE, TRANSFORM)
 
-    def add_odometry(self, topic: str, parts: list[Poses]) -> None:
-        """Take in nav_msgs/Odometry messages, or poses of the wanted topic."""
-        poses = merge(parts)
-        self.topics.setdefault(topic, OdometryTrack(topic, frame_name(poses.child))).add(poses)
-
     def add_transforms(self, topic: str, parts: list[Poses]) -> None:
         """Take in the transforms of /tf messages."""
         of_odom = (part for part in parts if frame_name(part.parent).rsplit("/", 1)[-1] == _ODOM_FRAME)
         for child, poses in merge_by(of_odom, lambda part: frame_name(part.child)).items():
             key = topic, child
-            self.transforms.setdefault(key, OdometryTrack(*key, source="tf")).add(poses)
+            self.transforms.setdefault(key, PoseTrack(*key, source="tf")).add(poses)
 
     def choose(
         self,
@@ -74,7 +63,7 @@ class OdometryTracks(Struct):
         leads_to_laser: Callable[[str], bool] = bool,
         topic: str = "",
         scan_topics: Iterable[str] = (),
-    ) -> OdometryTrack | None:
+    ) -> PoseTrack | None:
         """Return the track to use.
 
         Parameters
@@ -111,7 +100,7 @@ class OdometryTracks(Struct):
 
     def _choose_auto(
         self, warn: Callable[[str], None], leads_to_laser: Callable[[str], bool], topic: str, scan_topics: list[str]
-    ) -> OdometryTrack | None:
+    ) -> PoseTrack | None:
         own = of_same_robot(self.topics, topic, scan_topics)
         truths = [name for name in own if TRUTH_NAMES.search(name)]
         for name in truths:
@@ -128,7 +117,7 @@ class OdometryTracks(Struct):
             return None
         return self._of_tf(leads_to_laser, topic, scan_topics)
 
-    def _of_tf(self, leads_to_laser: Callable[[str], bool], topic: str, scan_topics: list[str]) -> OdometryTrack | None:
+    def _of_tf(self, leads_to_laser: Callable[[str], bool], topic: str, scan_topics: list[str]) -> PoseTrack | None:
         """Return the track of the laser's robot, of several the one with the most poses."""
         own = of_same_robot((track.topic for track in self.transforms.values()), topic, scan_topics)
         tracks = [track for track in self.transforms.values() if track.topic in own]
@@ -136,7 +125,7 @@ class OdometryTracks(Struct):
 
 
 def laser_odometry(
-    track: OdometryTrack, log: Log, base_frame: str | None, base_T_laser: Pose | None, warn: Callable[[str], None]
+    track: PoseTrack, log: Log, base_frame: str | None, base_T_laser: Pose | None, warn: Callable[[str], None]
 ) -> Odometry | None:
     """Return the odometry of a track, without jumps; None, with a warning, where it does not fit the scans."""
     odom_T_base, added_s = track.trajectory(log, warn)
@@ -178,11 +167,6 @@ class TruthTracks(Struct):
         if self.wanted == "auto":
             return channel.type in TRUTH_TYPES and TRUTH_NAMES.search(channel.topic) is not None
         return frame_name(channel.topic) == frame_name(self.wanted)
-
-    def add(self, topic: str, parts: list[Poses]) -> None:
-        """Take in messages of one pose each."""
-        poses = merge(parts)
-        self.topics.setdefault(topic, PoseTrack(topic, frame_name(poses.child))).add(poses)
 
     def add_path(self, topic: str, parts: list[Poses]) -> None:
         """Take in paths, each of which replaces the one before."""
