@@ -10,7 +10,6 @@ from msgspec import field
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from mavnav.logs.clocks import Clock
 from mavnav.logs.formats import detect
 from mavnav.logs.levelling import RecordedAttitude
 from mavnav.logs.merging import Mounted, virtual_scans
@@ -21,7 +20,7 @@ from mavnav.logs.preprocessing import ScanFilter
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel, Gap, Imu, LogContents, Odometry, RecordedTruth, ScanCounts
 from mavnav.logs.segments import Recorded, SweepJoiners
-from mavnav.logs.stamps import StampSource
+from mavnav.logs.stamps import Clock, StampSource
 from mavnav.logs.topic_scans import KEPT_BYTES
 from mavnav.pose import Pose
 from mavnav.profiling import Stage, each

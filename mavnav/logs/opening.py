@@ -18,9 +18,9 @@ from mavnav.logs.merging import FRAME, partners, virtual_laser
 from mavnav.logs.messages.decode import LASER_TYPES, scan_topics
 from mavnav.logs.messages.other_scans import OTHER_TYPES
 from mavnav.logs.namespaces import topic_and_frame
-from mavnav.logs.periods import comes_in_bursts, period_and_gaps
 from mavnav.logs.preprocessing import KINDS
 from mavnav.logs.records import LogContents, ScanCounts
+from mavnav.logs.stamps import comes_in_bursts, period_and_gaps
 from mavnav.logs.survey import Survey, survey
 from mavnav.logs.topic_scans import REPEATED_SHARE, Timeline, TopicScans
 from mavnav.logs.trajectories import laser_odometry, laser_truth

@@ -9,11 +9,10 @@ from typing import Literal
 import numpy as np
 from msgspec import Struct, field
 
-from mavnav.logs.clocks import clock_of, shift_s
 from mavnav.logs.log import Log
 from mavnav.logs.messages.columns import merge
 from mavnav.logs.messages.records import Poses
-from mavnav.logs.stamps import Stamps, in_order
+from mavnav.logs.stamps import Stamps, clock_of, in_order, shift_s
 from mavnav.logs.transforms import frame_name, planar_poses
 from mavnav.pose import Trajectory
 from mavnav.units import NS

@@ -12,11 +12,10 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from mavnav.logs import clocks, stamps
-from mavnav.logs.clocks import Clock, clock_of
+from mavnav.logs import stamps
 from mavnav.logs.messages.records import LaserMessage
 from mavnav.logs.preprocessing import KINDS, ScanFilter
-from mavnav.logs.stamps import Stamps, StampSource
+from mavnav.logs.stamps import Clock, Stamps, StampSource, clock_of
 from mavnav.scan import LaserSpec
 from mavnav.units import NS
 
@@ -162,9 +161,9 @@ class TopicScans(Struct):
         backward = self._count_skipped("header", header)["backward_stamp"] if len(header) < len(log) else 0
         set_back = min(backward, len(log) - len(header)) > max(_MOST_BACKWARD * len(log), _FEW_BACKWARD)
         if set_back or 2 * len(header) < len(log):
-            return clocks.set_back_text(stamps_ns[log], log_ns[log])
+            return stamps.set_back_text(stamps_ns[log], log_ns[log])
         chosen = stamps_ns[header], log_ns[header]
-        return clocks.set_forward_text(*chosen) or clocks.other_unit_text(*chosen)
+        return stamps.set_forward_text(*chosen) or stamps.other_unit_text(*chosen)
 
     def _choose(self, source: StampSource) -> NDArray[np.int64]:
         """Return the numbers of the scans to use, in the order of the file, or of recording where that keeps more."""
