@@ -17,9 +17,9 @@ from mavnav.errors import ExitCode, UsageError
 from mavnav.ground_truth.tables import read_tum
 from mavnav.logs import Log, Survey, choose, content_sha256, survey
 from mavnav.logs.formats import detect
-from mavnav.logs.frame_poses import TF_PREFIX, FramePoses, follow
 from mavnav.logs.messages import cdr, ros
 from mavnav.logs.messages.definitions import TF, definition
+from mavnav.logs.pose_track import TF_PREFIX, FramePoses, follow
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel, RawMessage, Schema
 from mavnav.logs.transforms import frame_name, transforms_for
