@@ -143,11 +143,6 @@ class Log(LogContents, frozen=True, eq=False, kw_only=True):
         spec = self.sensor.turned_over() if self.upside_down else self.sensor
         return Mounted(spec, self.base_T_laser or Pose(), self.stamps_ns)
 
-    @property
-    def is_short(self) -> bool:
-        """Whether the scans are read at once, and kept."""
-        return 8 * self.sensor.beams * len(self._order) <= KEPT_BYTES
-
     def shares_time(self, stamps_ns: NDArray[np.int64]) -> bool:
         """Return whether some time between the first stamp and the last, (n,), is one of the scans."""
         return len(stamps_ns) > 0 and bool(stamps_ns[0] <= self.last_ns and stamps_ns[-1] >= self.first_ns)
@@ -169,7 +164,7 @@ class Log(LogContents, frozen=True, eq=False, kw_only=True):
 
         They are levelled by the attitude, if there is one.
         """
-        if not self.is_short:
+        if 8 * self.sensor.beams * len(self._order) > KEPT_BYTES:
             return each("reading", self._level_scans())
         if not self._kept:
             with Stage("reading"):

@@ -88,29 +88,23 @@ class FramePoses(Struct):
     moving: dict[Edge, PoseTrack] = field(default_factory=dict)
 
     @property
-    def _still(self) -> dict[Edge, NDArray[np.float64]]:
-        """The transforms that do not move."""
-        constant = {edge: m for edge, m in self.frames.moving.items() if edge not in self.frames.changed}
-        return constant | self.frames.static
-
-    @property
     def names(self) -> set[str]:
         """The frames of the log."""
-        return {frame for edge in (*self.moving, *self._still) for frame in edge}
+        return {frame for edge in (*self.moving, *self.frames.still) for frame in edge}
 
     @property
     def fixed_frame(self) -> str:
         """The frame of the poses: without a name that from which all others above the body hang."""
         if name := frame_name(self.topic.removeprefix(TF_PREFIX).partition(",")[0]):
             return name
-        parents, root = {child: parent for parent, child in (*self._still, *self.moving)}, self.base_frame
+        parents, root = {child: parent for parent, child in (*self.frames.still, *self.moving)}, self.base_frame
         while root in parents:
             root = parents.pop(root)
         return root
 
     def paths(self, log: Log, warn: Callable[[str], None]) -> list[Transfer]:
         """Return the transforms on the way from the fixed frame to the body; raises TopicError without one."""
-        still, fixed = self._still, self.fixed_frame
+        still, fixed = self.frames.still, self.fixed_frame
         steps = shortest_way([*self.moving, *still], fixed, self.base_frame)
         if steps is None:
             known = ", ".join(sorted(self.names)) or "none"

@@ -100,11 +100,15 @@ class FrameTree(Struct):
             ):
                 self.changed.add(edge)
 
+    @property
+    def still(self) -> dict[Edge, NDArray[np.float64]]:
+        """The transforms that do not move: the static ones, and the constant ones of /tf."""
+        return {edge: matrix for edge, matrix in self.moving.items() if edge not in self.changed} | self.static
+
     def find(self, base: str, laser: str) -> NDArray[np.floating] | None:
         """Return ``base_T_laser`` (4, 4) by the static transforms, and the constant ones of /tf if need be."""
-        constant = {edge: matrix for edge, matrix in self.moving.items() if edge not in self.changed}
         direct = _chain(self.static, base, laser)
-        return direct if direct is not None else _chain({**constant, **self.static}, base, laser)
+        return direct if direct is not None else _chain(self.still, base, laser)
 
     def moves(self, base: str, laser: str) -> bool:
         """Return whether transforms lead from the base to the laser, but change."""
