@@ -87,16 +87,11 @@ def open_log(
     """
     window = partial(survey, path, start_s=start_s, end_s=end_s, more=more)
     surveyed = window(topic=topic, progress=progress, strict=strict, truth=truth, odom=odom, attitude=attitude)
-    return choose(surveyed, topic=topic, odom=odom, extrinsic=extrinsic, upside_down=upside_down)
+    return choose(surveyed, topic=topic, extrinsic=extrinsic, upside_down=upside_down)
 
 
 def choose(
-    survey: Survey,
-    *,
-    topic: str | None = None,
-    odom: str = "auto",
-    extrinsic: Pose | None = None,
-    upside_down: bool = False,
+    survey: Survey, *, topic: str | None = None, extrinsic: Pose | None = None, upside_down: bool = False
 ) -> Log:
     """Choose topic, odometry and mounting of a surveyed log; raises TopicError and NoScansError.
 
@@ -107,7 +102,7 @@ def choose(
             raise TopicError(
                 "upside_down is of one laser; several --topic are merged by /tf_static, which turns them over"
             )
-        return _multi_laser_log(survey, names, odom, extrinsic)
+        return _multi_laser_log(survey, names, extrinsic)
     name = _chosen_topic(survey, topic)
     scans = survey.scans[name]
     if doubt := scans.scan_filter.doubt:
@@ -143,7 +138,7 @@ def choose(
     if timeline.distrust:
         text = f"{name}: the scans' own stamps are unusable ({timeline.distrust}); the times of recording are used"
         log = replace(log, warnings=(*log.warnings, text))
-    return _with_motion(log, survey, odom, extrinsic, upside_down=upside_down)
+    return _with_motion(log, survey, extrinsic, upside_down=upside_down)
 
 
 def _chosen_topic(survey: Survey, topic: str | None) -> str:
@@ -202,14 +197,14 @@ def _no_usable(survey: Survey, name: str, scans: TopicScans, timeline: Timeline)
     return f"{survey.path}: none of the {scans.total} scans on {name} is usable ({reasons}){hint}"
 
 
-def _multi_laser_log(survey: Survey, topics: list[str], odom: str, extrinsic: Pose | None) -> Log:
+def _multi_laser_log(survey: Survey, topics: list[str], extrinsic: Pose | None) -> Log:
     """Merge the scans of several lasers; raises TopicError where a mounting is not known."""
     if extrinsic is not None:
         raise TopicError("--extrinsic is the pose of one laser; several --topic are merged by /tf_static")
     if survey.motion.attitudes.is_named:
         raise TopicError("--attitude is that of one laser; several --topic are merged as they are: name one of them")
     survey = replace(survey, motion=replace(survey.motion, attitudes=AttitudeTracks("off")))
-    logs = tuple(choose(_same_window(survey, topics[0], topic), topic=topic, odom=odom) for topic in topics)
+    logs = tuple(choose(_same_window(survey, topics[0], topic), topic=topic) for topic in topics)
     first, bases = logs[0], {log.base_frame for log in logs}
     unmounted = [log.topic for log in logs if log.base_T_laser is None]
     if unmounted or len(bases) > 1:
@@ -229,7 +224,7 @@ def _multi_laser_log(survey: Survey, topics: list[str], odom: str, extrinsic: Po
         _kept=[],
     )
     warnings = [*(text for log in logs for text in log.warnings), *_unpaired_warnings(logs)]
-    log = replace(_with_motion(log, survey, odom, Pose()), warnings=tuple(dict.fromkeys(warnings)))
+    log = replace(_with_motion(log, survey, Pose()), warnings=tuple(dict.fromkeys(warnings)))
     return replace(log, base_frame=first.base_frame, mounting_source="tf_static")
 
 
@@ -277,7 +272,7 @@ def _scan_warnings(log: Log) -> Iterator[str]:
         yield f"{log.topic}: the stamps come in bursts, {text}: {advice}"
 
 
-def _with_motion(log: Log, survey: Survey, odom: str, extrinsic: Pose | None, *, upside_down: bool = False) -> Log:
+def _with_motion(log: Log, survey: Survey, extrinsic: Pose | None, *, upside_down: bool = False) -> Log:
     """Add mounting and odometry, and what there is to warn about time."""
     motion, warnings = survey.motion, [*log.warnings, *_scan_warnings(log)]
     laser = frame_name((log._merged or (log,))[0].frame_id)  # noqa: SLF001  the log is made here
@@ -286,7 +281,7 @@ def _with_motion(log: Log, survey: Survey, odom: str, extrinsic: Pose | None, *,
     def leads_to_laser(base: str) -> bool:
         return bool(base) and frames.find(base, laser) is not None
 
-    track = motion.odometry.choose(odom, warnings.append, leads_to_laser, log.topic, survey.lasers)
+    track = motion.odometry.choose(warnings.append, leads_to_laser, log.topic, survey.lasers)
     bases = [track.base_frame] if track and track.base_frame else frames.bases(laser)
     place, of_mounting = len(warnings), list[str]()
     mounted = mounting(frames, log.frame_id, bases, of_mounting.append)
@@ -309,7 +304,7 @@ def _with_motion(log: Log, survey: Survey, odom: str, extrinsic: Pose | None, *,
     attitude = laser_attitude(motion.attitudes, motion.imus, frames, log, warnings.append)
     if attitude is None:  # else a tilted mounting is levelled as well
         warnings[place:place] = of_mounting
-    imu = laser_rotation(motion.imus, log, odom, warnings.append)
+    imu = laser_rotation(motion.imus, log, motion.odometry.wanted, warnings.append)
     known = motion.truth.choose(survey.topics, log.topic, frames, laser)
     placing = (log, frames, base_T_laser, extrinsic, warnings.append)
     log = replace(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from typing import Final
 
 from msgspec import Struct, field
@@ -56,20 +56,15 @@ class OdometryTracks(Struct):
             self.transforms.setdefault(key, PoseTrack(*key, source="tf")).add(poses)
 
     def choose(
-        self,
-        wanted: str,
-        warn: Callable[[str], None],
-        leads_to_laser: Callable[[str], bool] = bool,
-        topic: str = "",
-        scan_topics: Iterable[str] = (),
+        self, warn: Callable[[str], None], leads_to_laser: Callable[[str], bool], topic: str, scan_topics: Sequence[str]
     ) -> PoseTrack | None:
-        """Return the track to use.
+        """Return the track to use: what is ``wanted``, a topic, ``off`` or ``auto``.
+
+        The latter is the only nav_msgs/Odometry topic of the laser's robot, or the one named ``odom``, or the odometry
+        of /tf; never one that is named like a ground truth.
 
         Parameters
         ----------
-        wanted
-            ``auto`` (the only nav_msgs/Odometry topic of the laser's robot, or the one named ``odom``, or the odometry
-            of /tf; never one that is named like a ground truth), ``off``, or a topic.
         warn
             Takes a line where ``auto`` cannot choose.
         leads_to_laser
@@ -84,21 +79,21 @@ class OdometryTracks(Struct):
         TopicError
             The topic asked for holds no odometry.
         """
-        if wanted == "off":
+        if self.wanted == "off":
             return None
-        if wanted == "auto":
-            return self._choose_auto(warn, leads_to_laser, topic, [*scan_topics])
-        track = self.topics.get(wanted) or (
-            self._of_tf(leads_to_laser, topic, [*scan_topics]) if wanted.lstrip("/") == TF_TOPIC[1:] else None
-        )
+        if self.wanted == "auto":
+            return self._choose_auto(warn, leads_to_laser, topic, scan_topics)
+        track = self.topics.get(self.wanted)
+        if track is None and frame_name(self.wanted) == frame_name(TF_TOPIC):
+            track = self._of_tf(leads_to_laser, topic, scan_topics)
         if track is None:
             known = ", ".join([*self.topics, *([TF_TOPIC] if self.transforms else [])])
             advice = f"name one that the log holds: {known}" if known else "the log holds none, leave --odom out"
-            raise TopicError(f"no odometry on topic {wanted!r}; {advice}")
+            raise TopicError(f"no odometry on topic {self.wanted!r}; {advice}")
         return track
 
     def _choose_auto(
-        self, warn: Callable[[str], None], leads_to_laser: Callable[[str], bool], topic: str, scan_topics: list[str]
+        self, warn: Callable[[str], None], leads_to_laser: Callable[[str], bool], topic: str, scan_topics: Sequence[str]
     ) -> PoseTrack | None:
         own = of_same_robot(self.topics, topic, scan_topics)
         truths = [name for name in own if TRUTH_NAMES.search(name)]
@@ -116,7 +111,7 @@ class OdometryTracks(Struct):
             return None
         return self._of_tf(leads_to_laser, topic, scan_topics)
 
-    def _of_tf(self, leads_to_laser: Callable[[str], bool], topic: str, scan_topics: list[str]) -> PoseTrack | None:
+    def _of_tf(self, leads_to_laser: Callable[[str], bool], topic: str, scan_topics: Sequence[str]) -> PoseTrack | None:
         """Return the track of the laser's robot, of several the one with the most poses."""
         own = of_same_robot((track.topic for track in self.transforms.values()), topic, scan_topics)
         tracks = [track for track in self.transforms.values() if track.topic in own]
@@ -179,7 +174,7 @@ class TruthTracks(Struct):
             self.moving.setdefault(edge, PoseTrack(topic, edge[1])).add(poses)
 
     def choose(
-        self, topics: Iterable[Topic], topic: str = "", frames: FrameTree | None = None, laser: str = ""
+        self, topics: Sequence[Topic], topic: str, frames: FrameTree, laser: str
     ) -> PoseTrack | FramePoses | None:
         """Return the wanted track, None if none is wanted; of all ``topics``, for the scans on ``topic``.
 
@@ -192,9 +187,8 @@ class TruthTracks(Struct):
         """
         if self.wanted is None:
             return None
-        if self.of_frames and frames:
+        if self.of_frames:
             return FramePoses(self.wanted, frame_name(self.wanted.partition(",")[2]) or laser, frames, self.moving)
-        topics = [*topics]
         own = of_same_robot(self.topics, topic, laser_topics(topics)) if self.wanted == "auto" else [*self.topics]
         tracks = {name: self.topics[name] for name in sorted(own) if len(self.topics[name].stamps)}
         if len(tracks) == 1:

@@ -132,7 +132,7 @@ class FrameTree(Struct):
         return FrameTree(*(a | b for a, b in pairs))
 
 
-def transforms_for(trees: dict[str, FrameTree], topic: str, scan_topics: Iterable[str] = ()) -> FrameTree:
+def transforms_for(trees: dict[str, FrameTree], topic: str, scan_topics: Iterable[str]) -> FrameTree:
     """Return the transforms for the laser of a topic, of the trees by the namespace of their topics.
 
     They are those of its robot: of its own namespace or one around it. Without a namespace of its own, all count that
