@@ -143,9 +143,7 @@ class TopicScans(Struct):
         """
         header, log = self._choose("header"), self._choose("log")
         distrust = self._distrust(header, log)
-        if distrust:
-            return self._timeline("log", log, window_s, distrust)
-        return self._timeline("header", header, window_s)
+        return self._timeline(log if distrust else header, window_s, distrust)
 
     def _distrust(self, header: NDArray[np.int64], log: NDArray[np.int64]) -> str:
         """Return why the scans that are chosen by their own stamps are not used, but those by recording; else ""."""
@@ -200,9 +198,8 @@ class TopicScans(Struct):
         plausible: NDArray[np.bool_] = like[kinds] & (np.abs(offsets - usual) < _SUSPECT_OFFSET_NS)
         return plausible | ~suspect
 
-    def _timeline(
-        self, source: StampSource, chosen: NDArray[np.int64], window_s: Window, distrust: str = ""
-    ) -> Timeline:
+    def _timeline(self, chosen: NDArray[np.int64], window_s: Window, distrust: str) -> Timeline:
+        source: StampSource = "log" if distrust else "header"
         stamps_ns, log_ns = (each[chosen] for each in self._stamps.by(source))
         inside = _inside(stamps_ns, window_s)
         order = chosen[inside]

@@ -39,7 +39,7 @@ _MESSAGE = int(Op.MESSAGE)
 class McapState(ReaderState):
     """Schemas, channels and counters of the records read so far.
 
-    The data section is ``unsound`` if its CRC does not match, and ``verified`` if it does. In a ``suspect`` chunk,
+    The data section is ``sound`` if its CRC matches, None if it has none. In a ``suspect`` chunk,
     channels read before and those of an undamaged summary take precedence over the chunk's own. In a ``chunked`` file,
     messages outside of the chunks are suspect. ``spare`` are the channels of the summary.
     """
@@ -47,8 +47,7 @@ class McapState(ReaderState):
     schemas: dict[int, Schema] = field(default_factory=dict)
     closed: bool = False
     suspect: bool = False
-    unsound: bool = False
-    verified: bool = False
+    sound: bool | None = None
     chunked: bool = False
     spare_is_sound: bool = False
     reported_outside: bool = False
@@ -237,12 +236,8 @@ def check_data_section(source: Source, start: int, state: McapState) -> None:
     end = heads.get(Op.DATA_END) or _last_data_end(source, _BLOCK_BYTES, start)
     declared = 0 if end is None else int.from_bytes(source.read(end + HEAD.size, 4), "little")
     state.chunked |= Op.CHUNK in heads or Op.MESSAGE_INDEX in heads
-    if end is None or declared == 0:
-        state.verified = state.unsound = False
-        return
-    state.verified = declared == _crc(source, start, end)
-    state.unsound = not state.verified
-    if state.unsound:
+    state.sound = None if end is None or declared == 0 else declared == _crc(source, start, end)
+    if end is not None and state.sound is False:
         text = "the CRC of the data section does not match; which record is wrong cannot be known"
         state.report.damage(f"{text}, so all that no chunk's own CRC guards are suspect", source.where(end))
 

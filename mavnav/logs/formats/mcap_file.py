@@ -54,7 +54,7 @@ def read_mcap(path: Path, report: ReadReport) -> Iterator[RawMessage]:
 def _outside(source: Source, record: McapRecord, state: McapState) -> Iterator[RawMessage]:
     """Process a record outside of the chunks; in the data section of a file with chunks it is a result of damage."""
     is_message = record.opcode == Op.MESSAGE
-    outside_chunks = state.chunked and not state.verified and (is_message or not state.data_ended)
+    outside_chunks = state.chunked and not state.sound and (is_message or not state.data_ended)
     if outside_chunks and is_message and not state.reported_outside:
         state.reported_outside = True
         text = "messages lie outside of the chunks, where no checksum guards them; they are suspect"
@@ -64,7 +64,7 @@ def _outside(source: Source, record: McapRecord, state: McapState) -> Iterator[R
     message = mcap_content.apply_record(record.opcode, content, source, record.start, state)
     state.suspect = False
     if message is not None:
-        doubtful = outside_chunks or state.unsound or _runs_into_loss(source, record.end)
+        doubtful = outside_chunks or state.sound is False or _runs_into_loss(source, record.end)
         yield message._replace(suspect=True) if doubtful else message
 
 
@@ -197,7 +197,7 @@ def _chunk_records(source: Source, record: McapRecord, where: str, state: McapSt
     if problem:
         text = "" if verified else "; what can be read of the chunk is suspect"
         state.report.damage(problem + text, where)
-    doubtful = problem is not None or (state.unsound and not head.crc)
+    doubtful = problem is not None or (state.sound is False and not head.crc)
     return records, doubtful and not verified
 
 
