@@ -57,11 +57,6 @@ class ValueKind(NamedTuple):
     restore: Callable[[Any, Callable[[str], Path]], Any] = _same
 
 
-def _join(topics: list[str], _: str) -> str:
-    """Return topics as one name, as a merged log has it."""
-    return ",".join(topics)
-
-
 def _parse_pose(text: str, flag: str, otherwise: str) -> tuple[float, float, float]:
     """Read ``x,y,yaw`` in m, m, rad; raises UsageError, which says ``otherwise`` where the text is of another form."""
     try:
@@ -101,7 +96,7 @@ def _restore_truth(text: str, path: Callable[[str], Path]) -> str | Path:
 
 
 TEXT: Final = ValueKind(str | None)
-TOPICS: Final = ValueKind(list[str] | None, str, _join)
+TOPICS: Final = ValueKind(list[str] | None, str, lambda topics, _: ",".join(topics))
 NUMBER: Final = ValueKind(float | None, float)
 COUNT: Final = ValueKind(int | None, int)
 SWITCH: Final = ValueKind(bool, bool)

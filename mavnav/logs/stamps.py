@@ -99,12 +99,9 @@ def ascending(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
     indices
         (m,), ascending, with ``m <= n``.
     """
-    steps_ns = np.diff(stamps_ns)
-    if (steps_ns > 0).all():
-        return np.arange(len(stamps_ns))
     later = stamps_ns[1:] > np.maximum.accumulate(stamps_ns)[:-1]
-    greedy = np.flatnonzero(np.concatenate(([True], later)))
-    if (steps_ns >= 0).all():
+    greedy = np.flatnonzero(np.concatenate((np.ones(min(len(stamps_ns), 1), np.bool_), later)))
+    if (np.diff(stamps_ns) >= 0).all():
         return greedy
     longest = _longest_ascending(stamps_ns.tolist())
     return greedy if len(greedy) >= len(longest) else np.array(longest)

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from mavnav.errors import MavnavError
 from mavnav.logs.attitude import AttitudeTracks
-from mavnav.logs.content import check_file, check_files, check_window, size_and_sha256, unreadable
+from mavnav.logs.content import check_file, check_files, check_window, reading, size_and_sha256
 from mavnav.logs.formats import detect
 from mavnav.logs.imu import ImuTrack
 from mavnav.logs.messages.decode import Waiting, decoder, is_laser, scan_topic, scan_topics
@@ -246,15 +246,13 @@ def survey(
 
 def _survey(state: _Pass, window_s: tuple[float | None, float | None]) -> Survey:
     report, path, more = state.report, state.path, state.more
-    try:
+    with reading(path):
         name = detect.sniff(path)
         if name == detect.UNKNOWN:
             report.damage(detect.refusal(path), path.name)
         else:
             state.run()
         size_bytes, sha256 = size_and_sha256(path, more)
-    except OSError as error:
-        raise unreadable(path, error) from error
     scans_of, topics = dict(_by_laser(state, report)), _topics(report, state.kinds)
     return Survey(
         path=path,

@@ -12,7 +12,7 @@ from msgspec import Struct, field
 
 from mavnav.atomic_files import replacing
 from mavnav.errors import NoScansError, OutputError, UsageError
-from mavnav.logs.content import check_file, unreadable
+from mavnav.logs.content import check_file, reading
 from mavnav.logs.formats import detect
 from mavnav.logs.formats.decompress import DecompressError, unpack_message
 from mavnav.logs.messages.records import DecodeError
@@ -185,12 +185,10 @@ def _write(
 
 def _read(source: Path, report: ReadReport) -> Iterator[RawMessage]:
     """Yield the messages of the source; an OSError here is reported as one of the source, not of the target."""
-    try:
+    with reading(source):
         if detect.sniff(source) == detect.UNKNOWN:
             raise NoScansError(f"{source}: {detect.refusal(source)}")
         yield from detect.read(source, report)
-    except OSError as error:
-        raise unreadable(source, error) from error
 
 
 def _compare(unfinished: Path, target: Path, topics: tuple[Topic, ...]) -> None:
