@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from mavnav.batch.baseline import Baseline, ChangeKind, changes, lacking, lacking_text
 from mavnav.batch.cases import CaseResult
-from mavnav.batch.request import BatchRequest
+from mavnav.batch.request import BatchRequest, Rules
 from mavnav.errors import SEVERITY, ExitCode, worst
 from mavnav.metrics.gates import VERDICTS, accepts_code, failure_text, judge_some, judge_verdict
 from mavnav.outputs.documents.quantities import verdict_texts
@@ -99,23 +99,19 @@ def _text(number: float | None) -> str:
 
 
 def batch_document(
-    rows: Sequence[dict[str, Any]],
-    wall_s: float,
-    baseline: Baseline | None,
-    missing_runs: Sequence[str] = (),
-    *,
-    baseline_gate: bool,
+    rows: Sequence[dict[str, Any]], wall_s: float, rules: Rules, missing_runs: Sequence[str]
 ) -> dict[str, Any]:
     """Return batch.json of these rows; runs that only the baseline has, ``missing_runs``, fail the baseline gate."""
     runs = [row["run"] for row in rows]
-    codes = [*(row["code"] for row in rows), *(ExitCode.GATE_FAILED for _ in missing_runs if baseline_gate)]
+    baseline, gated = rules.baseline, rules.baseline_gate
+    codes = [*(row["code"] for row in rows), *(ExitCode.GATE_FAILED for _ in missing_runs if gated)]
     return {
         **DOCUMENT_HEAD,
         "profile": next((run["map_quality"]["profile"] for run in runs if run and run.get("map_quality")), None),
         "counts": _counts(rows),
         "wall_s": wall_s,
         "cells": list(rows),
-        "baseline": None if baseline is None else {**_since(rows, baseline, missing_runs), "gate": baseline_gate},
+        "baseline": None if baseline is None else {**_since(rows, baseline, missing_runs), "gate": gated},
         "exit_code": int(worst(codes)),
     }
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import pickle
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, chdir, contextmanager
 from logging import CRITICAL, getLogger
 from pathlib import Path
@@ -25,7 +25,7 @@ from msgspec import Struct
 from msgspec.structs import asdict, replace
 
 from mavnav.errors import ExitCode, UsageError
-from mavnav.jobs.pool import run_with_retries
+from mavnav.jobs.pool import Listener, run_with_retries
 from mavnav.jobs.run_cache import source_sha256
 from mavnav.jobs.worker import Ended, Event, Job, Outcome, Progressed, Reporter, Started, Status, attempt, failure
 from mavnav.units import pluralize
@@ -53,7 +53,7 @@ class Cluster(Struct, frozen=True):
         """Current number of workers."""
         return len(self.client.nthreads())
 
-    def run_jobs(self, jobs: Sequence[Job], on_event: Callable[[Event], None], timeout_s: float | None = None) -> None:
+    def run_jobs(self, jobs: Sequence[Job], on_event: Listener, timeout_s: float | None = None) -> None:
         """Run jobs on the cluster; ``on_event`` gets the events of `run_with_retries`.
 
         Dask runs the jobs of a lost worker again, and counts the failure against every job that was assigned to it. So
@@ -63,13 +63,13 @@ class Cluster(Struct, frozen=True):
         """
         max_jobs = iter((None, 1))
 
-        def run_round(jobs: Sequence[Job], listen: Callable[[Event], None]) -> list[Outcome]:
+        def run_round(jobs: Sequence[Job], listen: Listener) -> list[Outcome]:
             return self._round(jobs, listen, timeout_s, next(max_jobs))
 
         run_with_retries(jobs, run_round, on_event, 2)
 
     def _round(
-        self, jobs: Sequence[Job], on_event: Callable[[Event], None], timeout_s: float | None, max_jobs: int | None
+        self, jobs: Sequence[Job], on_event: Listener, timeout_s: float | None, max_jobs: int | None
     ) -> list[Outcome]:
         """Run jobs, ``max_jobs`` at a time, or one per worker if that is None."""
         topic = f"mavnav-{uuid4()}"

@@ -65,7 +65,7 @@ def convert_log(
     report = ReadReport()
     with replacing(target, force=force, another="another name", room="another place") as unfinished:
         writing = _Writing(strict, report, Translator(report))
-        _write(source, unfinished, writing, progress, added)
+        writing.write(source, unfinished, progress, added)
         topics = writing.topics()
         if not topics:
             raise NoScansError(f"{source}: {_nothing_read(writing)}")
@@ -108,6 +108,30 @@ class _Writing(Struct):
     counts: Counter[tuple[str, str, str]] = field(default_factory=Counter)
     numbers: dict[Channel, int] = field(default_factory=dict)
     schemas: dict[Schema, int] = field(default_factory=dict)
+
+    def write(
+        self, source: Path, target: Path, progress: Callable[[int, int], None] | None, added: Iterable[RawMessage]
+    ) -> None:
+        """Write the messages of a log and the added ones, in the order of recording."""
+        from mcap.writer import CompressionType, Writer  # noqa: PLC0415
+
+        from mavnav.version import __version__  # noqa: PLC0415
+
+        report = self.report
+        with target.open("wb") as file:
+            writer = Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+            writer.start(profile="ros2", library=f"mavnav {__version__}")
+            report.take_extra = partial(self.put_extra, writer)
+            waiting = deque(added)
+            for message in _read(source, report):
+                while waiting and waiting[0].log_ns < message.log_ns:
+                    self.put(writer, waiting.popleft(), added=True)
+                self.put(writer, message)
+                if progress:
+                    progress(min(report.done_bytes, report.total_bytes), report.total_bytes)
+            for message in waiting:
+                self.put(writer, message, added=True)
+            writer.finish()
 
     def put(self, writer: Any, message: RawMessage, *, added: bool = False) -> None:  # noqa: ANN401  (mcap is untyped here)
         """Write a message, or count it as left out; an ``added`` one to a channel of its topic and type, if any."""
@@ -153,34 +177,6 @@ class _Writing(Struct):
 
 def _kind(channel: Channel) -> tuple[str, str, str]:
     return channel.topic, channel.type, channel.encoding
-
-
-def _write(
-    source: Path,
-    unfinished: Path,
-    writing: _Writing,
-    progress: Callable[[int, int], None] | None,
-    added: Iterable[RawMessage],
-) -> None:
-    from mcap.writer import CompressionType, Writer  # noqa: PLC0415
-
-    from mavnav.version import __version__  # noqa: PLC0415
-
-    report = writing.report
-    with unfinished.open("wb") as file:
-        writer = Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-        writer.start(profile="ros2", library=f"mavnav {__version__}")
-        report.take_extra = partial(writing.put_extra, writer)
-        waiting = deque(added)
-        for message in _read(source, report):
-            while waiting and waiting[0].log_ns < message.log_ns:
-                writing.put(writer, waiting.popleft(), added=True)
-            writing.put(writer, message)
-            if progress:
-                progress(min(report.done_bytes, report.total_bytes), report.total_bytes)
-        for message in waiting:
-            writing.put(writer, message, added=True)
-        writer.finish()
 
 
 def _read(source: Path, report: ReadReport) -> Iterator[RawMessage]:
