@@ -181,12 +181,6 @@ def _lz4() -> Any:  # noqa: ANN401
     return lz4.frame
 
 
-def _gzip_stream(file: IO[bytes]) -> gzip.GzipFile:
-    import gzip  # noqa: PLC0415  few logs need it
-
-    return gzip.open(file)
-
-
 class _Frames(NamedTuple):
     """The magic numbers of frames, and what makes a decompressor of one frame, or opens the content of a file."""
 
@@ -260,7 +254,7 @@ def unpack_file(path: Path, packer: str, report: ReadReport) -> Iterator[Path]:
 
 PACKERS: dict[str, tuple[bytes, Callable[[IO[bytes]], Any]]] = {
     "zstd": (ZSTD_MAGIC, _zstd_stream),
-    "gzip": (b"\x1f\x8b\x08", _gzip_stream),
+    "gzip": (b"\x1f\x8b\x08", gzip.open),
     "bzip2": (b"BZh", bz2.open),
 }
 """Name of a program that compresses whole files -> the magic of its files, and a function that opens the content."""
