@@ -1,4 +1,4 @@
-"""batch.json: a row for every run, with its gates and its change since the baseline."""
+"""batch.json: a row for every run, with its gates, its change since the baseline, and how its repetitions differ."""
 
 from __future__ import annotations
 
@@ -8,16 +8,20 @@ from os.path import relpath
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from mavnav.batch.baseline import Baseline, ChangeKind, changes, lacking, lacking_text
 from mavnav.batch.cases import CaseResult
 from mavnav.batch.request import BatchRequest, Rules
 from mavnav.errors import SEVERITY, ExitCode, worst
 from mavnav.metrics.gates import VERDICTS, accepts_code, failure_text, judge_some, judge_verdict
+from mavnav.outputs.directory import digests_of
 from mavnav.outputs.documents.quantities import verdict_texts
 from mavnav.outputs.documents.verdict import EXTERNAL
 from mavnav.version import DOCUMENT_HEAD
 
 BATCH_FILE: Final = "batch.json"
+IDENTICAL_GATE: Final = "identical"
 
 _MEASURED: Final = ("verdict", "scans", "tracking", "search", "map", "wall_thickness", "map_quality", "reference")
 SECTIONS: Final = (*_MEASURED, "timing", "exit_code")
@@ -133,6 +137,48 @@ def _since(rows: Sequence[Mapping[str, Any]], baseline: Baseline, missing_runs: 
     absent = list(dict.fromkeys(name for row in rows for name in row["baseline"]["lacking"]))
     about = {"path": str(baseline.path), "mavnav_version": baseline.version}
     return {**about, **counts, "missing": list(missing_runs), "lacking": absent}
+
+
+def compare_repeats(rows: Sequence[dict[str, Any]], directory: Path, *, gate: bool) -> None:
+    """Add to ``repeat`` of the row of each repetition how its files differ from those of the run that it repeats.
+
+    With ``gate``, a repetition with other bytes, or that ended otherwise, fails.
+    """
+    named = {row["name"]: row for row in rows}
+    for row in (row for row in rows if row["repeat"] and row["repeat"]["of"] in named):
+        differs = row["repeat"]["differs"] = _differences(named[row["repeat"]["of"]], row, directory)
+        if gate:
+            why = "; ".join(differs)
+            row["gates"].append({"gate": IDENTICAL_GATE, "value": len(differs), "passed": not differs, "why": why})
+            row["code"] = int(worst([row["code"], *([ExitCode.GATE_FAILED] if differs else [])]))
+
+
+def _differences(one: dict[str, Any], other: dict[str, Any], directory: Path) -> list[str]:
+    codes = [one["exit_code"], other["exit_code"]]
+    ends = [f"exit codes {codes[0]} and {codes[1]}"] if codes[0] != codes[1] else []
+    folders = [directory / row["directory"] for row in (one, other) if row["directory"]]
+    return ends + (file_differences(*folders) if len(folders) == len(codes) else [])
+
+
+def file_differences(one: Path, other: Path) -> list[str]:
+    """Return a line for each output file of two run directories whose bytes differ.
+
+    run.json and the page are left out: they have times.
+    """
+    names = sorted({*digests_of(one), *digests_of(other)})
+    return [f"{name}: {text}" for name in names if (text := _byte_difference(one / name, other / name))]
+
+
+def _byte_difference(one: Path, other: Path) -> str:
+    if not (one.is_file() and other.is_file()):
+        return f"only in {(one if one.is_file() else other).parent.name}"
+    a, b = (np.fromfile(path, dtype=np.uint8) for path in (one, other))
+    shorter = min(len(a), len(b))
+    differ = np.flatnonzero(a[:shorter] != b[:shorter])
+    sizes = f", sizes {len(a)} and {len(b)}" if len(a) != len(b) else ""
+    if not len(differ):
+        return sizes and f"the same up to byte {shorter}{sizes}"
+    return f"{len(differ)} of {shorter} bytes differ, from byte {differ[0]} to {differ[-1]}{sizes}"
 
 
 def worst_first(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -11,10 +11,9 @@ from msgspec.structs import replace
 from mavnav.batch import request
 from mavnav.batch.baseline import Tolerance, parse_tolerance, read_baseline, tolerances
 from mavnav.batch.cases import BASELINE_GATE
-from mavnav.batch.document import BATCH_FILE
+from mavnav.batch.document import BATCH_FILE, IDENTICAL_GATE
 from mavnav.batch.manifest import GATE_EXAMPLE, LogEntry, Manifest, Origins, errors_at, origins_of, read_manifest
 from mavnav.batch.pinned import Pin
-from mavnav.batch.repeats import IDENTICAL_GATE
 from mavnav.config.layers import Layer
 from mavnav.config.options import ReplayOptions, given_options, restore_options, settings_of
 from mavnav.errors import UsageError

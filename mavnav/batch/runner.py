@@ -19,11 +19,10 @@ from msgspec.structs import asdict, replace
 from mavnav.atomic_files import discard
 from mavnav.batch.baseline import EXAMPLE, missing, write_baseline
 from mavnav.batch.cases import Case, CaseResult, make_cases, read_paths
-from mavnav.batch.document import BATCH_FILE, batch_document, judged_row, of_program
+from mavnav.batch.document import BATCH_FILE, batch_document, compare_repeats, judged_row, of_program
 from mavnav.batch.files import check_files, write_batch
 from mavnav.batch.manifest import GATE_EXAMPLE, errors_at
 from mavnav.batch.remote import download
-from mavnav.batch.repeats import compare_repeats
 from mavnav.batch.request import BatchRequest, RunLimits
 from mavnav.config.options import absolute_options
 from mavnav.errors import ExitCode, MavnavError, UsageError

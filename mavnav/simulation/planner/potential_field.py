@@ -17,8 +17,7 @@ from mavnav.config.models import PlannerConfig
 from mavnav.kernels.planning import potential
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose, wrap_angle
-from mavnav.simulation.planner.local_minima import TECHNIQUES, Memory, Scene
-from mavnav.simulation.planner.shortest_path import XY
+from mavnav.simulation.planner.local_minima import TECHNIQUES, XY, Memory, Scene
 from mavnav.units import DEG, MM
 
 _LOOK_M = 1.0  # walls farther away decide no single step
