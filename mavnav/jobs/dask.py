@@ -62,11 +62,7 @@ class Cluster(Struct, frozen=True):
         scheduler is lost.
         """
         max_jobs = iter((None, 1))
-
-        def run_round(jobs: Sequence[Job], listen: Listener) -> list[Outcome]:
-            return self._round(jobs, listen, timeout_s, next(max_jobs))
-
-        run_with_retries(jobs, run_round, on_event, 2)
+        run_with_retries(jobs, lambda some, listen: self._round(some, listen, timeout_s, next(max_jobs)), on_event, 2)
 
     def _round(
         self, jobs: Sequence[Job], on_event: Listener, timeout_s: float | None, max_jobs: int | None

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from mavnav.errors import NoScansError, SeveralTopicsError, TopicError
 from mavnav.logs.attitude import AttitudeTracks, laser_attitude
 from mavnav.logs.imu import laser_rotation
-from mavnav.logs.levelling import with_ceiling
+from mavnav.logs.levelling import ceiling_height_m
 from mavnav.logs.log import Log
 from mavnav.logs.merging import FRAME, partners, virtual_laser
 from mavnav.logs.messages.decode import LASER_TYPES, scan_topics
@@ -317,4 +317,6 @@ def _with_motion(log: Log, survey: Survey, extrinsic: Pose | None, *, upside_dow
         imu=imu.without_tilt() if imu and attitude else imu,
         warnings=tuple(dict.fromkeys(warnings)),
     )
-    return log if attitude is None else replace(log, attitude=with_ceiling(attitude, log), _kept=[])
+    if attitude is None:
+        return log
+    return replace(log, attitude=replace(attitude, ceiling_m=ceiling_height_m(log, attitude)), _kept=[])
