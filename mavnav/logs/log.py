@@ -46,6 +46,16 @@ class Log(LogContents, frozen=True, eq=False, kw_only=True):
         Digest of their content, in hexadecimal digits.
     topics
         All topics of the log, with the number of messages read.
+    damage
+        What of the log could not be read, or is suspect, and where.
+    warnings
+        What is odd about the log, a line each.
+    window_s
+        Start and end of the window in s from the first usable scan; None where it is open.
+    strict
+        Whether scans from where a checksum does not match are left out.
+    more
+        Files that are the further parts of the bag.
     topic
         The scan topic.
     frame_id
@@ -70,8 +80,6 @@ class Log(LogContents, frozen=True, eq=False, kw_only=True):
         ``header``, or ``log`` if the stamps of the scans are unusable and the times of recording are taken.
     clock
         The stamps of the scans beside their times of recording; None where these are used.
-    window_s
-        Start and end of the window in s from the first usable scan; None where it is open.
     base_T_laser
         Pose of the laser on its base, projected to the plane, m, m, rad; None if it is unknown.
     mounting_source
@@ -88,14 +96,6 @@ class Log(LogContents, frozen=True, eq=False, kw_only=True):
         Roll and pitch in rad and height in m of the laser, by which `scans` are levelled.
     truth
         Recorded poses of the laser in a fixed frame: stamps in ns, m, m, rad.
-    damage
-        What of the log could not be read, or is suspect, and where.
-    warnings
-        What is odd about the log, a line each.
-    strict
-        Whether scans from where a checksum does not match are left out.
-    more
-        Files that are the further parts of the bag.
     stamps_ns
         Stamps (n,) of the usable scans, in ns.
     """
