@@ -16,7 +16,7 @@ from mavnav.batch.request import BatchRequest, Rules
 from mavnav.errors import SEVERITY, ExitCode, worst
 from mavnav.metrics.gates import VERDICTS, accepts_code, failure_text, judge_some, judge_verdict
 from mavnav.outputs.directory import digests_of
-from mavnav.outputs.documents.quantities import verdict_texts
+from mavnav.outputs.documents.quantities import NAMED, TIME, verdict_texts
 from mavnav.outputs.documents.verdict import EXTERNAL
 from mavnav.version import DOCUMENT_HEAD
 
@@ -26,6 +26,14 @@ IDENTICAL_GATE: Final = "identical"
 _MEASURED: Final = ("verdict", "scans", "tracking", "search", "map", "wall_thickness", "map_quality", "reference")
 SECTIONS: Final = (*_MEASURED, "timing", "exit_code")
 """Sections of run.json that the document of a comparison or a batch repeats for every run."""
+
+KEY_FIGURES: Final = (
+    NAMED["map.accepted_share"],
+    NAMED["wall_thickness.spread.p95_mm"],
+    NAMED["map_quality.ghost_walls.length_m"],
+    TIME,
+)
+"""Metrics of a run in the table of a batch."""
 
 
 def judged_row(result: CaseResult, request: BatchRequest) -> dict[str, Any]:
@@ -205,6 +213,46 @@ def remark(row: Mapping[str, Any]) -> str:
     """Say why a run did not pass, or what is suspect of it; empty for others."""
     word, reason = verdict_texts(row["run"])
     return "; ".join(why(row)) or (f"{word}: {reason}" if word not in ("", VERDICTS[0]) else "")
+
+
+def batch_headline(document: Mapping[str, Any]) -> str:
+    """Return the result of a batch in one line."""
+    rows = document["cells"]
+    bad = sum(bool(row["code"]) for row in rows)
+    counts, since = document["counts"], document["baseline"]
+    parts = [f"{len(rows) - bad} of {len(rows)} runs passed"]
+    parts += [f"{count} {word}" for word, count in counts["verdicts"].items() if word != VERDICTS[0]]
+    parts += [f"{counts['failed']} could not be made"] if counts["failed"] else []
+    parts += [f"{counts['cached']} reused"] if counts["cached"] else []
+    if since:
+        parts.append(f"since the baseline {since['worse']} worse, {since['better']} better, {since['new']} new")
+        parts += [f"{len(since['missing'])} missing"] if since["missing"] else []
+    return ", ".join(parts)
+
+
+def missing_lines(document: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return severity and text for every missing run of the baseline; an error if the baseline is a gate.
+
+    So too for every metric that the baseline file lacks, unless the baseline is a gate: its runs fail for that.
+    """
+    since = document["baseline"] or {}
+    kind = "error" if since.get("gate") else "warning"
+    lines = [(kind, f"{name}: in the baseline, not in this batch") for name in absent_runs(document)]
+    absent = [] if since.get("gate") else since.get("lacking", [])
+    return lines + [("warning", f"{lacking_text(since['path'], name)}; it is not compared") for name in absent]
+
+
+def absent_runs(document: Mapping[str, Any]) -> list[str]:
+    """Return the names of the runs that only the baseline has."""
+    return list((document["baseline"] or {}).get("missing", []))
+
+
+def change_text(row: Mapping[str, Any]) -> str:
+    """Return the change of a run since the baseline as text; empty without a baseline or a change."""
+    change = row["baseline"]
+    if not change or change["change"] == ChangeKind.SAME:
+        return ""
+    return f"{change['change']} {', '.join(item['name'] for item in change['figures'])}".strip()
 
 
 ENDS: Final = {
