@@ -14,8 +14,9 @@ import numpy as np
 from msgspec import Struct, field
 from numpy.typing import NDArray
 
+from mavnav.logs.formats import carmen
 from mavnav.logs.formats.decompress import DecompressError, unpack_message
-from mavnav.logs.messages import carmen, definitions, fast_cdr
+from mavnav.logs.messages import definitions, fast_cdr
 from mavnav.logs.messages.columns import columns_of, read_blocks
 from mavnav.logs.messages.other_scans import other_scan, suffix_of
 from mavnav.logs.messages.records import DecodeError, LaserMessage

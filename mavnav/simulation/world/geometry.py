@@ -150,9 +150,10 @@ class World(Struct, frozen=True, eq=False):
         return World(ends, arcs, self.heights_m, plates)
 
     def slice(self, low_m: float, high_m: float) -> World:
-        """Return the walls that reach into a slice of height, as walls from the floor to above everything."""
-        if not len(self.heights_m):
-            return World(self.segments, self.arcs)
+        """Return the walls that reach into a slice of height, as walls from the floor to above everything.
+
+        All walls of the world have heights.
+        """
         met = (self.heights_m[:, 0] < high_m) & (self.heights_m[:, 1] > low_m)
         n = len(self.segments)
         return World(self.segments[met[:n]], self.arcs[met[n:]])
