@@ -142,18 +142,15 @@ def _entry(entry: LogEntry, base: Path) -> request.BatchLogs:
 
 def _settings(options: BatchOptions, manifest: Manifest, layer: Layer, base: Path) -> list[request.Setting]:
     """Return the settings of mavnav, then the programs; their maps are drawn with the first of its configurations."""
-    own = _own_settings(options, manifest, layer, base)
-    programs = [read_program(text).with_absolute_paths() for text in options.programs]
-    return request.unique([*own, *(request.Setting(each.name, own[0].config, program=each) for each in programs)])
-
-
-def _own_settings(options: BatchOptions, manifest: Manifest, layer: Layer, base: Path) -> list[request.Setting]:
     overrides = settings_of(options.options)
     if manifest.runs and not (options.methods or options.grids or options.azimuths or options.config):
-        return request.listed_settings(manifest.runs, layer, base, options.sets, overrides)
-    return request.crossed_settings(
-        options.config, options.sets, options.methods, options.grids, options.azimuths, overrides
-    )
+        own = request.listed_settings(manifest.runs, layer, base, options.sets, overrides)
+    else:
+        own = request.crossed_settings(
+            options.config, options.sets, options.methods, options.grids, options.azimuths, overrides
+        )
+    programs = [read_program(text).with_absolute_paths() for text in options.programs]
+    return request.unique([*own, *(request.Setting(each.name, own[0].config, program=each) for each in programs)])
 
 
 def _limits(options: BatchOptions, manifest: Manifest) -> request.RunLimits:
