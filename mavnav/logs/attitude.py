@@ -11,7 +11,7 @@ from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from mavnav.errors import TopicError
-from mavnav.logs.imu import ImuTrack, SensorTrack, usual_topic
+from mavnav.logs.imu import ImuTrack, usual_topic
 from mavnav.logs.levelling import MOST_RAD, RecordedAttitude
 from mavnav.logs.log import Log
 from mavnav.logs.messages.columns import merge
@@ -19,7 +19,7 @@ from mavnav.logs.messages.definitions import IMU, ODOMETRY, POSE
 from mavnav.logs.messages.records import Poses
 from mavnav.logs.namespaces import laser_topics, of_same_robot
 from mavnav.logs.records import Channel, Topic
-from mavnav.logs.stamps import Stamps, in_order
+from mavnav.logs.stamps import MessageTrack, Stamps, in_order
 from mavnav.logs.transforms import FrameTree, frame_name
 from mavnav.pose import ups_of_quaternions
 from mavnav.units import DEG, NS
@@ -53,7 +53,7 @@ class AttitudeTracks(Struct):
     """
 
     wanted: str = "auto"
-    topics: dict[str, SensorTrack] = field(default_factory=dict)
+    topics: dict[str, MessageTrack] = field(default_factory=dict)
 
     @property
     def is_named(self) -> bool:
@@ -70,7 +70,7 @@ class AttitudeTracks(Struct):
     def add(self, topic: str, parts: list[Poses]) -> None:
         """Take in messages of one pose each."""
         poses = merge(parts)
-        track = self.topics.setdefault(topic, SensorTrack(topic, frame_name(poses.child)))
+        track = self.topics.setdefault(topic, MessageTrack(topic, frame_name(poses.child)))
         track.extend(poses.stamps_ns, poses.log_ns, np.vstack((poses.xyzw, poses.xyz[2:])).T)
 
     def sources(self, imus: dict[str, ImuTrack], log: Log) -> list[TopicAttitude]:
@@ -103,7 +103,7 @@ def _no_attitude(wanted: str, topics: Iterable[Topic]) -> str:
     return f"--attitude: {what}; topics with poses or orientations: {able}; name one of them, or write --attitude off"
 
 
-def _of_poses(track: SensorTrack) -> TopicAttitude:
+def _of_poses(track: MessageTrack) -> TopicAttitude:
     xyzw, height_m = np.split(track.rows(5), [4], axis=1)
     kind: Literal["pose", "odom"] = "odom" if track.frame else "pose"
     return TopicAttitude(track.topic, kind, track.frame, track.stamps, ups_of_quaternions(xyzw), height_m[:, 0])

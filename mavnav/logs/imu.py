@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Callable, Iterable
 from typing import Final
 
 import numpy as np
-from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from mavnav.logs.log import Log
@@ -15,7 +13,7 @@ from mavnav.logs.messages.columns import merge
 from mavnav.logs.messages.records import Measurements
 from mavnav.logs.namespaces import laser_topics, of_same_robot
 from mavnav.logs.records import Imu
-from mavnav.logs.stamps import Stamps, StampSource, in_order
+from mavnav.logs.stamps import MessageTrack, StampSource, in_order
 from mavnav.pose import Rotation, ups_of_quaternions
 from mavnav.units import NS
 
@@ -35,26 +33,7 @@ LEAST_MESSAGES: Final = 10
 MOST_RAD_S, MOST_M_S2 = 100.0, 1e4
 
 
-class SensorTrack(Struct):
-    """The messages of a topic as they came: the frame of the sensor, their stamps, and numbers in single precision."""
-
-    topic: str
-    frame: str = ""
-    stamps: Stamps = field(default_factory=Stamps)
-    numbers: array[float] = field(default_factory=lambda: array("f"))
-
-    def extend(self, stamps_ns: NDArray[np.int64], log_ns: NDArray[np.int64], numbers: Floats) -> None:
-        """Take in several messages: stamps (n,) of both kinds, and numbers (n, k)."""
-        self.stamps.extend(stamps_ns, log_ns)
-        with np.errstate(over="ignore"):
-            self.numbers.frombytes(numbers.astype(np.float32).tobytes())
-
-    def rows(self, width: int) -> Floats:
-        """Return the numbers of all messages, (n, width)."""
-        return np.array(self.numbers, np.float64).reshape(-1, width)
-
-
-class ImuTrack(SensorTrack):
+class ImuTrack(MessageTrack):
     """The messages of an inertial sensor: rates, accelerations and orientation, 56 bytes each."""
 
     def add(self, parts: list[Measurements]) -> None:

@@ -282,7 +282,7 @@ def _with_motion(log: Log, survey: Survey, extrinsic: Pose | None, *, upside_dow
         return bool(base) and frames.find(base, laser) is not None
 
     track = motion.odometry.choose(warnings.append, leads_to_laser, log.topic, survey.lasers)
-    bases = [track.base_frame] if track and track.base_frame else frames.bases(laser)
+    bases = [track.frame] if track and track.frame else frames.bases(laser)
     place, of_mounting = len(warnings), list[str]()
     mounted = mounting(frames, log.frame_id, bases, of_mounting.append)
     base_frame, base_T_laser, overhead = mounted or (bases[0] if track else None, None, False)

@@ -14,7 +14,7 @@ from mavnav.errors import TopicError
 from mavnav.logs.log import Log
 from mavnav.logs.messages.columns import merge
 from mavnav.logs.messages.records import Poses
-from mavnav.logs.stamps import Stamps, clock_of, in_order, shift_s
+from mavnav.logs.stamps import MessageTrack, clock_of, in_order, shift_s
 from mavnav.logs.transforms import Edge, FrameTree, frame_name, planar, planar_poses, shortest_way
 from mavnav.pose import Pose, Trajectory, between
 from mavnav.units import NS
@@ -26,17 +26,14 @@ _ANY_GAP_NS: Final = 1 << 62
 """Transforms are interpolated over gaps of any length, as by tf2: those of a SLAM system may be sent at each update."""
 
 
-class PoseTrack(Struct):
-    """Poses of a body, frame ``base_frame``, in a fixed frame, as they came: 40 bytes each, with both stamps.
+class PoseTrack(MessageTrack):
+    """Poses of a body, that of the ``frame``, in a fixed frame, as they came: 40 bytes each, with both stamps.
 
     Those of a path came in one message, so that the time of recording says nothing about their clock. Those of odometry
     are of odometry messages or of transforms, by their ``source``.
     """
 
-    topic: str
-    base_frame: str
-    stamps: Stamps = field(default_factory=Stamps)
-    xyyaw: array[float] = field(default_factory=lambda: array("d"))
+    numbers: array[float] = field(default_factory=lambda: array("d"))
     unusable: int = 0
     is_path: bool = False
     source: Literal["odom", "tf"] = "odom"
@@ -45,8 +42,7 @@ class PoseTrack(Struct):
         """Take in poses; those that are not finite, or have no orientation, are only counted."""
         xyyaw, usable = planar_poses(poses)
         self.unusable += int((~usable).sum())
-        self.stamps.extend(poses.stamps_ns[usable], poses.log_ns[usable])
-        self.xyyaw.frombytes(xyyaw[usable].tobytes())
+        self.extend(poses.stamps_ns[usable], poses.log_ns[usable], xyyaw[usable])
 
     def trajectory(self, log: Log, warn: Callable[[str], None]) -> tuple[Trajectory, float]:
         """Return ``fixed_T_base`` by the clock of the scans, and the time that was added to its stamps for it, s.
@@ -54,7 +50,7 @@ class PoseTrack(Struct):
         Poses whose stamps do not ascend are left out. Stamps that are no times give way to those of recording.
         """
         stamps, recorded = self.stamps.by(log.stamp_source)
-        poses = np.array(self.xyyaw, dtype=np.float64).reshape(-1, 3)
+        poses = self.rows(3)
         if self.unusable:
             text = f"{self.unusable} of {self.unusable + len(stamps)} poses are left out"
             warn(f"{self.topic}: {text}, not finite or with a quaternion of zeros; see what publishes them")
@@ -77,13 +73,13 @@ def add_poses(tracks: dict[str, PoseTrack], topic: str, parts: list[Poses]) -> N
 
 
 class FramePoses(Struct):
-    """The poses of ``base_frame`` in another frame; ``moving`` are all transforms that were met, by parent and child.
+    """The poses of ``frame`` in another frame; ``moving`` are all transforms that were met, by parent and child.
 
     ``topic`` is the name as it was given. It stands in for a `PoseTrack`.
     """
 
     topic: str
-    base_frame: str
+    frame: str
     frames: FrameTree
     moving: dict[Edge, PoseTrack] = field(default_factory=dict)
 
@@ -97,7 +93,7 @@ class FramePoses(Struct):
         """The frame of the poses: without a name that from which all others above the body hang."""
         if name := frame_name(self.topic.removeprefix(TF_PREFIX).partition(",")[0]):
             return name
-        parents, root = {child: parent for parent, child in (*self.frames.still, *self.moving)}, self.base_frame
+        parents, root = {child: parent for parent, child in (*self.frames.still, *self.moving)}, self.frame
         while root in parents:
             root = parents.pop(root)
         return root
@@ -105,10 +101,10 @@ class FramePoses(Struct):
     def paths(self, log: Log, warn: Callable[[str], None]) -> list[Transfer]:
         """Return the transforms on the way from the fixed frame to the body; raises TopicError without one."""
         still, fixed = self.frames.still, self.fixed_frame
-        steps = shortest_way([*self.moving, *still], fixed, self.base_frame)
+        steps = shortest_way([*self.moving, *still], fixed, self.frame)
         if steps is None:
             known = ", ".join(sorted(self.names)) or "none"
-            raise TopicError(f"no transforms lead from {fixed!r} to {self.base_frame!r}; frames of the log: {known}")
+            raise TopicError(f"no transforms lead from {fixed!r} to {self.frame!r}; frames of the log: {known}")
         return [
             Transfer(planar(still[edge]) if edge in still else self.moving[edge].trajectory(log, warn)[0], upwards)
             for edge, upwards in steps

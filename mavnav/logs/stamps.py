@@ -83,6 +83,25 @@ class Stamps(Struct):
         return (header_ns if source == "header" else log_ns), log_ns
 
 
+class MessageTrack(Struct):
+    """The messages of a topic as they came: the frame of a sensor or body, stamps, and numbers of single precision."""
+
+    topic: str
+    frame: str = ""
+    stamps: Stamps = field(default_factory=Stamps)
+    numbers: array[float] = field(default_factory=lambda: array("f"))
+
+    def extend(self, stamps_ns: NDArray[np.int64], log_ns: NDArray[np.int64], numbers: NDArray[np.float64]) -> None:
+        """Take in several messages: stamps (n,) of both kinds, and numbers (n, k)."""
+        self.stamps.extend(stamps_ns, log_ns)
+        with np.errstate(over="ignore"):
+            self.numbers.frombytes(numbers.astype(self.numbers.typecode).tobytes())
+
+    def rows(self, width: int) -> NDArray[np.float64]:
+        """Return the numbers of all messages, (n, width)."""
+        return np.array(self.numbers, np.float64).reshape(-1, width)
+
+
 def ascending(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
     """Choose the most elements that ascend strictly.
 

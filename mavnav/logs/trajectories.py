@@ -101,7 +101,7 @@ class OdometryTracks(Struct):
             text = f"compare with it by --truth topic:{name}, or use it with --odom {name}"
             warn(f"{name} is named like a ground truth and not used as odometry: {text}")
         own = of_same_robot((name for name in own if name not in truths), topic, scan_topics)
-        fit = [name for name in own if leads_to_laser(self.topics[name].base_frame)] or own
+        fit = [name for name in own if leads_to_laser(self.topics[name].frame)] or own
         named = [name for name in fit if name.rsplit("/", 1)[-1] == _ODOM_FRAME]
         named = [name for name in named if all(name.count("/") < other.count("/") for other in named if other != name)]
         if len(fit) == 1 or len(named) == 1:
@@ -115,7 +115,7 @@ class OdometryTracks(Struct):
         """Return the track of the laser's robot, of several the one with the most poses."""
         own = of_same_robot((track.topic for track in self.transforms.values()), topic, scan_topics)
         tracks = [track for track in self.transforms.values() if track.topic in own]
-        return max(tracks, key=lambda track: (leads_to_laser(track.base_frame), len(track.stamps)), default=None)
+        return max(tracks, key=lambda track: (leads_to_laser(track.frame), len(track.stamps)), default=None)
 
 
 def laser_odometry(
@@ -216,13 +216,13 @@ def laser_truth(
     ``extrinsic``, else by the transforms from the body's frame, else like the base of the log. Without any of them the
     poses are taken as the laser's own, with a warning.
     """
-    body_T_laser = Pose() if track.base_frame and track.base_frame == frame_name(log.frame_id) else extrinsic
-    if body_T_laser is None and track.base_frame:
-        mounted = mounting(frames, log.frame_id, [track.base_frame], warn)
+    body_T_laser = Pose() if track.frame and track.frame == frame_name(log.frame_id) else extrinsic
+    if body_T_laser is None and track.frame:
+        mounted = mounting(frames, log.frame_id, [track.frame], warn)
         body_T_laser = mounted.base_T_laser if mounted else None
     body_T_laser = body_T_laser or base_T_laser
     if body_T_laser is None:
         text = f"no mounting of {log.frame_id!r} is known; the ground truth is taken as the laser's own"
         warn(f"{track.topic}: {text} (give the mounting with --extrinsic x,y,yaw)")
     world_T_body, _ = track.trajectory(log, warn)
-    return RecordedTruth(track.topic, track.base_frame or None, world_T_body.compose(body_T_laser or Pose()))
+    return RecordedTruth(track.topic, track.frame or None, world_T_body.compose(body_T_laser or Pose()))

@@ -39,9 +39,9 @@ _MESSAGE = int(Op.MESSAGE)
 class McapState(ReaderState):
     """Schemas, channels and counters of the records read so far.
 
-    The data section is ``sound`` if its CRC matches, None if it has none. In a ``suspect`` chunk,
-    channels read before and those of an undamaged summary take precedence over the chunk's own. In a ``chunked`` file,
-    messages outside of the chunks are suspect. ``spare`` are the channels of the summary.
+    The data section is ``sound`` if its CRC matches, None if it has none. In a ``suspect`` chunk, channels read before
+    and those of an undamaged summary take precedence over the chunk's own. In a ``chunked`` file, messages outside of
+    the chunks are suspect. ``spare`` are the channels of the summary.
     """
 
     schemas: dict[int, Schema] = field(default_factory=dict)
