@@ -72,7 +72,7 @@ class SensorHealth(Struct, frozen=True):
 
 def sensor_health(log: Log, far_m: float = inf) -> SensorHealth:
     """Examine the first ``MOST_SCANS`` scans of a log, and all stamps; returns from ``far_m`` on are not used."""
-    seen = _scan_statistics(islice(log.scans(), MOST_SCANS), far_m)
+    seen = _scan_statistics(islice(log.scans(), MOST_SCANS), far_m, log.own_beams)
     share = log.cleaning["valid"] / max(sum(log.cleaning.values()), 1)
     partial, jitter = _partial(seen.valid), _jitter(seen.stamps_ns, log.period_s)
     sectors = _sectors(seen.covered & ~seen.returned) if len(seen.valid) >= SECTOR_SCANS else []
@@ -111,7 +111,7 @@ class _Seen(Struct, frozen=True):
     farthest_m: float
 
 
-def _scan_statistics(scans: Iterable[Scan], far_m: float) -> _Seen:
+def _scan_statistics(scans: Iterable[Scan], far_m: float, own: NDArray[np.bool_] | None) -> _Seen:
     valid, stamps_ns, largest_m, tops_m, far = [], [], Counter[float](), [0.0], 0
     covered, returned = np.zeros(360, np.bool_), np.zeros(360, np.bool_)
     spec: LaserSpec | None = None
@@ -122,7 +122,7 @@ def _scan_statistics(scans: Iterable[Scan], far_m: float) -> _Seen:
             degrees = _degrees(spec)
             covered[degrees] = True
         good = np.isfinite(scan.ranges_m)
-        returned[degrees[good]] = True
+        returned[degrees[good if own is None or len(own) != len(good) else good | own]] = True  # the robot is no news
         top_m = float(np.max(scan.ranges_m, initial=0.0, where=good))
         if np.count_nonzero(scan.ranges_m == top_m) > max(SAME_SHARE * len(good), SAME_BEAMS):
             largest_m[top_m] += 1

@@ -18,6 +18,7 @@ from mavnav.logs.merging import FRAME, partners, virtual_laser
 from mavnav.logs.messages.decode import LASER_TYPES, scan_topics
 from mavnav.logs.messages.other_scans import OTHER_TYPES
 from mavnav.logs.namespaces import topic_and_frame
+from mavnav.logs.own_body import body_warning, own_beams
 from mavnav.logs.preprocessing import KINDS
 from mavnav.logs.records import LogContents, ScanCounts
 from mavnav.logs.stamps import comes_in_bursts, period_and_gaps
@@ -117,6 +118,7 @@ def choose(
     sensor, frame_id = timeline.first
     period_s, gaps = period_and_gaps(timeline.stamps_ns)
     skipped = dict(sorted((scans.refused + timeline.skipped).items()))
+    own = own_beams(scans.sample)
     log = Log(
         topic=name,
         frame_id=frame_id,
@@ -130,6 +132,7 @@ def choose(
         gaps=gaps,
         stamp_source=timeline.source,
         clock=timeline.clock,
+        own_beams=own,
         _order=timeline.order,
         stamps_ns=timeline.stamps_ns,
         _ranges=scans.ranges,
@@ -138,6 +141,8 @@ def choose(
     if timeline.distrust:
         text = f"{name}: the scans' own stamps are unusable ({timeline.distrust}); the times of recording are used"
         log = replace(log, warnings=(*log.warnings, text))
+    if own is not None:
+        log = replace(log, warnings=(*log.warnings, f"{name}: {body_warning(own, sensor)}"))
     return _with_motion(log, survey, extrinsic, upside_down=upside_down)
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from mavnav.logs import stamps
 from mavnav.logs.messages.records import LaserMessage
+from mavnav.logs.own_body import ScanSample
 from mavnav.logs.preprocessing import KINDS, ScanFilter
 from mavnav.logs.stamps import Clock, Stamps, StampSource, clock_of
 from mavnav.scan import LaserSpec
@@ -64,13 +65,14 @@ class TopicScans(Struct):
     """The scans of one topic: those that the filter admitted in the order of the file, and the number of all others.
 
     Some 50 bytes a scan. ``ranges`` are the admitted scans themselves, so that a short log is read once; None where
-    they would take more than `KEPT_BYTES`.
+    they would take more than `KEPT_BYTES`. ``sample`` are some of all.
     """
 
     scan_filter: ScanFilter
     total: int = 0
     refused: Counter[str] = field(default_factory=Counter)
     ranges: list[tuple[LaserSpec, NDArray[np.float64]]] | None = field(default_factory=list)
+    sample: ScanSample = field(default_factory=ScanSample)
     _stamps: Stamps = field(default_factory=Stamps)
     _kind: array[int] = field(default_factory=lambda: array("I"))
     _suspect: bytearray = field(default_factory=bytearray)
@@ -92,6 +94,7 @@ class TopicScans(Struct):
         self.total += 1
         spec, ranges_m, counts = admitted
         self._content.append(hash(ranges_m.tobytes()))  # NaN too
+        self.sample.add(ranges_m)
         if self.ranges is not None:
             self.ranges.append((spec, ranges_m))
             if ranges_m.nbytes * len(self.ranges) > KEPT_BYTES:
@@ -117,15 +120,17 @@ class TopicScans(Struct):
     def of_frame(self, frame: str) -> TopicScans:
         """Return the scans of one laser; those that are not usable are of no frame."""
         numbers = [k for k, kind in enumerate(self._kind) if self._kinds[kind][1] == frame]
-        beams = np.array(self._cleaning, np.int64).reshape(-1, len(KINDS))
-        stamps_ns = (
-            array("q", [column[k] for k in numbers]) for column in (self._stamps.header_ns, self._stamps.log_ns)
-        )
+        own, beams, sample = Stamps(), np.array(self._cleaning, np.int64).reshape(-1, len(KINDS)), ScanSample()
+        for k in numbers:
+            own.add(self._stamps.header_ns[k], self._stamps.log_ns[k])
+            if self.ranges:
+                sample.add(self.ranges[k][1])
         return TopicScans(
             self.scan_filter,
             len(numbers),
             ranges=None if self.ranges is None else [self.ranges[k] for k in numbers],
-            _stamps=Stamps(*stamps_ns),
+            sample=sample,
+            _stamps=own,
             _kind=array("I", [self._kind[k] for k in numbers]),
             _suspect=bytearray(self._suspect[k] for k in numbers),
             _content=array("q", [self._content[k] for k in numbers]),

@@ -30,15 +30,11 @@ UNMEASURED = 1.0
 """Observability that stands for a scan without a pose."""
 
 
-def degeneracy_warning(
-    steps: Steps,
-    observed: NDArray[np.float64],
-    advice: Callable[[NDArray[np.int64]], str] = lambda _: "record odometry",
-) -> str:
+def degeneracy_warning(steps: Steps, observed: NDArray[np.float64], meaning: Callable[[NDArray[np.int64]], str]) -> str:
     """Return a warning if ``LOST_SCANS`` or more successive scans are degenerate, else an empty string.
 
-    ``observed`` (n,) is the observability of the steps. ``advice`` says of the stamps of the degenerate ones what
-    to do about odometry, if anything.
+    ``observed`` (n,) is the observability of the steps. ``meaning`` says what follows for the stamps of the degenerate
+    ones.
     """
     runs = runs_of(observed < LEAST_OBSERVABILITY, LOST_SCANS)
     if not runs:
@@ -46,11 +42,8 @@ def degeneracy_warning(
     from_s, to_s = ((steps[runs[0][k]].stamp_ns - steps[0].stamp_ns) * NS for k in (0, -1))
     share = 100.0 * sum(map(len, runs)) / len(steps)
     when = f"from {from_s:.1f} to {to_s:.1f} s" + (f", and {len(runs) - 1} more" if len(runs) > 1 else "")
-    todo = advice(np.array([steps[k].stamp_ns for run in runs for k in run], np.int64))
-    return (
-        f"degenerate geometry in {share:.0f} % of the scans ({when}): motion in one direction is not observable, "
-        f"and the path may be too short, too long or turned there; {todo}{', or ' if todo else ''}check map.png"
-    )
+    stamps_ns = np.array([steps[k].stamp_ns for run in runs for k in run], np.int64)
+    return f"degenerate geometry in {share:.0f} % of the scans ({when}): {meaning(stamps_ns)}"
 
 
 LEAST_SIGMA_M = 1 * MM

@@ -17,7 +17,7 @@ from mavnav.profiling import timed
 from mavnav.slam.matching.motion_model import LONGEST_S, Motion, motions_along
 from mavnav.slam.matching.observability import UNMEASURED, degeneracy_warning
 from mavnav.slam.matching.steps import Step, Steps, jumps, tracked_trajectory
-from mavnav.slam.retries.unused_odometry import odometry_advice
+from mavnav.slam.retries.unused_odometry import not_observed, observed_by_odometry
 from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def remove_dynamic_cells(track: Track, refiner: Refiner) -> Track:
 
 
 def refine_poses(track: Track, refiner: Refiner) -> Track:
-    """Match every tracked scan against the finished map; without odometry, warn where its geometry is degenerate.
+    """Match every tracked scan against the finished map, and warn where its geometry is degenerate.
 
     The steps are changed in place, because there may be many. Observability, visibility conflicts and Hessians of the
     scans are stored in its findings.
@@ -63,9 +63,11 @@ def refine_poses(track: Track, refiner: Refiner) -> Track:
     if not len(observed):
         return track
     stamps_ns = track.steps.column("stamp_ns")[: len(observed)]  # fewer where the run is stopped
-    alone = np.where(track.motion.odometry_at(stamps_ns), UNMEASURED, observed)
-    warning = degeneracy_warning(track.steps, alone, partial(odometry_advice, track))
-    return track.with_warning(warning) if warning else track
+    covered = track.motion.odometry_at(stamps_ns)
+    warning = degeneracy_warning(
+        track.steps, np.where(covered, UNMEASURED, observed), partial(not_observed, track)
+    ) or degeneracy_warning(track.steps, np.where(covered, observed, UNMEASURED), observed_by_odometry)
+    return track.with_warning(warning) if warning and not track.motion.commanded else track
 
 
 def refine_steps(

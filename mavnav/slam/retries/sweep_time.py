@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from mavnav.scan import Scan
 from mavnav.slam.retries.attempt import Attempt, is_sharper
-from mavnav.slam.retries.beam_order import BETTER, cost_ratios, turning_stretch
+from mavnav.slam.retries.beam_order import BETTER, LISTED_RATIO, cost_ratio_in_map, cost_ratios, turning_stretch
 from mavnav.slam.track import LogScans, Track
 
 
@@ -31,6 +31,8 @@ def time_sweeps(track: Track) -> Track | None:
     turn_s = scans[0].spec.usual_turn_s(period_s)
     turns_s = turn_s, -turn_s
     changes = [partial(timed_scan, turn_s=each_s) for each_s in turns_s]
+    if all(cost_ratio_in_map(scans, stretch, track, change) > LISTED_RATIO for change in changes):
+        return None
     ratios = dict(zip(turns_s, cost_ratios(scans, stretch, track, changes), strict=True))
     best_s = min(ratios, key=ratios.__getitem__)
     if not ratios[best_s] < BETTER:

@@ -1,4 +1,4 @@
-"""Scans that are matched without odometry: whether the log has it there all the same, and what to do about it."""
+"""Scans that leave a motion open: whether the log has odometry there all the same, and what to do about it."""
 
 from __future__ import annotations
 
@@ -24,6 +24,20 @@ def is_recorded(track: Track, stamps_ns: NDArray[np.int64]) -> bool:
     inside = (stamps_ns >= recorded_ns[0]) & (stamps_ns <= recorded_ns[-1])
     near = recorded_ns[after] - recorded_ns[after - 1] <= round(GAP_S / NS)
     return 2 * int((inside & near).sum()) > len(stamps_ns)
+
+
+def not_observed(track: Track, stamps_ns: NDArray[np.int64]) -> str:
+    """Return what it means that scans of some stamps (n,) leave a direction open, and nothing else shows it."""
+    todo = odometry_advice(track, stamps_ns)
+    return (
+        "motion in one direction is not observable, and the path may be too short, too long or turned there; "
+        f"{todo}{', or ' if todo else ''}check map.png"
+    )
+
+
+def observed_by_odometry(_: NDArray[np.int64]) -> str:
+    """Return what it means where odometry shows the direction that scans leave open."""
+    return "motion in one direction is that of the odometry alone: compare the map with a length that is known"
 
 
 def odometry_advice(track: Track, stamps_ns: NDArray[np.int64]) -> str:

@@ -46,6 +46,13 @@ def test_a_right_time_of_the_sweep_is_kept(sweep_s: float, tmp_path: Path) -> No
     assert not [text for text in found.warnings if "time_increment" in text]
 
 
+def test_that_a_sweep_seen_at_once_is_not_tracked_in_other_times(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mavnav.slam.retries.sweep_time.cost_ratios", lambda *_: pytest.fail("it was tracked again"))
+    replayed(write_mcap(tmp_path / "a", drive_log(path=TURNING, beams=120, sweep_s=0.0)))
+
+
 @pytest.mark.parametrize(
     ("time_increment_s", "scan_time_s", "period_s", "plausible"),
     [

@@ -1,0 +1,107 @@
+"""The robot's own body in the laser's view: beams that see the same near thing all along, while the others see more.
+
+Posts, plates and cables move with the laser. Matched with the map, they hold a track back, and draw a trail.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+from msgspec import Struct, field
+from numpy.typing import NDArray
+
+from mavnav.scan import LaserSpec
+from mavnav.units import DEG
+
+Floats = NDArray[np.float64]
+
+MOST_SCANS, LEAST_SCANS = 128, 20
+"""Number of scans of a log that are compared, evenly over all of it, and fewest that show anything."""
+
+FARTHEST_M, SPREAD_M = 1.0, 0.1
+"""Range within which the body lies, and by which a beam on it may vary, from the 5th to the 95th percentile."""
+
+SHARE: Final = 0.95
+"""Share of the scans in which a beam on the body has a return."""
+
+MOVES_M, MOVING_SHARE = 0.3, 1 / 3
+"""Variation of range, and share of the other beams that vary more: else the laser may be at rest."""
+
+JUMP, BESIDE = 1.5, 0.01
+"""Ratio of the ranges of the body and of what lies beside it, and share of the beams up to there: edges are blurred.
+
+A wall that the laser moves along stays at one distance as well, but goes on beside those beams.
+"""
+
+LEAST_SHARE: Final = 0.01
+"""Share of the beams on the body that makes a difference."""
+
+
+class ScanSample(Struct):
+    """Up to ``MOST_SCANS`` of many scans, evenly over all; ``ranges_m`` are theirs."""
+
+    ranges_m: list[Floats] = field(default_factory=list)
+    step: int = 1
+    count: int = 0
+
+    def add(self, ranges_m: Floats) -> None:
+        """Take in one of every ``step`` scans, with its ranges (beams,), m."""
+        if self.count % self.step == 0:
+            self.ranges_m.append(ranges_m)
+        self.count += 1
+        if len(self.ranges_m) > MOST_SCANS:
+            self.ranges_m, self.step = self.ranges_m[::2], 2 * self.step
+
+
+def own_beams(sample: ScanSample) -> NDArray[np.bool_] | None:
+    """Return which beams (n,) see the robot itself; None if hardly any do, or nothing shows it.
+
+    Of scans of other numbers of beams than most, none is used.
+    """
+    (beams, scans), *_ = Counter(map(len, sample.ranges_m)).most_common(1) or [(0, 0)]
+    if scans < LEAST_SCANS:
+        return None
+    ranges_m = np.sort([each for each in sample.ranges_m if len(each) == beams], axis=0)  # NaN is last
+    returns, columns = np.isfinite(ranges_m).sum(axis=0), np.arange(beams)
+    low, middle, high = (ranges_m[(q * (returns - 1)).astype(np.intp), columns] for q in (0.05, 0.5, 0.95))
+    constant = (returns >= SHARE * scans) & (high - low <= SPREAD_M) & (high <= FARTHEST_M)
+    others = (high - low)[~constant & (returns > 0)]
+    if np.count_nonzero(others > MOVES_M) <= MOVING_SHARE * len(others):
+        return None
+    own, reach = np.zeros(beams, np.bool_), max(round(BESIDE * beams), 1)
+    for first, last in runs_of(constant):
+        before, after = max(first - reach, 0), min(last + reach, beams)
+        ends = (first, before), (last - 1, after - 1)
+        if all(beside in {0, beams - 1} or apart(middle[at], middle[beside]) for at, beside in ends):
+            own[before:after] |= low[before:after] <= JUMP * max(middle[first], middle[last - 1])
+    return own if own.sum() >= LEAST_SHARE * beams else None
+
+
+def apart(range_m: float, beside_m: float) -> bool:
+    """Return whether two ranges are of two things; NaN is nothing in range."""
+    return not 1.0 / JUMP <= beside_m / range_m <= JUMP
+
+
+def runs_of(flags: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
+    """Yield the runs of flags (n,) that are set: the first of each, and the one after its last."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], flags, [False]))))
+    yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+
+
+def without_beams(ranges_m: Floats, own: NDArray[np.bool_]) -> Floats:
+    """Return ranges (n,), m, without those of some beams; of another number of beams as they are."""
+    return np.where(own, np.nan, ranges_m) if len(ranges_m) == len(own) else ranges_m
+
+
+def body_warning(own: NDArray[np.bool_], spec: LaserSpec) -> str:
+    """Say which beams see the robot itself, and that they are left out."""
+    angles_deg = spec.angles_rad / DEG
+    sectors = [f"{angles_deg[first]:.0f} to {angles_deg[last - 1]:.0f}" for first, last in runs_of(own)]
+    named = ", ".join(sectors[:4]) + ", ..." * (len(sectors) > 4)
+    return (
+        f"{own.sum()} of {len(own)} beams (at {named} deg) see the same within {FARTHEST_M:g} m all along, the robot's "
+        "own parts: they are left out"
+    )
