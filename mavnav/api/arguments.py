@@ -66,13 +66,6 @@ def _as_list(values: Any, name: str) -> list[Any]:  # noqa: ANN401
     return list(values)
 
 
-def text_of(text: str | None, name: str) -> str | None:
-    """Return a text, if one is given."""
-    if text is None or isinstance(text, str):
-        return text
-    raise UsageError(f"{name} is {text!r}; give a text")
-
-
 def topics_of(topics: str | Sequence[str] | None, name: str) -> str | None:
     """Return topics as one name, with commas between them as a merged log has it; None if none is given."""
     if topics is None or isinstance(topics, str):
@@ -94,8 +87,9 @@ def grid_of(grid: str | Sequence[int], name: str = "grid") -> str:
 
 def topic_of(truth: str | None) -> str | None:
     """Return the topic of a ground truth, given as its name, as ``topic:NAME``, or as ``auto``."""
-    text = text_of(truth, "truth")
-    return None if text is None else recorded_topic(text) or text
+    if truth is None or isinstance(truth, str):
+        return truth and (recorded_topic(truth) or truth)
+    raise UsageError(f"truth is {truth!r}; give a text")
 
 
 def count_of(number: int | None, name: str) -> int | None:

@@ -6,7 +6,7 @@ import csv
 import shutil
 import weakref
 from base64 import b64encode
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from html import escape
@@ -15,7 +15,6 @@ from tempfile import mkdtemp
 from typing import Any, Final, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 from mavnav.api.arguments import path_of
@@ -36,6 +35,9 @@ KINDS: Final = dict.fromkeys(("index", "beams_used", "evaluations", "iterations"
     ("converged", "tracked", "accepted", "doubtful"), bool
 )
 """Columns of trajectory.csv that are whole numbers, or true or false."""
+
+UNKNOWN_SHADE: Final = 0.85
+"""Grey of unknown cells, between black 0 and white 1."""
 
 
 @dataclass(frozen=True)
@@ -124,19 +126,35 @@ class Run:
 
         Without matplotlib (the extra ``plot``), map.png is returned as an image of Pillow.
         """
-        columns, verdict = self.columns(), self.verdict
+        try:
+            from matplotlib import pyplot  # noqa: PLC0415  optional
+        except ImportError:
+            with Image.open(self.file("map.png"), formats=("PNG",)) as picture:
+                return picture.convert("RGB")
+        columns, verdict, grid, axes = self.columns(), self.verdict, self.map, axes or pyplot.subplots()[1]
         xy_m = np.array([columns["x_m"], columns["y_m"]], np.float64).T
         doubtful = np.array(columns["doubtful"], np.float64) > 0
-        drawn = draw(self.map, xy_m, doubtful, f"{verdict['word']}: {verdict['reason']}", axes)
-        if drawn is not None:
-            return drawn
-        with Image.open(self.file("map.png"), formats=("PNG",)) as picture:
-            return picture.convert("RGB")
+        cells, (rows, cols), (x_m, y_m) = occupancy(grid), grid.hits.shape, grid.origin_xy_m
+        extent = (x_m, x_m + cols * grid.cell_m, y_m, y_m + rows * grid.cell_m)
+        shade = np.where(cells > 0, 0.0, np.where(cells == 0, 1.0, UNKNOWN_SHADE))
+        axes.imshow(shade, origin="lower", extent=extent, cmap="gray", vmin=0.0, vmax=1.0, interpolation="nearest")
+        axes.plot(*xy_m.T, color="tab:blue", linewidth=1)
+        if doubtful.any():
+            axes.plot(*np.where(doubtful[:, None], xy_m, np.nan).T, color="tab:red", linewidth=2, label="may be wrong")
+            axes.legend()
+        axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
+        axes.set_title(f"{verdict['word']}: {verdict['reason']}", wrap=True)
+        return axes
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows: the verdict and the map."""
-        drawn = "map.png" in self.metrics["outputs"]
-        return html(self.verdict, self.file("map.png").read_bytes() if drawn else None)
+        verdict = self.verdict
+        advice = f"<br>{escape(verdict['advice'])}" if verdict.get("advice") else ""
+        text = f"<p><b>{escape(verdict['word'])}</b>: {escape(verdict['reason'])}{advice}</p>"
+        if "map.png" not in self.metrics["outputs"]:
+            return text
+        data = b64encode(self.file("map.png").read_bytes()).decode("ascii")
+        return f'{text}<img alt="map" style="max-width: 100%" src="data:image/png;base64,{data}">'
 
     def save(self, directory: File, *, force: bool = False) -> Run:
         """Copy the run to a directory, and return the run there.
@@ -187,40 +205,3 @@ def load_run(directory: File) -> Run:
     if not (run.directory / RUN_FILE).is_file():
         raise UsageError(f"{directory} holds no run (no {RUN_FILE}); name a run directory")
     return run
-
-
-UNKNOWN_SHADE: Final = 0.85
-"""Grey of unknown cells, between black 0 and white 1."""
-
-
-def draw(grid: Grid, xy_m: NDArray[np.float64], doubtful: NDArray[np.bool_], title: str, axes: Any) -> Any:  # noqa: ANN401
-    """Draw a map and a path into axes of matplotlib, new ones if none are given; None without matplotlib.
-
-    ``xy_m`` (n, 2) are positions in the map frame, NaN where not tracked; ``doubtful`` (n,) which may be wrong.
-    """
-    try:
-        from matplotlib import pyplot  # noqa: PLC0415  optional
-    except ImportError:
-        return None
-    axes = axes or pyplot.subplots()[1]
-    cells, (rows, cols), (x_m, y_m) = occupancy(grid), grid.hits.shape, grid.origin_xy_m
-    extent = (x_m, x_m + cols * grid.cell_m, y_m, y_m + rows * grid.cell_m)
-    shade = np.where(cells > 0, 0.0, np.where(cells == 0, 1.0, UNKNOWN_SHADE))
-    axes.imshow(shade, origin="lower", extent=extent, cmap="gray", vmin=0.0, vmax=1.0, interpolation="nearest")
-    axes.plot(*xy_m.T, color="tab:blue", linewidth=1)
-    if doubtful.any():
-        axes.plot(*np.where(doubtful[:, None], xy_m, np.nan).T, color="tab:red", linewidth=2, label="may be wrong")
-        axes.legend()
-    axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
-    axes.set_title(title, wrap=True)
-    return axes
-
-
-def html(verdict: Mapping[str, str], png: bytes | None) -> str:
-    """Return a verdict, and the picture of the map if there is one, for a notebook."""
-    advice = f"<br>{escape(verdict['advice'])}" if verdict.get("advice") else ""
-    text = f"<p><b>{escape(verdict['word'])}</b>: {escape(verdict['reason'])}{advice}</p>"
-    if png is None:
-        return text
-    data = b64encode(png).decode("ascii")
-    return f'{text}<img alt="map" style="max-width: 100%" src="data:image/png;base64,{data}">'

@@ -1,4 +1,4 @@
-"""batch.json: a row for every run, with its gates and its change since the baseline."""
+"""batch.json: a row for every run, with its gates, its change since the baseline, and how its repetitions differ."""
 
 from __future__ import annotations
 
@@ -8,20 +8,32 @@ from os.path import relpath
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from mavnav.batch.baseline import Baseline, ChangeKind, changes, lacking, lacking_text
 from mavnav.batch.cases import CaseResult
-from mavnav.batch.request import BatchRequest
+from mavnav.batch.request import BatchRequest, Rules
 from mavnav.errors import SEVERITY, ExitCode, worst
 from mavnav.metrics.gates import VERDICTS, accepts_code, failure_text, judge_some, judge_verdict
-from mavnav.outputs.documents.quantities import verdict_texts
+from mavnav.outputs.directory import digests_of
+from mavnav.outputs.documents.quantities import NAMED, TIME, verdict_texts
 from mavnav.outputs.documents.verdict import EXTERNAL
 from mavnav.version import DOCUMENT_HEAD
 
 BATCH_FILE: Final = "batch.json"
+IDENTICAL_GATE: Final = "identical"
 
 _MEASURED: Final = ("verdict", "scans", "tracking", "search", "map", "wall_thickness", "map_quality", "reference")
 SECTIONS: Final = (*_MEASURED, "timing", "exit_code")
 """Sections of run.json that the document of a comparison or a batch repeats for every run."""
+
+KEY_FIGURES: Final = (
+    NAMED["map.accepted_share"],
+    NAMED["wall_thickness.spread.p95_mm"],
+    NAMED["map_quality.ghost_walls.length_m"],
+    TIME,
+)
+"""Metrics of a run in the table of a batch."""
 
 
 def judged_row(result: CaseResult, request: BatchRequest) -> dict[str, Any]:
@@ -99,23 +111,19 @@ def _text(number: float | None) -> str:
 
 
 def batch_document(
-    rows: Sequence[dict[str, Any]],
-    wall_s: float,
-    baseline: Baseline | None,
-    missing_runs: Sequence[str] = (),
-    *,
-    baseline_gate: bool,
+    rows: Sequence[dict[str, Any]], wall_s: float, rules: Rules, missing_runs: Sequence[str]
 ) -> dict[str, Any]:
     """Return batch.json of these rows; runs that only the baseline has, ``missing_runs``, fail the baseline gate."""
     runs = [row["run"] for row in rows]
-    codes = [*(row["code"] for row in rows), *(ExitCode.GATE_FAILED for _ in missing_runs if baseline_gate)]
+    baseline, gated = rules.baseline, rules.baseline_gate
+    codes = [*(row["code"] for row in rows), *(ExitCode.GATE_FAILED for _ in missing_runs if gated)]
     return {
         **DOCUMENT_HEAD,
         "profile": next((run["map_quality"]["profile"] for run in runs if run and run.get("map_quality")), None),
         "counts": _counts(rows),
         "wall_s": wall_s,
         "cells": list(rows),
-        "baseline": None if baseline is None else {**_since(rows, baseline, missing_runs), "gate": baseline_gate},
+        "baseline": None if baseline is None else {**_since(rows, baseline, missing_runs), "gate": gated},
         "exit_code": int(worst(codes)),
     }
 
@@ -137,6 +145,48 @@ def _since(rows: Sequence[Mapping[str, Any]], baseline: Baseline, missing_runs: 
     absent = list(dict.fromkeys(name for row in rows for name in row["baseline"]["lacking"]))
     about = {"path": str(baseline.path), "mavnav_version": baseline.version}
     return {**about, **counts, "missing": list(missing_runs), "lacking": absent}
+
+
+def compare_repeats(rows: Sequence[dict[str, Any]], directory: Path, *, gate: bool) -> None:
+    """Add to ``repeat`` of the row of each repetition how its files differ from those of the run that it repeats.
+
+    With ``gate``, a repetition with other bytes, or that ended otherwise, fails.
+    """
+    named = {row["name"]: row for row in rows}
+    for row in (row for row in rows if row["repeat"] and row["repeat"]["of"] in named):
+        differs = row["repeat"]["differs"] = _differences(named[row["repeat"]["of"]], row, directory)
+        if gate:
+            why = "; ".join(differs)
+            row["gates"].append({"gate": IDENTICAL_GATE, "value": len(differs), "passed": not differs, "why": why})
+            row["code"] = int(worst([row["code"], *([ExitCode.GATE_FAILED] if differs else [])]))
+
+
+def _differences(one: dict[str, Any], other: dict[str, Any], directory: Path) -> list[str]:
+    codes = [one["exit_code"], other["exit_code"]]
+    ends = [f"exit codes {codes[0]} and {codes[1]}"] if codes[0] != codes[1] else []
+    folders = [directory / row["directory"] for row in (one, other) if row["directory"]]
+    return ends + (file_differences(*folders) if len(folders) == len(codes) else [])
+
+
+def file_differences(one: Path, other: Path) -> list[str]:
+    """Return a line for each output file of two run directories whose bytes differ.
+
+    run.json and the page are left out: they have times.
+    """
+    names = sorted({*digests_of(one), *digests_of(other)})
+    return [f"{name}: {text}" for name in names if (text := _byte_difference(one / name, other / name))]
+
+
+def _byte_difference(one: Path, other: Path) -> str:
+    if not (one.is_file() and other.is_file()):
+        return f"only in {(one if one.is_file() else other).parent.name}"
+    a, b = (np.fromfile(path, dtype=np.uint8) for path in (one, other))
+    shorter = min(len(a), len(b))
+    differ = np.flatnonzero(a[:shorter] != b[:shorter])
+    sizes = f", sizes {len(a)} and {len(b)}" if len(a) != len(b) else ""
+    if not len(differ):
+        return sizes and f"the same up to byte {shorter}{sizes}"
+    return f"{len(differ)} of {shorter} bytes differ, from byte {differ[0]} to {differ[-1]}{sizes}"
 
 
 def worst_first(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -163,6 +213,46 @@ def remark(row: Mapping[str, Any]) -> str:
     """Say why a run did not pass, or what is suspect of it; empty for others."""
     word, reason = verdict_texts(row["run"])
     return "; ".join(why(row)) or (f"{word}: {reason}" if word not in ("", VERDICTS[0]) else "")
+
+
+def batch_headline(document: Mapping[str, Any]) -> str:
+    """Return the result of a batch in one line."""
+    rows = document["cells"]
+    bad = sum(bool(row["code"]) for row in rows)
+    counts, since = document["counts"], document["baseline"]
+    parts = [f"{len(rows) - bad} of {len(rows)} runs passed"]
+    parts += [f"{count} {word}" for word, count in counts["verdicts"].items() if word != VERDICTS[0]]
+    parts += [f"{counts['failed']} could not be made"] if counts["failed"] else []
+    parts += [f"{counts['cached']} reused"] if counts["cached"] else []
+    if since:
+        parts.append(f"since the baseline {since['worse']} worse, {since['better']} better, {since['new']} new")
+        parts += [f"{len(since['missing'])} missing"] if since["missing"] else []
+    return ", ".join(parts)
+
+
+def missing_lines(document: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return severity and text for every missing run of the baseline; an error if the baseline is a gate.
+
+    So too for every metric that the baseline file lacks, unless the baseline is a gate: its runs fail for that.
+    """
+    since = document["baseline"] or {}
+    kind = "error" if since.get("gate") else "warning"
+    lines = [(kind, f"{name}: in the baseline, not in this batch") for name in absent_runs(document)]
+    absent = [] if since.get("gate") else since.get("lacking", [])
+    return lines + [("warning", f"{lacking_text(since['path'], name)}; it is not compared") for name in absent]
+
+
+def absent_runs(document: Mapping[str, Any]) -> list[str]:
+    """Return the names of the runs that only the baseline has."""
+    return list((document["baseline"] or {}).get("missing", []))
+
+
+def change_text(row: Mapping[str, Any]) -> str:
+    """Return the change of a run since the baseline as text; empty without a baseline or a change."""
+    change = row["baseline"]
+    if not change or change["change"] == ChangeKind.SAME:
+        return ""
+    return f"{change['change']} {', '.join(item['name'] for item in change['figures'])}".strip()
 
 
 ENDS: Final = {

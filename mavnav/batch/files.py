@@ -18,9 +18,7 @@ import numpy as np
 from PIL import Image
 
 from mavnav.atomic_files import beside, writing
-from mavnav.batch.document import BATCH_FILE, ENDS, why, worst_first
-from mavnav.batch.repeats import IDENTICAL_GATE
-from mavnav.batch.summary import batch_headline, change_text
+from mavnav.batch.document import BATCH_FILE, ENDS, IDENTICAL_GATE, batch_headline, change_text, why, worst_first
 from mavnav.config.named_files import read_json
 from mavnav.errors import ExitCode, UsageError
 from mavnav.jobs.run_cache import RUNS_FOLDER

@@ -11,10 +11,9 @@ from msgspec.structs import replace
 from mavnav.batch import request
 from mavnav.batch.baseline import Tolerance, parse_tolerance, read_baseline, tolerances
 from mavnav.batch.cases import BASELINE_GATE
-from mavnav.batch.document import BATCH_FILE
+from mavnav.batch.document import BATCH_FILE, IDENTICAL_GATE
 from mavnav.batch.manifest import GATE_EXAMPLE, LogEntry, Manifest, Origins, errors_at, origins_of, read_manifest
 from mavnav.batch.pinned import Pin
-from mavnav.batch.repeats import IDENTICAL_GATE
 from mavnav.config.layers import Layer
 from mavnav.config.options import ReplayOptions, given_options, restore_options, settings_of
 from mavnav.errors import UsageError
@@ -143,18 +142,15 @@ def _entry(entry: LogEntry, base: Path) -> request.BatchLogs:
 
 def _settings(options: BatchOptions, manifest: Manifest, layer: Layer, base: Path) -> list[request.Setting]:
     """Return the settings of mavnav, then the programs; their maps are drawn with the first of its configurations."""
-    own = _own_settings(options, manifest, layer, base)
-    programs = [read_program(text).with_absolute_paths() for text in options.programs]
-    return request.unique([*own, *(request.Setting(each.name, own[0].config, program=each) for each in programs)])
-
-
-def _own_settings(options: BatchOptions, manifest: Manifest, layer: Layer, base: Path) -> list[request.Setting]:
     overrides = settings_of(options.options)
     if manifest.runs and not (options.methods or options.grids or options.azimuths or options.config):
-        return request.listed_settings(manifest.runs, layer, base, options.sets, overrides)
-    return request.crossed_settings(
-        options.config, options.sets, options.methods, options.grids, options.azimuths, overrides
-    )
+        own = request.listed_settings(manifest.runs, layer, base, options.sets, overrides)
+    else:
+        own = request.crossed_settings(
+            options.config, options.sets, options.methods, options.grids, options.azimuths, overrides
+        )
+    programs = [read_program(text).with_absolute_paths() for text in options.programs]
+    return request.unique([*own, *(request.Setting(each.name, own[0].config, program=each) for each in programs)])
 
 
 def _limits(options: BatchOptions, manifest: Manifest) -> request.RunLimits:

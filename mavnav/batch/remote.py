@@ -230,29 +230,29 @@ def _begins_at(source: Any, begin_bytes: int) -> bool:  # noqa: ANN401  an open 
     return True
 
 
-def _open(address: str, bounds: DownloadLimits, begin_bytes: int = 0) -> Any:  # noqa: ANN401  an open file of fsspec
+def _open(address: str, bounds: DownloadLimits, begin_bytes: int) -> Any:  # noqa: ANN401  an open file of fsspec
     """Open an address; one of a web server is read as a stream, with its redirections checked."""
     import fsspec  # noqa: PLC0415  an extra
 
-    options: dict[str, Any] = {}
-    if any(part.lower().startswith(("http://", "https://")) for part in address.split("::")):
-        options = client_options(address, bounds.total_s, bounds.idle_s, private=bounds.private)
+    options = client_options(address, bounds)
     for client in options.values() if begin_bytes else ():
         client["headers"] = {"Range": f"bytes={begin_bytes}-"}
     return fsspec.open(address, "rb", **options)
 
 
-def client_options(address: str, total_s: float, idle_s: float, *, private: bool) -> dict[str, Any]:
-    """Return the options of ``fsspec.open`` for an address with ``http(s)://`` in it.
+def client_options(address: str, bounds: DownloadLimits) -> dict[str, Any]:
+    """Return the options of ``fsspec.open`` for an address; none for one without ``http(s)://`` in it.
 
-    A request may take ``total_s`` in all and ``idle_s`` without data. A host of a private network is allowed only with
-    ``private`` and if the address itself names it; a redirection to another one raises UsageError.
+    A request may take ``total_s`` of the limits in all and ``idle_s`` without data. A host of a private network is
+    allowed only with ``private`` and if the address itself names it; a redirection to another one raises UsageError.
     """
+    parts = [part for part in address.split("::") if part.lower().startswith(("http://", "https://"))]
+    if not parts:
+        return {}
     import aiohttp  # noqa: PLC0415  an extra
 
-    parts = [part for part in address.split("::") if part.lower().startswith(("http://", "https://"))]
-    timeout = aiohttp.ClientTimeout(total=total_s, sock_connect=idle_s, sock_read=idle_s)
-    make_socket = _socket_factory(parts, private=private)
+    timeout = aiohttp.ClientTimeout(total=bounds.total_s, sock_connect=bounds.idle_s, sock_read=bounds.idle_s)
+    make_socket = _socket_factory(parts, private=bounds.private)
 
     async def get_client(**options: Any) -> aiohttp.ClientSession:  # noqa: ANN401
         connector = aiohttp.TCPConnector(socket_factory=make_socket)

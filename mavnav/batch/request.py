@@ -106,23 +106,20 @@ def listed_settings(
     A run has the keys of a configuration, and optionally ``name`` and ``config``, a preset or a file relative to
     ``base``. Raises ConfigError with the manifest's line.
     """
-    return unique(_setting(number, run, layer, base, sets, options) for number, run in enumerate(runs))
-
-
-def _setting(
-    number: int, run: Mapping[str, Any], layer: Layer, base: Path, sets: Sequence[str], options: Mapping[str, object]
-) -> Setting:
-    key = ("runs", str(number))
-    own = {name: run.get(name) for name in ("name", "config")}
-    for name, value in own.items():
-        if value is not None and not (isinstance(value, str) and value):
-            raise ConfigError(f"{layer.origins[*key, name]}: {name} is {value!r}; give it a word, or leave it out")
-    file = own["config"]
-    below = str(base / file) if file and (base / file).exists() else file
-    values = leaves({name: value for name, value in run.items() if name not in own})
-    origins = {path: layer.origins.get(key + path, f"runs.{number}") for path in values}
-    config = load_config(below, sets, options, Layer(values, origins))
-    return Setting(own["name"] or setting_name(config), config)
+    settings = []
+    for number, run in enumerate(runs):
+        key = ("runs", str(number))
+        own = {name: run.get(name) for name in ("name", "config")}
+        for name, value in own.items():
+            if value is not None and not (isinstance(value, str) and value):
+                raise ConfigError(f"{layer.origins[*key, name]}: {name} is {value!r}; give it a word, or leave it out")
+        file = own["config"]
+        below = str(base / file) if file and (base / file).exists() else file
+        values = leaves({name: value for name, value in run.items() if name not in own})
+        origins = {path: layer.origins.get(key + path, f"runs.{number}") for path in values}
+        config = load_config(below, sets, options, Layer(values, origins))
+        settings.append(Setting(own["name"] or setting_name(config), config))
+    return unique(settings)
 
 
 def format_value(value: object) -> str:

@@ -19,16 +19,15 @@ from msgspec.structs import asdict, replace
 from mavnav.atomic_files import discard
 from mavnav.batch.baseline import EXAMPLE, missing, write_baseline
 from mavnav.batch.cases import Case, CaseResult, make_cases, read_paths
-from mavnav.batch.document import BATCH_FILE, batch_document, judged_row, of_program
+from mavnav.batch.document import BATCH_FILE, batch_document, compare_repeats, judged_row, of_program
 from mavnav.batch.files import check_files, write_batch
 from mavnav.batch.manifest import GATE_EXAMPLE, errors_at
 from mavnav.batch.remote import download
-from mavnav.batch.repeats import compare_repeats
 from mavnav.batch.request import BatchRequest, RunLimits
 from mavnav.config.options import absolute_options
 from mavnav.errors import ExitCode, MavnavError, UsageError
 from mavnav.jobs.dask import Cluster
-from mavnav.jobs.pool import run_jobs, run_with_retries
+from mavnav.jobs.pool import Listener, run_jobs, run_with_retries
 from mavnav.jobs.run_cache import RUNS_FOLDER, PlannedRun, check_cache_directory, finished_document, is_finished
 from mavnav.jobs.worker import Ended, Event, Job, Outcome, Status
 from mavnav.metrics.gates import check_names
@@ -40,7 +39,6 @@ from mavnav.pipelines.score import ScoreRequest, score_program
 from mavnav.profiling import Progress
 from mavnav.slam.methods import registry
 
-OnEvent = Callable[[Event], None]
 Row = dict[str, Any]
 
 
@@ -143,7 +141,7 @@ T = TypeVar("T")
 
 
 def run_cases(
-    plan: BatchPlan, on_event: OnEvent, describe: Callable[[CaseResult], T], cluster: Cluster | None = None
+    plan: BatchPlan, on_event: Listener, describe: Callable[[CaseResult], T], cluster: Cluster | None = None
 ) -> list[T]:
     """Run the missing runs, each in a process of its own.
 
@@ -182,7 +180,7 @@ def run_cases(
 
 
 def _run_missing(
-    plan: BatchPlan, on_event: OnEvent, record: Callable[[Case, Outcome], None], cluster: Cluster | None
+    plan: BatchPlan, on_event: Listener, record: Callable[[Case, Outcome], None], cluster: Cluster | None
 ) -> None:
     """Run the missing cases; when a run ends, call ``record`` for each of its cases."""
     runs = {case.name: case.run.request for case in plan.missing if case.run}
@@ -216,7 +214,7 @@ def _spoilt(run: PlannedRun, outcome: Outcome | None) -> Outcome:
     return Outcome(Status.FAILED, pid, seconds, error=error, exit_code=ExitCode.OUTPUT)
 
 
-def _run_here(jobs: Sequence[Job], on_event: OnEvent, limits: RunLimits) -> list[Outcome]:
+def _run_here(jobs: Sequence[Job], on_event: Listener, limits: RunLimits) -> list[Outcome]:
     """Run jobs in processes of this machine; files of a dead worker are removed before its end is reported."""
 
     def tidy(event: Event) -> None:
@@ -228,7 +226,7 @@ def _run_here(jobs: Sequence[Job], on_event: OnEvent, limits: RunLimits) -> list
 
 
 def run_batch(
-    plan: BatchPlan, on_event: Callable[[Event], None], on_row: Callable[[Row], None], cluster: Cluster | None = None
+    plan: BatchPlan, on_event: Listener, on_row: Callable[[Row], None], cluster: Cluster | None = None
 ) -> Row:
     """Run the missing runs, evaluate all gates, and return batch.json.
 
@@ -247,7 +245,7 @@ def run_batch(
     compare_repeats(rows, request.directory, gate=rules.identical_gate)
     missing_runs = [] if rules.baseline is None or request.part or request.only else missing(rows, rules.baseline)
     wall_s = monotonic() - began_s
-    document = batch_document(rows, wall_s, rules.baseline, missing_runs, baseline_gate=rules.baseline_gate)
+    document = batch_document(rows, wall_s, rules, missing_runs)
     if request.part is None:
         write_batch(document, request.directory)
     if request.new_baseline:

@@ -198,9 +198,8 @@ def _cluster(request: BatchRequest, *, quiet: bool) -> Iterator[Cluster | None]:
 
 def _write_for_ci(document: dict[str, Any], junit: Path | None, summary: Path | None, *, annotations: bool) -> None:
     """Write what CI reads: files, and GitHub annotations."""
+    from mavnav.batch.ci import github_commands, to_junit, to_summary
     from mavnav.batch.files import append_text, write_text
-    from mavnav.batch.junit import to_junit
-    from mavnav.batch.summary import github_commands, to_summary
 
     if junit:
         write_text(to_junit(document), junit)
@@ -251,9 +250,8 @@ def print_batch(document: dict[str, Any], request: BatchRequest, *, json: bool) 
     Below the table is why runs did not pass or are suspect, and where more of the results is: the page, or the
     directory of a part, which has none.
     """
-    from mavnav.batch.document import remark, worst_first
+    from mavnav.batch.document import batch_headline, missing_lines, remark, worst_first
     from mavnav.batch.files import PAGE_FILE
-    from mavnav.batch.summary import batch_headline, missing_lines
 
     if json:
         emit(_line({"event": "batch", **{k: v for k, v in document.items() if k != "cells"}}))
@@ -275,17 +273,17 @@ def _table(rows: list[dict[str, Any]], more: int) -> Table:
     from rich.table import Table
     from rich.text import Text
 
-    from mavnav.batch.summary import FIGURES, change_text
+    from mavnav.batch.document import KEY_FIGURES, change_text
     from mavnav.outputs.documents.quantities import verdict_texts
 
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("run", overflow="fold")
     table.add_column("verdict", no_wrap=True)
-    for figure in FIGURES:
+    for figure in KEY_FIGURES:
         table.add_column(figure.head, justify="right", no_wrap=True)
     table.add_column("", overflow="fold")
     for row in rows:
-        texts = [figure.text_of(row["run"]) for figure in FIGURES]
+        texts = [figure.text_of(row["run"]) for figure in KEY_FIGURES]
         remarks = [change_text(row), "reused" if row["status"] == "cached" else ""]
         text = printable("; ".join(filter(None, remarks))).replace("::", ":\\x3a")
         name = Text(printable(row["name"]).replace("::", ":\\x3a"), style="red" if row["code"] else "")

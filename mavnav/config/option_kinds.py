@@ -57,23 +57,21 @@ class ValueKind(NamedTuple):
     restore: Callable[[Any, Callable[[str], Path]], Any] = _same
 
 
-def _join(topics: list[str], _: str) -> str:
-    """Return topics as one name, as a merged log has it."""
-    return ",".join(topics)
+def _parse_pose(text: str, flag: str, otherwise: str) -> tuple[float, float, float]:
+    """Read ``x,y,yaw`` in m, m, rad; raises UsageError, which says ``otherwise`` where the text is of another form."""
+    try:
+        x_m, y_m, yaw_rad = map(float, text.split(","))
+        problem = pose_problem(x_m, y_m, yaw_rad)
+    except ValueError:
+        problem = otherwise
+    if problem:
+        raise UsageError(f"{flag} {text!r} {problem}")
+    return x_m, y_m, yaw_rad
 
 
 def _read_pose(text: str, flag: str) -> tuple[float, float, float]:
     """Read ``x,y,yaw`` in m, m, rad; raises UsageError."""
-    try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError:
-        values = []
-    if len(values) != 3:
-        raise UsageError(f"{flag} {text!r} is not X,Y,YAW in m, m, rad; write for example {flag} 0.1,0,1.5708")
-    x_m, y_m, yaw_rad = values
-    if problem := pose_problem(x_m, y_m, yaw_rad):
-        raise UsageError(f"{flag} {text!r} {problem}")
-    return x_m, y_m, yaw_rad
+    return _parse_pose(text, flag, f"is not X,Y,YAW in m, m, rad; write for example {flag} 0.1,0,1.5708")
 
 
 def _restore_pose(pose: Any, _: object) -> tuple[float, float, float]:  # noqa: ANN401  a list, or x_m, y_m, yaw_rad
@@ -88,13 +86,8 @@ def read_alignment(text: str, flag: str) -> str:
     """Read ``walls``, ``none``, or ``x,y,yaw`` in m, m, rad; raises UsageError."""
     if text in {WALLS, NOWHERE}:
         return text
-    try:
-        x_m, y_m, yaw_rad = map(float, text.split(","))
-        problem = pose_problem(x_m, y_m, yaw_rad)
-    except ValueError:
-        problem = f"is neither {WALLS}, none nor X,Y,YAW in m, m, rad; write for example {flag} 2.5,1,1.57"
-    if problem:
-        raise UsageError(f"{flag} {text!r} {problem}")
+    otherwise = f"is neither {WALLS}, none nor X,Y,YAW in m, m, rad; write for example {flag} 2.5,1,1.57"
+    x_m, y_m, yaw_rad = _parse_pose(text, flag, otherwise)
     return f"{x_m},{y_m},{yaw_rad}"
 
 
@@ -103,7 +96,7 @@ def _restore_truth(text: str, path: Callable[[str], Path]) -> str | Path:
 
 
 TEXT: Final = ValueKind(str | None)
-TOPICS: Final = ValueKind(list[str] | None, str, _join)
+TOPICS: Final = ValueKind(list[str] | None, str, lambda topics, _: ",".join(topics))
 NUMBER: Final = ValueKind(float | None, float)
 COUNT: Final = ValueKind(int | None, int)
 SWITCH: Final = ValueKind(bool, bool)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import pickle
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, chdir, contextmanager
 from logging import CRITICAL, getLogger
 from pathlib import Path
@@ -25,9 +25,9 @@ from msgspec import Struct
 from msgspec.structs import asdict, replace
 
 from mavnav.errors import ExitCode, UsageError
-from mavnav.jobs.pool import run_with_retries
+from mavnav.jobs.pool import Listener, run_with_retries
 from mavnav.jobs.run_cache import source_sha256
-from mavnav.jobs.worker import Ended, Event, Job, Outcome, Progressed, Started, Status, attempt, failure
+from mavnav.jobs.worker import Ended, Event, Job, Outcome, Progressed, Reporter, Started, Status, attempt, failure
 from mavnav.units import pluralize
 from mavnav.version import __version__
 
@@ -53,7 +53,7 @@ class Cluster(Struct, frozen=True):
         """Current number of workers."""
         return len(self.client.nthreads())
 
-    def run_jobs(self, jobs: Sequence[Job], on_event: Callable[[Event], None], timeout_s: float | None = None) -> None:
+    def run_jobs(self, jobs: Sequence[Job], on_event: Listener, timeout_s: float | None = None) -> None:
         """Run jobs on the cluster; ``on_event`` gets the events of `run_with_retries`.
 
         Dask runs the jobs of a lost worker again, and counts the failure against every job that was assigned to it. So
@@ -62,14 +62,10 @@ class Cluster(Struct, frozen=True):
         scheduler is lost.
         """
         max_jobs = iter((None, 1))
-
-        def run_round(jobs: Sequence[Job], listen: Callable[[Event], None]) -> list[Outcome]:
-            return self._round(jobs, listen, timeout_s, next(max_jobs))
-
-        run_with_retries(jobs, run_round, on_event, 2)
+        run_with_retries(jobs, lambda some, listen: self._round(some, listen, timeout_s, next(max_jobs)), on_event, 2)
 
     def _round(
-        self, jobs: Sequence[Job], on_event: Callable[[Event], None], timeout_s: float | None, max_jobs: int | None
+        self, jobs: Sequence[Job], on_event: Listener, timeout_s: float | None, max_jobs: int | None
     ) -> list[Outcome]:
         """Run jobs, ``max_jobs`` at a time, or one per worker if that is None."""
         topic = f"mavnav-{uuid4()}"
@@ -326,29 +322,14 @@ def run_on_worker(index: int, packed: bytes, context: dict[str, Any]) -> Outcome
 def _run(index: int, packed: bytes, context: JobContext) -> Outcome:
     if our_version() != (context.version, context.modules_sha256):
         raise UsageError(f"a worker has another mavnav ({__version__}); install {context.version} there")
+    from distributed import get_worker  # noqa: PLC0415  an extra
+
+    def send(progress: Progressed) -> None:
+        get_worker().log_event(context.topic, {"progress": list(asdict(progress).values())})
+
     with _ONE_AT_A_TIME, chdir(context.folder):
-        job: Job = pickle.loads(packed)  # noqa: S301  who can submit jobs can run any code anyway
-        report = _Reporter(index, context, began_s=monotonic())
-        outcome = attempt(job, report)
+        report = Reporter(index, send, REPORT_PERIOD_S, context.timeout_s)
+        outcome = attempt(packed, report)
     if report.late and outcome.status is Status.FAILED:
         return replace(outcome, status=Status.TIMEOUT, error=f"took longer than {context.timeout_s:g} s")
     return outcome
-
-
-class _Reporter:
-    """Progress callback: sends a report every ``REPORT_PERIOD_S`` at most, and ends a job at its time limit."""
-
-    def __init__(self, index: int, context: JobContext, began_s: float) -> None:
-        from distributed import get_worker  # noqa: PLC0415  an extra
-
-        self.index, self.context, self.began_s = index, context, began_s
-        self.late, self.sent_s, self.worker = False, float("-inf"), get_worker()
-
-    def __call__(self, phase: str, done: int, total: int | None) -> None:
-        now_s = monotonic()
-        if self.context.timeout_s is not None and now_s - self.began_s > self.context.timeout_s:
-            self.late = True
-            raise TimeoutError
-        if now_s - self.sent_s >= REPORT_PERIOD_S:
-            self.sent_s = now_s
-            self.worker.log_event(self.context.topic, {"progress": [self.index, phase, done, total]})

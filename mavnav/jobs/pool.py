@@ -44,11 +44,7 @@ def usable_cores() -> int:
 
 
 def run_jobs(
-    jobs: Sequence[Job],
-    workers: int,
-    on_event: Callable[[Event], None],
-    timeout_s: float | None = None,
-    memory_mb: int | None = None,
+    jobs: Sequence[Job], workers: int, on_event: Listener, timeout_s: float | None = None, memory_mb: int | None = None
 ) -> list[Outcome]:
     """Run jobs in worker processes, in order, and return their outcomes in the same order.
 

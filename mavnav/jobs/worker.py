@@ -100,7 +100,8 @@ def serve(channel: connection.Connection[Any, Any], memory_mb: int | None) -> No
             index, packed = channel.recv()
         except EOFError:
             return
-        channel.send(Ended(index, _attempt(index, packed, channel)))
+        reporter = Reporter(index, channel.send, REPORT_PERIOD_S)
+        channel.send(Ended(index, attempt(packed, reporter)))
 
 
 def _prepare(memory_mb: int | None) -> None:
@@ -128,20 +129,11 @@ def _follow_parent() -> None:
         os.kill(os.getpid(), signal.SIGTERM)
 
 
-def _attempt(index: int, packed: bytes, channel: connection.Connection[Any, Any]) -> Outcome:
-    """Unpickle one job and run it."""
+def attempt(packed: bytes, report: Progress) -> Outcome:
+    """Unpickle one job and run it in this process; an exception becomes an outcome."""
     began_s = monotonic()
     try:
-        job: Job = pickle.loads(packed)  # noqa: S301  the parent process pickled it
-    except Exception as error:
-        return failure(error, began_s)
-    return attempt(job, _reporter(index, channel))
-
-
-def attempt(job: Job, report: Progress) -> Outcome:
-    """Run one job in this process; an exception becomes an outcome."""
-    began_s = monotonic()
-    try:
+        job: Job = pickle.loads(packed)  # noqa: S301  the caller pickled it; who can submit jobs can run any code anyway
         value = job.work(*job.args, report)
     except Exception as error:
         return failure(error, began_s)
@@ -164,15 +156,21 @@ def _describe(error: Exception) -> str:
     return f"a bug: {type(error).__name__}: {error}"
 
 
-def _reporter(index: int, channel: connection.Connection[Any, Any]) -> Progress:
-    """Return the progress callback of a job; it drops reports within ``REPORT_PERIOD_S`` of the last one of a phase."""
-    sent_s, sent_phase = 0.0, ""
+class Reporter:
+    """Progress callback: sends reports of new phases, else one every ``period_s``; ends a job at its time limit."""
 
-    def report(phase: str, done: int, total: int | None) -> None:
-        nonlocal sent_s, sent_phase
+    def __init__(
+        self, index: int, send: Callable[[Progressed], None], period_s: float, timeout_s: float | None = None
+    ) -> None:
+        self.index, self.send, self.period_s, self.timeout_s = index, send, period_s, timeout_s
+        self.began_s, self.sent_s, self.sent_phase, self.late = monotonic(), 0.0, "", False
+
+    def __call__(self, phase: str, done: int, total: int | None) -> None:
+        """Send a report, or drop it; raises TimeoutError after the time limit."""
         now_s = monotonic()
-        if phase != sent_phase or now_s - sent_s >= REPORT_PERIOD_S:
-            sent_s, sent_phase = now_s, phase
-            channel.send(Progressed(index, phase, done, total))
-
-    return report
+        if self.timeout_s is not None and now_s - self.began_s > self.timeout_s:
+            self.late = True
+            raise TimeoutError
+        if phase != self.sent_phase or now_s - self.sent_s >= self.period_s:
+            self.sent_s, self.sent_phase = now_s, phase
+            self.send(Progressed(self.index, phase, done, total))

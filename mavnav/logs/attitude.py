@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Callable, Iterable, Iterator
 from math import pi
 from typing import Final, Literal, NamedTuple
@@ -12,7 +11,7 @@ from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from mavnav.errors import TopicError
-from mavnav.logs.imu import ImuTrack, single_precision, usual_topic
+from mavnav.logs.imu import ImuTrack, usual_topic
 from mavnav.logs.levelling import MOST_RAD, RecordedAttitude
 from mavnav.logs.log import Log
 from mavnav.logs.messages.columns import merge
@@ -20,7 +19,7 @@ from mavnav.logs.messages.definitions import IMU, ODOMETRY, POSE
 from mavnav.logs.messages.records import Poses
 from mavnav.logs.namespaces import laser_topics, of_same_robot
 from mavnav.logs.records import Channel, Topic
-from mavnav.logs.stamps import Stamps, in_order
+from mavnav.logs.stamps import MessageTrack, Stamps, in_order
 from mavnav.logs.transforms import FrameTree, frame_name
 from mavnav.pose import ups_of_quaternions
 from mavnav.units import DEG, NS
@@ -36,15 +35,6 @@ LEAST_RAD, LEAST_SHARE = 5 * DEG, 0.1
 """Sensors of other names are used if so much of the time the laser tilts by more than this from how it usually is."""
 
 
-class AttitudeTrack(Struct):
-    """The poses of a topic as they came, 36 bytes each: orientations as quaternions, and heights."""
-
-    topic: str
-    body_frame: str
-    stamps: Stamps = field(default_factory=Stamps)
-    numbers: array[float] = field(default_factory=lambda: array("f"))
-
-
 class TopicAttitude(NamedTuple):
     """What one topic says: ``ups`` (n, 3) in the frame of the body, ``height_m`` (n,) of it, NaN if unknown."""
 
@@ -57,10 +47,13 @@ class TopicAttitude(NamedTuple):
 
 
 class AttitudeTracks(Struct):
-    """All attitudes of a log by topic, but those of inertial sensors; ``wanted`` is auto, off, or a topic."""
+    """All attitudes of a log by topic, but those of inertial sensors; ``wanted`` is auto, off, or a topic.
+
+    Of each message the orientation, a quaternion, and the height are kept.
+    """
 
     wanted: str = "auto"
-    topics: dict[str, AttitudeTrack] = field(default_factory=dict)
+    topics: dict[str, MessageTrack] = field(default_factory=dict)
 
     @property
     def is_named(self) -> bool:
@@ -77,9 +70,8 @@ class AttitudeTracks(Struct):
     def add(self, topic: str, parts: list[Poses]) -> None:
         """Take in messages of one pose each."""
         poses = merge(parts)
-        track = self.topics.setdefault(topic, AttitudeTrack(topic, frame_name(poses.child)))
-        track.stamps.extend(poses.stamps_ns, poses.log_ns)
-        track.numbers.frombytes(single_precision(np.vstack((poses.xyzw, poses.xyz[2:])).T))
+        track = self.topics.setdefault(topic, MessageTrack(topic, frame_name(poses.child)))
+        track.extend(poses.stamps_ns, poses.log_ns, np.vstack((poses.xyzw, poses.xyz[2:])).T)
 
     def sources(self, imus: dict[str, ImuTrack], log: Log) -> list[TopicAttitude]:
         """Return what can be used, the best first; raises TopicError where the named topic holds no attitude."""
@@ -111,16 +103,16 @@ def _no_attitude(wanted: str, topics: Iterable[Topic]) -> str:
     return f"--attitude: {what}; topics with poses or orientations: {able}; name one of them, or write --attitude off"
 
 
-def _of_poses(track: AttitudeTrack) -> TopicAttitude:
-    xyzw, height_m = np.split(np.array(track.numbers, np.float64).reshape(-1, 5), [4], axis=1)
-    kind: Literal["pose", "odom"] = "odom" if track.body_frame else "pose"
-    return TopicAttitude(track.topic, kind, track.body_frame, track.stamps, ups_of_quaternions(xyzw), height_m[:, 0])
+def _of_poses(track: MessageTrack) -> TopicAttitude:
+    xyzw, height_m = np.split(track.rows(5), [4], axis=1)
+    kind: Literal["pose", "odom"] = "odom" if track.frame else "pose"
+    return TopicAttitude(track.topic, kind, track.frame, track.stamps, ups_of_quaternions(xyzw), height_m[:, 0])
 
 
 def _of_imu(track: ImuTrack) -> TopicAttitude:
-    ups = ups_of_quaternions(np.array(track.numbers, np.float64).reshape(-1, 10)[:, 6:])
+    ups = ups_of_quaternions(track.rows(10)[:, 6:])
     unknown = np.full(len(ups), np.nan)
-    return TopicAttitude(track.topic, "imu", frame_name(track.frame_id), track.stamps, ups, unknown)
+    return TopicAttitude(track.topic, "imu", frame_name(track.frame), track.stamps, ups, unknown)
 
 
 def laser_attitude(

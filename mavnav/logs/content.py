@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from math import isfinite
 from pathlib import Path
 from typing import Final
@@ -37,11 +39,9 @@ def check_log(
     """Raise UsageError or NoScansError for what shows at a glance: no such log, no log at all, an empty window."""
     check_files(path, more)
     check_window(start_s, end_s)
-    try:
+    with reading(path):
         if detect.sniff(path) == detect.UNKNOWN:
             raise NoScansError(f"{path}: no usable scans; {detect.refusal(path)}")
-    except OSError as error:
-        raise unreadable(path, error) from error
 
 
 def check_files(path: Path, more: tuple[Path, ...]) -> None:
@@ -79,20 +79,22 @@ def check_window(start_s: float | None, end_s: float | None) -> None:
         raise UsageError(f"the window from {start_s:g} s to {end_s:g} s is empty; --end must be later than --start")
 
 
-def unreadable(path: Path, error: OSError) -> UsageError | MemoryError:
-    """Return what is raised where the system cannot read a log."""
-    if lacks_memory(error):
-        return MemoryError(str(error))
-    return UsageError(f"{path}: cannot be read ({error.strerror}); check the file and its permissions")
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Raise UsageError where the system cannot read a log, MemoryError where it lacks memory."""
+    try:
+        yield
+    except OSError as error:
+        if lacks_memory(error):
+            raise MemoryError(str(error)) from error
+        raise UsageError(f"{path}: cannot be read ({error.strerror}); check the file and its permissions") from error
 
 
 def content_sha256(path: Path, more: tuple[Path, ...] = ()) -> str:
     """Return the SHA-256 by which a survey knows a log's content, without reading its messages; raises UsageError."""
     check_files(path, more)
-    try:
+    with reading(path):
         return size_and_sha256(path, more)[1]
-    except OSError as error:
-        raise unreadable(path, error) from error
 
 
 def size_and_sha256(path: Path, more: tuple[Path, ...] = ()) -> tuple[int, str]:

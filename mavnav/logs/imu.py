@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Callable, Iterable
 from typing import Final
 
 import numpy as np
-from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from mavnav.logs.log import Log
@@ -15,7 +13,7 @@ from mavnav.logs.messages.columns import merge
 from mavnav.logs.messages.records import Measurements
 from mavnav.logs.namespaces import laser_topics, of_same_robot
 from mavnav.logs.records import Imu
-from mavnav.logs.stamps import Stamps, StampSource, in_order
+from mavnav.logs.stamps import MessageTrack, StampSource, in_order
 from mavnav.pose import Rotation, ups_of_quaternions
 from mavnav.units import NS
 
@@ -35,22 +33,17 @@ LEAST_MESSAGES: Final = 10
 MOST_RAD_S, MOST_M_S2 = 100.0, 1e4
 
 
-class ImuTrack(Struct):
-    """The messages of a topic as they came: 56 bytes each."""
-
-    topic: str
-    frame_id: str = ""
-    stamps: Stamps = field(default_factory=Stamps)
-    numbers: array[float] = field(default_factory=lambda: array("f"))
+class ImuTrack(MessageTrack):
+    """The messages of an inertial sensor: rates, accelerations and orientation, 56 bytes each."""
 
     def add(self, parts: list[Measurements]) -> None:
         """Take in messages; those with rates or accelerations that are not finite, or impossible, are dropped."""
         part = merge(parts)
         rates, accelerations = part.angular_velocity_rad_s, part.acceleration_m_s2
-        self.frame_id = self.frame_id or next((each.frame_id for each in parts if each.frame_id), "")
+        self.frame = self.frame or next((each.frame_id for each in parts if each.frame_id), "")
         possible = (np.abs(accelerations) <= MOST_M_S2).all(axis=0) & (np.abs(rates) <= MOST_RAD_S).all(axis=0)
-        self.stamps.extend(part.stamps_ns[possible], part.log_ns[possible])
-        self.numbers.frombytes(single_precision(np.vstack((rates, accelerations, part.xyzw)).T[possible]))
+        numbers = np.vstack((rates, accelerations, part.xyzw)).T
+        self.extend(part.stamps_ns[possible], part.log_ns[possible], numbers[possible])
 
     def rotation(self, stamp_source: StampSource, half_sweep_ns: int, warn: Callable[[str], None]) -> Rotation | None:
         """Return the rotation at mid-sweep by the stamps of scans; None of too few messages."""
@@ -61,19 +54,13 @@ class ImuTrack(Struct):
                 text = f"the stamps of the inertial sensor ascend in {len(keep)} of {len(stamps)} messages"
                 warn(f"{self.topic}: {text}; it is not used, check its clock")
             return None
-        numbers = np.array(self.numbers, np.float64).reshape(-1, 10)[keep]
+        numbers = self.rows(10)[keep]
         stamps, rates, ups = stamps[keep], numbers[:, :3], _ups(stamps[keep], numbers[:, 3:6], numbers[:, 6:])
         usual = _unit(np.median(ups, axis=0))
         about = np.einsum("ij,ij->i", rates, ups)
         turns: Floats = 0.5 * (about[1:] + about[:-1]) * np.diff(stamps) * NS
         tilt_rad = np.arccos(np.clip(ups @ usual, -1.0, 1.0))
         return Rotation(stamps - half_sweep_ns, np.concatenate(([0.0], np.cumsum(turns))), tilt_rad)
-
-
-def single_precision(values: Floats) -> bytes:
-    """Return numbers, row by row, as an array of single floats keeps them."""
-    with np.errstate(over="ignore"):
-        return values.astype(np.float32).tobytes()
 
 
 def _ups(stamps_ns: NDArray[np.int64], accelerations: Floats, xyzw: Floats) -> Floats:

@@ -108,14 +108,9 @@ def _tilts_rad(roll_rad: Floats, pitch_rad: Floats) -> Floats:
     return np.asarray(np.arccos(np.cos(roll_rad) * np.cos(pitch_rad)))
 
 
-def with_ceiling(attitude: RecordedAttitude, scans: Iterable[Scan]) -> RecordedAttitude:
-    """Add the height of the ceiling that scans show, which are not levelled."""
-    return replace(attitude, ceiling_m=ceiling_height_m(scans, attitude)) if attitude.has_heights else attitude
-
-
 def ceiling_height_m(scans: Iterable[Scan], attitude: RecordedAttitude) -> float:
     """Return the height of the ceiling above the floor, m, from scans that are not levelled; inf if none is seen."""
-    if attitude.tilt_rad.max() < LEAST_TILT_RAD or attitude.height_m.max() > HIGHEST_M:
+    if not attitude.has_heights or attitude.tilt_rad.max() < LEAST_TILT_RAD or attitude.height_m.max() > HIGHEST_M:
         return inf
     above = [_above(scan, attitude) for scan in islice(scans, MOST_SCANS)]
     heights_m, tilts_rad = np.concatenate([np.zeros((0, 2)), *above]).T

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
-from msgspec import Struct, field
+from msgspec import field
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from mavnav.logs.clocks import Clock
 from mavnav.logs.formats import detect
 from mavnav.logs.levelling import RecordedAttitude
 from mavnav.logs.merging import Mounted, virtual_scans
@@ -21,9 +19,9 @@ from mavnav.logs.namespaces import topic_and_frame
 from mavnav.logs.own_body import without_beams
 from mavnav.logs.preprocessing import ScanFilter
 from mavnav.logs.read_report import ReadReport
-from mavnav.logs.records import Channel, Damage, Gap, Imu, Odometry, RecordedTruth, ScanCounts, Topic
+from mavnav.logs.records import Channel, Gap, Imu, LogContents, Odometry, RecordedTruth, ScanCounts
 from mavnav.logs.segments import Recorded, SweepJoiners
-from mavnav.logs.stamps import StampSource
+from mavnav.logs.stamps import Clock, StampSource
 from mavnav.logs.topic_scans import KEPT_BYTES
 from mavnav.pose import Pose
 from mavnav.profiling import Stage, each
@@ -34,7 +32,7 @@ _MOST_WAITING: Final = 64
 _WAITING_BYTES: Final = 64 << 20
 
 
-class Log(Struct, frozen=True, eq=False, kw_only=True):
+class Log(LogContents, frozen=True, eq=False, kw_only=True):
     """One scan topic of a log. Iterate it for its scans, as often as needed.
 
     Attributes
@@ -49,6 +47,16 @@ class Log(Struct, frozen=True, eq=False, kw_only=True):
         Digest of their content, in hexadecimal digits.
     topics
         All topics of the log, with the number of messages read.
+    damage
+        What of the log could not be read, or is suspect, and where.
+    warnings
+        What is odd about the log, a line each.
+    window_s
+        Start and end of the window in s from the first usable scan; None where it is open.
+    strict
+        Whether scans from where a checksum does not match are left out.
+    more
+        Files that are the further parts of the bag.
     topic
         The scan topic.
     frame_id
@@ -73,8 +81,6 @@ class Log(Struct, frozen=True, eq=False, kw_only=True):
         ``header``, or ``log`` if the stamps of the scans are unusable and the times of recording are taken.
     clock
         The stamps of the scans beside their times of recording; None where these are used.
-    window_s
-        Start and end of the window in s from the first usable scan; None where it is open.
     base_T_laser
         Pose of the laser on its base, projected to the plane, m, m, rad; None if it is unknown.
     mounting_source
@@ -93,23 +99,10 @@ class Log(Struct, frozen=True, eq=False, kw_only=True):
         Roll and pitch in rad and height in m of the laser, by which `scans` are levelled.
     truth
         Recorded poses of the laser in a fixed frame: stamps in ns, m, m, rad.
-    damage
-        What of the log could not be read, or is suspect, and where.
-    warnings
-        What is odd about the log, a line each.
-    strict
-        Whether scans from where a checksum does not match are left out.
-    more
-        Files that are the further parts of the bag.
     stamps_ns
         Stamps (n,) of the usable scans, in ns.
     """
 
-    path: Path
-    format: str
-    size_bytes: int
-    sha256: str
-    topics: tuple[Topic, ...]
     topic: str
     frame_id: str
     sensor: LaserSpec
@@ -122,7 +115,6 @@ class Log(Struct, frozen=True, eq=False, kw_only=True):
     gaps: tuple[Gap, ...]
     stamp_source: StampSource
     clock: Clock | None = None
-    window_s: tuple[float | None, float | None]
     base_T_laser: Pose | None = None
     mounting_source: Literal["tf_static", "option"] | None = None
     base_frame: str | None = None
@@ -132,10 +124,6 @@ class Log(Struct, frozen=True, eq=False, kw_only=True):
     imu: Imu | None = None
     attitude: RecordedAttitude | None = None
     truth: RecordedTruth | None = None
-    damage: tuple[Damage, ...]
-    warnings: tuple[str, ...]
-    strict: bool
-    more: tuple[Path, ...] = ()
     _order: NDArray[np.int64]
     stamps_ns: NDArray[np.int64]
     _ranges: list[tuple[LaserSpec, NDArray[np.float64]]] | None = None
@@ -159,11 +147,6 @@ class Log(Struct, frozen=True, eq=False, kw_only=True):
         spec = self.sensor.turned_over() if self.upside_down else self.sensor
         return Mounted(spec, self.base_T_laser or Pose(), self.stamps_ns)
 
-    @property
-    def is_short(self) -> bool:
-        """Whether the scans are read at once, and kept."""
-        return 8 * self.sensor.beams * len(self._order) <= KEPT_BYTES
-
     def shares_time(self, stamps_ns: NDArray[np.int64]) -> bool:
         """Return whether some time between the first stamp and the last, (n,), is one of the scans."""
         return len(stamps_ns) > 0 and bool(stamps_ns[0] <= self.last_ns and stamps_ns[-1] >= self.first_ns)
@@ -185,7 +168,7 @@ class Log(Struct, frozen=True, eq=False, kw_only=True):
 
         They are levelled by the attitude, if there is one.
         """
-        if not self.is_short:
+        if 8 * self.sensor.beams * len(self._order) > KEPT_BYTES:
             return each("reading", self._level_scans())
         if not self._kept:
             with Stage("reading"):

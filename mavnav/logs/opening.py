@@ -12,16 +12,16 @@ from msgspec.structs import replace
 from mavnav.errors import NoScansError, SeveralTopicsError, TopicError
 from mavnav.logs.attitude import AttitudeTracks, laser_attitude
 from mavnav.logs.imu import laser_rotation
-from mavnav.logs.levelling import with_ceiling
+from mavnav.logs.levelling import ceiling_height_m
 from mavnav.logs.log import Log
 from mavnav.logs.merging import FRAME, partners, virtual_laser
 from mavnav.logs.messages.decode import LASER_TYPES, scan_topics
 from mavnav.logs.messages.other_scans import OTHER_TYPES
 from mavnav.logs.namespaces import topic_and_frame
 from mavnav.logs.own_body import body_warning, own_beams
-from mavnav.logs.periods import comes_in_bursts, period_and_gaps
 from mavnav.logs.preprocessing import KINDS
-from mavnav.logs.records import ScanCounts
+from mavnav.logs.records import LogContents, ScanCounts
+from mavnav.logs.stamps import comes_in_bursts, period_and_gaps
 from mavnav.logs.survey import Survey, survey
 from mavnav.logs.topic_scans import REPEATED_SHARE, Timeline, TopicScans
 from mavnav.logs.trajectories import laser_odometry, laser_truth
@@ -88,16 +88,11 @@ def open_log(
     """
     window = partial(survey, path, start_s=start_s, end_s=end_s, more=more)
     surveyed = window(topic=topic, progress=progress, strict=strict, truth=truth, odom=odom, attitude=attitude)
-    return choose(surveyed, topic=topic, odom=odom, extrinsic=extrinsic, upside_down=upside_down)
+    return choose(surveyed, topic=topic, extrinsic=extrinsic, upside_down=upside_down)
 
 
 def choose(
-    survey: Survey,
-    *,
-    topic: str | None = None,
-    odom: str = "auto",
-    extrinsic: Pose | None = None,
-    upside_down: bool = False,
+    survey: Survey, *, topic: str | None = None, extrinsic: Pose | None = None, upside_down: bool = False
 ) -> Log:
     """Choose topic, odometry and mounting of a surveyed log; raises TopicError and NoScansError.
 
@@ -108,7 +103,7 @@ def choose(
             raise TopicError(
                 "upside_down is of one laser; several --topic are merged by /tf_static, which turns them over"
             )
-        return _multi_laser_log(survey, names, odom, extrinsic)
+        return _multi_laser_log(survey, names, extrinsic)
     name = _chosen_topic(survey, topic)
     scans = survey.scans[name]
     if doubt := scans.scan_filter.doubt:
@@ -141,23 +136,14 @@ def choose(
         _order=timeline.order,
         stamps_ns=timeline.stamps_ns,
         _ranges=scans.ranges,
-        path=survey.path,
-        format=survey.format,
-        size_bytes=survey.size_bytes,
-        sha256=survey.sha256,
-        topics=survey.topics,
-        damage=survey.damage,
-        warnings=survey.warnings,
-        window_s=survey.window_s,
-        strict=survey.strict,
-        more=survey.more,
+        **{name: getattr(survey, name) for name in LogContents.__struct_fields__},
     )
     if timeline.distrust:
         text = f"{name}: the scans' own stamps are unusable ({timeline.distrust}); the times of recording are used"
         log = replace(log, warnings=(*log.warnings, text))
     if own is not None:
         log = replace(log, warnings=(*log.warnings, f"{name}: {body_warning(own, sensor)}"))
-    return _with_motion(log, survey, odom, extrinsic, upside_down=upside_down)
+    return _with_motion(log, survey, extrinsic, upside_down=upside_down)
 
 
 def _chosen_topic(survey: Survey, topic: str | None) -> str:
@@ -216,14 +202,14 @@ def _no_usable(survey: Survey, name: str, scans: TopicScans, timeline: Timeline)
     return f"{survey.path}: none of the {scans.total} scans on {name} is usable ({reasons}){hint}"
 
 
-def _multi_laser_log(survey: Survey, topics: list[str], odom: str, extrinsic: Pose | None) -> Log:
+def _multi_laser_log(survey: Survey, topics: list[str], extrinsic: Pose | None) -> Log:
     """Merge the scans of several lasers; raises TopicError where a mounting is not known."""
     if extrinsic is not None:
         raise TopicError("--extrinsic is the pose of one laser; several --topic are merged by /tf_static")
     if survey.motion.attitudes.is_named:
         raise TopicError("--attitude is that of one laser; several --topic are merged as they are: name one of them")
     survey = replace(survey, motion=replace(survey.motion, attitudes=AttitudeTracks("off")))
-    logs = tuple(choose(_same_window(survey, topics[0], topic), topic=topic, odom=odom) for topic in topics)
+    logs = tuple(choose(_same_window(survey, topics[0], topic), topic=topic) for topic in topics)
     first, bases = logs[0], {log.base_frame for log in logs}
     unmounted = [log.topic for log in logs if log.base_T_laser is None]
     if unmounted or len(bases) > 1:
@@ -243,7 +229,7 @@ def _multi_laser_log(survey: Survey, topics: list[str], odom: str, extrinsic: Po
         _kept=[],
     )
     warnings = [*(text for log in logs for text in log.warnings), *_unpaired_warnings(logs)]
-    log = replace(_with_motion(log, survey, odom, Pose()), warnings=tuple(dict.fromkeys(warnings)))
+    log = replace(_with_motion(log, survey, Pose()), warnings=tuple(dict.fromkeys(warnings)))
     return replace(log, base_frame=first.base_frame, mounting_source="tf_static")
 
 
@@ -291,7 +277,7 @@ def _scan_warnings(log: Log) -> Iterator[str]:
         yield f"{log.topic}: the stamps come in bursts, {text}: {advice}"
 
 
-def _with_motion(log: Log, survey: Survey, odom: str, extrinsic: Pose | None, *, upside_down: bool = False) -> Log:
+def _with_motion(log: Log, survey: Survey, extrinsic: Pose | None, *, upside_down: bool = False) -> Log:
     """Add mounting and odometry, and what there is to warn about time."""
     motion, warnings = survey.motion, [*log.warnings, *_scan_warnings(log)]
     laser = frame_name((log._merged or (log,))[0].frame_id)  # noqa: SLF001  the log is made here
@@ -300,8 +286,8 @@ def _with_motion(log: Log, survey: Survey, odom: str, extrinsic: Pose | None, *,
     def leads_to_laser(base: str) -> bool:
         return bool(base) and frames.find(base, laser) is not None
 
-    track = motion.odometry.choose(odom, warnings.append, leads_to_laser, log.topic, survey.lasers)
-    bases = [track.base_frame] if track and track.base_frame else frames.bases(laser)
+    track = motion.odometry.choose(warnings.append, leads_to_laser, log.topic, survey.lasers)
+    bases = [track.frame] if track and track.frame else frames.bases(laser)
     place, of_mounting = len(warnings), list[str]()
     mounted = mounting(frames, log.frame_id, bases, of_mounting.append)
     base_frame, base_T_laser, overhead = mounted or (bases[0] if track else None, None, False)
@@ -323,7 +309,7 @@ def _with_motion(log: Log, survey: Survey, odom: str, extrinsic: Pose | None, *,
     attitude = laser_attitude(motion.attitudes, motion.imus, frames, log, warnings.append)
     if attitude is None:  # else a tilted mounting is levelled as well
         warnings[place:place] = of_mounting
-    imu = laser_rotation(motion.imus, log, odom, warnings.append)
+    imu = laser_rotation(motion.imus, log, motion.odometry.wanted, warnings.append)
     known = motion.truth.choose(survey.topics, log.topic, frames, laser)
     placing = (log, frames, base_T_laser, extrinsic, warnings.append)
     log = replace(
@@ -336,4 +322,6 @@ def _with_motion(log: Log, survey: Survey, odom: str, extrinsic: Pose | None, *,
         imu=imu.without_tilt() if imu and attitude else imu,
         warnings=tuple(dict.fromkeys(warnings)),
     )
-    return log if attitude is None else replace(log, attitude=with_ceiling(attitude, log), _kept=[])
+    if attitude is None:
+        return log
+    return replace(log, attitude=replace(attitude, ceiling_m=ceiling_height_m(log, attitude)), _kept=[])

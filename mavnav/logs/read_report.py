@@ -9,7 +9,7 @@ from operator import ne
 from msgspec.structs import replace
 
 from mavnav.logs.messages.definitions import CLOUD, FOXGLOVE_SCAN, IMU, MULTI_ECHO, ODOMETRY, SCAN, TF, TF_ROS1
-from mavnav.logs.records import AttachedFile, Channel, Damage, MetadataRecord, Schema
+from mavnav.logs.records import AttachedFile, Channel, Damage, MetadataRecord
 
 MAX_DAMAGE = 100
 """Damage is listed singly up to here, so that a log of rubbish does not fill the memory; the rest is counted."""
@@ -41,8 +41,8 @@ class ReadReport:
 
     def __init__(self, take_extra: Callable[[AttachedFile | MetadataRecord | str], None] | None = None) -> None:
         self.take_extra = take_extra
-        self.channels: dict[tuple[str, str, str, Schema], Channel] = {}
-        self._declared: dict[tuple[str, str, str, Schema], Channel] = {}
+        self.channels: dict[Channel, Channel] = {}
+        self._declared: dict[Channel, Channel] = {}
         self._warnings: dict[str, None] = {}
         self._more_warnings = 0
         self.total_bytes = 0
@@ -57,7 +57,7 @@ class ReadReport:
         Merged logs may define a type of one topic in several ways; each is a channel of its own. Where a letter or two
         of a type are wrong, as from a flipped bit, it is the one that is known.
         """
-        key = _key(channel)
+        key = replace(channel, metadata=())
         if key not in self._declared:
             mended = _mend(channel)
             if mended != channel:
@@ -65,7 +65,7 @@ class ReadReport:
                 self.damage(f"the type {was} is damaged, and taken for {now}", channel.topic)
             if REPLACEMENT in channel.topic:
                 self.warn(f"the name of topic {channel.topic!r} is not UTF-8; what is none is replaced")
-            self._declared[key] = self.channels.setdefault(_key(mended), mended)
+            self._declared[key] = self.channels.setdefault(replace(mended, metadata=()), mended)
         return self._declared[key]
 
     def only(self, message_type: str) -> Channel | None:
@@ -115,10 +115,6 @@ class ReadReport:
         """Return what was noted, the unlisted rest in one line a kind."""
         rest = (Damage(f"{what} ({count} more)", "further on") for what, count in self._unlisted.items())
         return (*self._damage, *rest)
-
-
-def _key(channel: Channel) -> tuple[str, str, str, Schema]:
-    return channel.topic, channel.type, channel.encoding, channel.schema
 
 
 def _shorten(text: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
@@ -86,6 +87,21 @@ class Damage(Struct, frozen=True):
 
     what: str
     where: str
+
+
+class LogContents(Struct, frozen=True, kw_only=True):
+    """A log as a whole, whatever is used of it: its files, its topics, and what is odd or damaged; see `Log`."""
+
+    path: Path
+    format: str
+    size_bytes: int
+    sha256: str
+    topics: tuple[Topic, ...]
+    damage: tuple[Damage, ...]
+    warnings: tuple[str, ...]
+    window_s: tuple[float | None, float | None]
+    strict: bool
+    more: tuple[Path, ...] = ()
 
 
 class Gap(Struct, frozen=True):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import chain, pairwise
@@ -43,15 +44,11 @@ class SweepJoiners:
     """The joiners of all frames of a topic."""
 
     def __init__(self, topic: str, warn: Callable[[str], None]) -> None:
-        self._new = partial(SweepJoiner, topic, warn)
-        self._by_frame: dict[str, SweepJoiner] = {}
+        self._by_frame = defaultdict[str, SweepJoiner](partial(SweepJoiner, topic, warn))
 
     def push(self, scan: Recorded) -> Iterator[Recorded]:
         """Take in a message; yield the scans of its laser that are complete."""
-        frame = scan.message.frame_id
-        if frame not in self._by_frame:
-            self._by_frame[frame] = self._new()
-        return self._by_frame[frame].push(scan)
+        return self._by_frame[scan.message.frame_id].push(scan)
 
     def finish(self) -> Iterator[Recorded]:
         """Yield what is left; report segments that could not be joined."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from mavnav.errors import MavnavError
 from mavnav.logs.attitude import AttitudeTracks
-from mavnav.logs.content import check_file, check_files, check_window, size_and_sha256, unreadable
+from mavnav.logs.content import check_file, check_files, check_window, reading, size_and_sha256
 from mavnav.logs.formats import detect
 from mavnav.logs.imu import ImuTrack
 from mavnav.logs.messages.decode import Waiting, decoder, is_laser, scan_topic, scan_topics
@@ -23,9 +23,10 @@ from mavnav.logs.messages.definitions import IMU, ODOMETRY, PATH, POSE
 from mavnav.logs.messages.other_scans import OTHER_TYPES
 from mavnav.logs.messages.records import DecodeError
 from mavnav.logs.namespaces import FRAME, laser_topics, namespace
+from mavnav.logs.pose_track import add_poses
 from mavnav.logs.preprocessing import ScanFilter
 from mavnav.logs.read_report import ReadReport
-from mavnav.logs.records import Channel, Damage, RawMessage, Topic
+from mavnav.logs.records import Channel, LogContents, RawMessage, Topic
 from mavnav.logs.segments import Recorded, SweepJoiners
 from mavnav.logs.topic_scans import TopicScans
 from mavnav.logs.trajectories import OdometryTracks, TruthTracks
@@ -38,26 +39,16 @@ MOST_SCAN_TOPICS = 100
 """Number of scan topics that are read unless one is named; no log has lasers of so many robots."""
 
 
-class Survey(Struct, frozen=True):
+class Survey(LogContents, frozen=True, kw_only=True):
     """What one pass over a log found, whether or not it can be used.
 
     ``scans`` holds the scan topics that have messages; a topic that was asked for alone. ``lasers`` are all topics that
     have messages of lasers.
     """
 
-    path: Path
-    format: str
-    size_bytes: int
-    sha256: str
-    topics: tuple[Topic, ...]
     lasers: tuple[str, ...]
     scans: dict[str, TopicScans]
     motion: Motion
-    damage: tuple[Damage, ...]
-    warnings: tuple[str, ...]
-    window_s: tuple[float | None, float | None]
-    strict: bool
-    more: tuple[Path, ...] = ()
 
 
 class Motion(Struct):
@@ -78,11 +69,12 @@ class Motion(Struct):
         if self.attitudes.takes(channel):
             yield partial(self.attitudes.add, channel.topic)
         if self.truth.takes(channel):
-            yield partial(self.truth.add_path if channel.type == PATH else self.truth.add, channel.topic)
+            add = self.truth.add_path if channel.type == PATH else partial(add_poses, self.truth.topics)
+            yield partial(add, channel.topic)
         elif channel.type == IMU:
             yield self.imus.setdefault(channel.topic, ImuTrack(channel.topic)).add
         elif channel.type == ODOMETRY or self.odometry.takes(channel):
-            yield partial(self.odometry.add_odometry, channel.topic)
+            yield partial(add_poses, self.odometry.topics, channel.topic)
         elif channel.type != POSE:
             static = channel.topic.endswith("tf_static")
             yield partial(self.frames[namespace(channel.topic)].add, static=static)
@@ -106,8 +98,11 @@ class _MessageKind(Struct):
 
 
 class _Pass(Struct):
-    """The state of the pass."""
+    """The state of the pass, of a log in a file and ``more`` parts; ``progress`` gets the bytes done and in all."""
 
+    path: Path
+    more: tuple[Path, ...]
+    progress: Callable[[int, int], None] | None
     topic: str | None
     strict: bool
     motion: Motion
@@ -116,6 +111,21 @@ class _Pass(Struct):
     scans: dict[str, TopicScans] = field(default_factory=dict)
     waiting: dict[tuple[str, str, str], Waiting] = field(default_factory=dict)
     waiting_bytes: int = 0
+
+    def run(self) -> None:
+        """Take in all messages of the log."""
+        report, next_bytes = self.report, 0
+        for message in detect.read(self.path, report, self.more):
+            self.take(message)
+            if self.progress and report.done_bytes >= next_bytes:
+                total = report.total_bytes
+                self.progress(min(report.done_bytes, total), total)
+                next_bytes = report.done_bytes + max(total // _PROGRESS_STEPS, 1)
+        self.pass_on()
+        for kind in self.kinds.values():
+            if kind.scans and kind.joiners:
+                for scan in kind.joiners.finish():
+                    kind.scans.take(*scan)
 
     def take(self, message: RawMessage) -> None:
         """Take in one message; one that does not decode is noted and counted."""
@@ -151,14 +161,6 @@ class _Pass(Struct):
         for waiting in self.waiting.values():
             waiting.pass_on(self.report)
         self.waiting_bytes = 0
-
-    def finish(self) -> None:
-        """Take in what waits."""
-        self.pass_on()
-        for kind in self.kinds.values():
-            if kind.scans and kind.joiners:
-                for scan in kind.joiners.finish():
-                    kind.scans.take(*scan)
 
     def _new_kind(self, channel: Channel) -> _MessageKind:
         topic = scan_topic(channel, self.topic)
@@ -231,7 +233,7 @@ def survey(
 
     def read(topic: str | None) -> Survey:
         motion = Motion(OdometryTracks(odom), TruthTracks(truth), AttitudeTracks(attitude))
-        return _survey(path, more, _Pass(topic, strict, motion), (start_s, end_s), progress)
+        return _survey(_Pass(path, more, progress, topic, strict, motion), (start_s, end_s))
 
     contents = read(topic)
     others = [t.name for t in contents.topics if t.type in OTHER_TYPES and t.count]
@@ -242,24 +244,15 @@ def survey(
     return replace(contents, warnings=(text, *contents.warnings)) if contents.scans else contents
 
 
-def _survey(
-    path: Path,
-    more: tuple[Path, ...],
-    state: _Pass,
-    window_s: tuple[float | None, float | None],
-    progress: Callable[[int, int], None] | None,
-) -> Survey:
-    report = state.report
-    try:
+def _survey(state: _Pass, window_s: tuple[float | None, float | None]) -> Survey:
+    report, path, more = state.report, state.path, state.more
+    with reading(path):
         name = detect.sniff(path)
         if name == detect.UNKNOWN:
             report.damage(detect.refusal(path), path.name)
         else:
-            _run(detect.read(path, report, more), state, progress)
-            state.finish()
+            state.run()
         size_bytes, sha256 = size_and_sha256(path, more)
-    except OSError as error:
-        raise unreadable(path, error) from error
     scans_of, topics = dict(_by_laser(state, report)), _topics(report, state.kinds)
     return Survey(
         path=path,
@@ -282,7 +275,7 @@ def _by_laser(state: _Pass, report: ReadReport) -> Iterator[tuple[str, TopicScan
     """Yield the scans of every topic, or of every frame on it where it is of several lasers, or a frame is wanted."""
     wanted = scan_topics(state.topic or "")
     for topic, scans in state.scans.items():
-        frames = sorted(scans.frames())
+        frames = scans.frames()
         chosen = [frame for frame in frames if f"{topic}{FRAME}{frame}" in wanted]
         if chosen or scans.is_of_several_lasers():
             yield from ((f"{topic}{FRAME}{frame}", scans.of_frame(frame)) for frame in chosen or frames)
@@ -307,17 +300,6 @@ def motion_and_scan_topics(path: Path, most_s: float) -> tuple[set[str], set[str
     channels = report.channels.values()
     scans = {channel.topic for channel in channels if is_laser(channel) or channel.type in OTHER_TYPES}
     return {channel.topic for channel in channels if channel.type == ODOMETRY}, scans
-
-
-def _run(messages: Iterable[RawMessage], state: _Pass, progress: Callable[[int, int], None] | None) -> None:
-    report, next_bytes = state.report, 0
-    for message in messages:
-        state.take(message)
-        if progress is None or report.done_bytes < next_bytes:
-            continue
-        total = report.total_bytes
-        progress(min(report.done_bytes, total), total)
-        next_bytes = report.done_bytes + max(total // _PROGRESS_STEPS, 1)
 
 
 def _topics(report: ReadReport, kinds: dict[Channel, _MessageKind]) -> tuple[Topic, ...]:

@@ -12,12 +12,11 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from mavnav.logs import clocks, stamps
-from mavnav.logs.clocks import Clock, clock_of
+from mavnav.logs import stamps
 from mavnav.logs.messages.records import LaserMessage
 from mavnav.logs.own_body import ScanSample
 from mavnav.logs.preprocessing import KINDS, ScanFilter
-from mavnav.logs.stamps import Stamps, StampSource
+from mavnav.logs.stamps import Clock, Stamps, StampSource, clock_of
 from mavnav.scan import LaserSpec
 from mavnav.units import NS
 
@@ -108,12 +107,9 @@ class TopicScans(Struct):
         self._suspect.append(suspect)
         self._cleaning.extend(counts)
 
-    def frames(self) -> Counter[str]:
-        """Count the scans of every frame."""
-        counts = Counter[str]()
-        for number, count in Counter(self._kind).items():
-            counts[self._kinds[number][1]] += count
-        return counts
+    def frames(self) -> list[str]:
+        """Return the frames of the scans, each once, sorted."""
+        return sorted({self._kinds[number][1] for number in set(self._kind)})
 
     def is_of_several_lasers(self) -> bool:
         """Return whether the frames of the scans change to and fro, as those of several lasers."""
@@ -152,9 +148,7 @@ class TopicScans(Struct):
         """
         header, log = self._choose("header"), self._choose("log")
         distrust = self._distrust(header, log)
-        if distrust:
-            return self._timeline("log", log, window_s, distrust)
-        return self._timeline("header", header, window_s)
+        return self._timeline(log if distrust else header, window_s, distrust)
 
     def _distrust(self, header: NDArray[np.int64], log: NDArray[np.int64]) -> str:
         """Return why the scans that are chosen by their own stamps are not used, but those by recording; else ""."""
@@ -170,9 +164,9 @@ class TopicScans(Struct):
         backward = self._count_skipped("header", header)["backward_stamp"] if len(header) < len(log) else 0
         set_back = min(backward, len(log) - len(header)) > max(_MOST_BACKWARD * len(log), _FEW_BACKWARD)
         if set_back or 2 * len(header) < len(log):
-            return clocks.set_back_text(stamps_ns[log], log_ns[log])
+            return stamps.set_back_text(stamps_ns[log], log_ns[log])
         chosen = stamps_ns[header], log_ns[header]
-        return clocks.set_forward_text(*chosen) or clocks.other_unit_text(*chosen)
+        return stamps.set_forward_text(*chosen) or stamps.other_unit_text(*chosen)
 
     def _choose(self, source: StampSource) -> NDArray[np.int64]:
         """Return the numbers of the scans to use, in the order of the file, or of recording where that keeps more."""
@@ -209,9 +203,8 @@ class TopicScans(Struct):
         plausible: NDArray[np.bool_] = like[kinds] & (np.abs(offsets - usual) < _SUSPECT_OFFSET_NS)
         return plausible | ~suspect
 
-    def _timeline(
-        self, source: StampSource, chosen: NDArray[np.int64], window_s: Window, distrust: str = ""
-    ) -> Timeline:
+    def _timeline(self, chosen: NDArray[np.int64], window_s: Window, distrust: str) -> Timeline:
+        source: StampSource = "log" if distrust else "header"
         stamps_ns, log_ns = (each[chosen] for each in self._stamps.by(source))
         inside = _inside(stamps_ns, window_s)
         order = chosen[inside]

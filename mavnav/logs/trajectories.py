@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
-from typing import Final, Literal
+from collections.abc import Callable, Sequence
+from typing import Final
 
 from msgspec import Struct, field
 
 from mavnav.errors import TopicError
-from mavnav.logs.frame_poses import TF_PREFIX, FramePoses
 from mavnav.logs.log import Log
 from mavnav.logs.messages.columns import merge, merge_by
 from mavnav.logs.messages.definitions import ODOMETRY, PATH, POSE, POSE_COVARIANCE, TRANSFORM
 from mavnav.logs.messages.records import Poses
 from mavnav.logs.namespaces import laser_topics, of_same_robot
 from mavnav.logs.odometry_chains import without_jumps
-from mavnav.logs.pose_track import PoseTrack
+from mavnav.logs.pose_track import TF_PREFIX, FramePoses, PoseTrack
 from mavnav.logs.records import Channel, Odometry, RecordedTruth, Topic
 from mavnav.logs.transforms import FrameTree, frame_name, mounting
 from mavnav.pose import Pose
@@ -34,12 +33,6 @@ TRUTH_NAMES: Final = re.compile(
 """Topic names that stand for ground truth; others may hold goals or estimates, and are never taken automatically."""
 
 
-class OdometryTrack(PoseTrack):
-    """Poses of the base in the odometry frame, of odometry messages or of transforms."""
-
-    source: Literal["odom", "tf"] = "odom"
-
-
 class OdometryTracks(Struct):
     """All odometry of a log: nav_msgs/Odometry by topic, and the edges of /tf that start at an ``odom`` frame.
 
@@ -47,41 +40,31 @@ class OdometryTracks(Struct):
     """
 
     wanted: str = "auto"
-    topics: dict[str, OdometryTrack] = field(default_factory=dict)
-    transforms: dict[tuple[str, str], OdometryTrack] = field(default_factory=dict)
+    topics: dict[str, PoseTrack] = field(default_factory=dict)
+    transforms: dict[tuple[str, str], PoseTrack] = field(default_factory=dict)
 
     def takes(self, channel: Channel) -> bool:
         """Return whether the poses of a channel are wanted as odometry."""
         named = self.wanted not in ("auto", "off") and frame_name(channel.topic) == frame_name(self.wanted)
         return named and channel.type in (POSE, TRANSFORM)
 
-    def add_odometry(self, topic: str, parts: list[Poses]) -> None:
-        """Take in nav_msgs/Odometry messages, or poses of the wanted topic."""
-        poses = merge(parts)
-        self.topics.setdefault(topic, OdometryTrack(topic, frame_name(poses.child))).add(poses)
-
     def add_transforms(self, topic: str, parts: list[Poses]) -> None:
         """Take in the transforms of /tf messages."""
         of_odom = (part for part in parts if frame_name(part.parent).rsplit("/", 1)[-1] == _ODOM_FRAME)
         for child, poses in merge_by(of_odom, lambda part: frame_name(part.child)).items():
             key = topic, child
-            self.transforms.setdefault(key, OdometryTrack(*key, source="tf")).add(poses)
+            self.transforms.setdefault(key, PoseTrack(*key, source="tf")).add(poses)
 
     def choose(
-        self,
-        wanted: str,
-        warn: Callable[[str], None],
-        leads_to_laser: Callable[[str], bool] = bool,
-        topic: str = "",
-        scan_topics: Iterable[str] = (),
-    ) -> OdometryTrack | None:
-        """Return the track to use.
+        self, warn: Callable[[str], None], leads_to_laser: Callable[[str], bool], topic: str, scan_topics: Sequence[str]
+    ) -> PoseTrack | None:
+        """Return the track to use: what is ``wanted``, a topic, ``off`` or ``auto``.
+
+        The latter is the only nav_msgs/Odometry topic of the laser's robot, or the one named ``odom``, or the odometry
+        of /tf; never one that is named like a ground truth.
 
         Parameters
         ----------
-        wanted
-            ``auto`` (the only nav_msgs/Odometry topic of the laser's robot, or the one named ``odom``, or the odometry
-            of /tf; never one that is named like a ground truth), ``off``, or a topic.
         warn
             Takes a line where ``auto`` cannot choose.
         leads_to_laser
@@ -96,29 +79,29 @@ class OdometryTracks(Struct):
         TopicError
             The topic asked for holds no odometry.
         """
-        if wanted == "off":
+        if self.wanted == "off":
             return None
-        if wanted == "auto":
-            return self._choose_auto(warn, leads_to_laser, topic, [*scan_topics])
-        track = self.topics.get(wanted) or (
-            self._of_tf(leads_to_laser, topic, [*scan_topics]) if wanted.lstrip("/") == TF_TOPIC[1:] else None
-        )
+        if self.wanted == "auto":
+            return self._choose_auto(warn, leads_to_laser, topic, scan_topics)
+        track = self.topics.get(self.wanted)
+        if track is None and frame_name(self.wanted) == frame_name(TF_TOPIC):
+            track = self._of_tf(leads_to_laser, topic, scan_topics)
         if track is None:
             known = ", ".join([*self.topics, *([TF_TOPIC] if self.transforms else [])])
             advice = f"name one that the log holds: {known}" if known else "the log holds none, leave --odom out"
-            raise TopicError(f"no odometry on topic {wanted!r}; {advice}")
+            raise TopicError(f"no odometry on topic {self.wanted!r}; {advice}")
         return track
 
     def _choose_auto(
-        self, warn: Callable[[str], None], leads_to_laser: Callable[[str], bool], topic: str, scan_topics: list[str]
-    ) -> OdometryTrack | None:
+        self, warn: Callable[[str], None], leads_to_laser: Callable[[str], bool], topic: str, scan_topics: Sequence[str]
+    ) -> PoseTrack | None:
         own = of_same_robot(self.topics, topic, scan_topics)
         truths = [name for name in own if TRUTH_NAMES.search(name)]
         for name in truths:
             text = f"compare with it by --truth topic:{name}, or use it with --odom {name}"
             warn(f"{name} is named like a ground truth and not used as odometry: {text}")
         own = of_same_robot((name for name in own if name not in truths), topic, scan_topics)
-        fit = [name for name in own if leads_to_laser(self.topics[name].base_frame)] or own
+        fit = [name for name in own if leads_to_laser(self.topics[name].frame)] or own
         named = [name for name in fit if name.rsplit("/", 1)[-1] == _ODOM_FRAME]
         named = [name for name in named if all(name.count("/") < other.count("/") for other in named if other != name)]
         if len(fit) == 1 or len(named) == 1:
@@ -128,15 +111,15 @@ class OdometryTracks(Struct):
             return None
         return self._of_tf(leads_to_laser, topic, scan_topics)
 
-    def _of_tf(self, leads_to_laser: Callable[[str], bool], topic: str, scan_topics: list[str]) -> OdometryTrack | None:
+    def _of_tf(self, leads_to_laser: Callable[[str], bool], topic: str, scan_topics: Sequence[str]) -> PoseTrack | None:
         """Return the track of the laser's robot, of several the one with the most poses."""
         own = of_same_robot((track.topic for track in self.transforms.values()), topic, scan_topics)
         tracks = [track for track in self.transforms.values() if track.topic in own]
-        return max(tracks, key=lambda track: (leads_to_laser(track.base_frame), len(track.stamps)), default=None)
+        return max(tracks, key=lambda track: (leads_to_laser(track.frame), len(track.stamps)), default=None)
 
 
 def laser_odometry(
-    track: OdometryTrack, log: Log, base_frame: str | None, base_T_laser: Pose | None, warn: Callable[[str], None]
+    track: PoseTrack, log: Log, base_frame: str | None, base_T_laser: Pose | None, warn: Callable[[str], None]
 ) -> Odometry | None:
     """Return the odometry of a track, without jumps; None, with a warning, where it does not fit the scans."""
     odom_T_base, added_s = track.trajectory(log, warn)
@@ -179,11 +162,6 @@ class TruthTracks(Struct):
             return channel.type in TRUTH_TYPES and TRUTH_NAMES.search(channel.topic) is not None
         return frame_name(channel.topic) == frame_name(self.wanted)
 
-    def add(self, topic: str, parts: list[Poses]) -> None:
-        """Take in messages of one pose each."""
-        poses = merge(parts)
-        self.topics.setdefault(topic, PoseTrack(topic, frame_name(poses.child))).add(poses)
-
     def add_path(self, topic: str, parts: list[Poses]) -> None:
         """Take in paths, each of which replaces the one before."""
         poses = merge(parts)
@@ -196,7 +174,7 @@ class TruthTracks(Struct):
             self.moving.setdefault(edge, PoseTrack(topic, edge[1])).add(poses)
 
     def choose(
-        self, topics: Iterable[Topic], topic: str = "", frames: FrameTree | None = None, laser: str = ""
+        self, topics: Sequence[Topic], topic: str, frames: FrameTree, laser: str
     ) -> PoseTrack | FramePoses | None:
         """Return the wanted track, None if none is wanted; of all ``topics``, for the scans on ``topic``.
 
@@ -209,9 +187,8 @@ class TruthTracks(Struct):
         """
         if self.wanted is None:
             return None
-        if self.of_frames and frames:
+        if self.of_frames:
             return FramePoses(self.wanted, frame_name(self.wanted.partition(",")[2]) or laser, frames, self.moving)
-        topics = [*topics]
         own = of_same_robot(self.topics, topic, laser_topics(topics)) if self.wanted == "auto" else [*self.topics]
         tracks = {name: self.topics[name] for name in sorted(own) if len(self.topics[name].stamps)}
         if len(tracks) == 1:
@@ -239,13 +216,13 @@ def laser_truth(
     ``extrinsic``, else by the transforms from the body's frame, else like the base of the log. Without any of them the
     poses are taken as the laser's own, with a warning.
     """
-    body_T_laser = Pose() if track.base_frame and track.base_frame == frame_name(log.frame_id) else extrinsic
-    if body_T_laser is None and track.base_frame:
-        mounted = mounting(frames, log.frame_id, [track.base_frame], warn)
+    body_T_laser = Pose() if track.frame and track.frame == frame_name(log.frame_id) else extrinsic
+    if body_T_laser is None and track.frame:
+        mounted = mounting(frames, log.frame_id, [track.frame], warn)
         body_T_laser = mounted.base_T_laser if mounted else None
     body_T_laser = body_T_laser or base_T_laser
     if body_T_laser is None:
         text = f"no mounting of {log.frame_id!r} is known; the ground truth is taken as the laser's own"
         warn(f"{track.topic}: {text} (give the mounting with --extrinsic x,y,yaw)")
     world_T_body, _ = track.trajectory(log, warn)
-    return RecordedTruth(track.topic, track.base_frame or None, world_T_body.compose(body_T_laser or Pose()))
+    return RecordedTruth(track.topic, track.frame or None, world_T_body.compose(body_T_laser or Pose()))

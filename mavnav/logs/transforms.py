@@ -100,11 +100,15 @@ class FrameTree(Struct):
             ):
                 self.changed.add(edge)
 
+    @property
+    def still(self) -> dict[Edge, NDArray[np.float64]]:
+        """The transforms that do not move: the static ones, and the constant ones of /tf."""
+        return {edge: matrix for edge, matrix in self.moving.items() if edge not in self.changed} | self.static
+
     def find(self, base: str, laser: str) -> NDArray[np.floating] | None:
         """Return ``base_T_laser`` (4, 4) by the static transforms, and the constant ones of /tf if need be."""
-        constant = {edge: matrix for edge, matrix in self.moving.items() if edge not in self.changed}
         direct = _chain(self.static, base, laser)
-        return direct if direct is not None else _chain({**constant, **self.static}, base, laser)
+        return direct if direct is not None else _chain(self.still, base, laser)
 
     def moves(self, base: str, laser: str) -> bool:
         """Return whether transforms lead from the base to the laser, but change."""
@@ -128,7 +132,7 @@ class FrameTree(Struct):
         return FrameTree(*(a | b for a, b in pairs))
 
 
-def transforms_for(trees: dict[str, FrameTree], topic: str, scan_topics: Iterable[str] = ()) -> FrameTree:
+def transforms_for(trees: dict[str, FrameTree], topic: str, scan_topics: Iterable[str]) -> FrameTree:
     """Return the transforms for the laser of a topic, of the trees by the namespace of their topics.
 
     They are those of its robot: of its own namespace or one around it. Without a namespace of its own, all count that

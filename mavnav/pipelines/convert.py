@@ -17,9 +17,9 @@ from mavnav.errors import ExitCode, UsageError
 from mavnav.ground_truth.tables import read_tum
 from mavnav.logs import Log, Survey, choose, content_sha256, survey
 from mavnav.logs.formats import detect
-from mavnav.logs.frame_poses import TF_PREFIX, FramePoses, follow
 from mavnav.logs.messages import cdr, ros
 from mavnav.logs.messages.definitions import TF, definition
+from mavnav.logs.pose_track import TF_PREFIX, FramePoses, follow
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel, RawMessage, Schema
 from mavnav.logs.transforms import frame_name, transforms_for
@@ -75,7 +75,7 @@ def messages_of_run(directory: Path, log: Path) -> list[RawMessage]:
         raise UsageError(f"{directory} is a run of {other}, not of {log}; name one of this log")
     map_T_laser, recording = read_tum(run.file("trajectory.tum")), run.file("result.mcap")
     surveyed = survey(log, topic=about["topic"], truth=TF_PREFIX, odom="off")
-    opened = choose(surveyed, topic=about["topic"], odom="off")
+    opened = choose(surveyed, topic=about["topic"])
     frames = _frames_below(surveyed, opened)
     map_frame = f"{OTHER}_{MAP_FRAME}" if MAP_FRAME in frames.names else MAP_FRAME
     ahead_ns = round(opened.clock.ahead_s / NS) if opened.clock else 0

@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from msgspec import Struct
 
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose, transform_points
+from mavnav.scan import Scan
+from mavnav.simulation.world import Scenario
 from mavnav.slam.findings import Loops
 from mavnav.slam.loop_closure.detection import LOOP_M, close_loops
 from mavnav.slam.matching.motion_model import motions_along
-from mavnav.slam.matching.steps import tracked_trajectory
+from mavnav.slam.matching.steps import Step, Steps, tracked_trajectory
+from mavnav.slam.track import Track
 from mavnav.slam.tracker import track
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from mavnav.scan import Scan
-    from mavnav.simulation.world import Scenario
-    from mavnav.slam.matching.steps import Step, Steps
-    from mavnav.slam.track import Track
 
 
 class Obstacles(Struct, frozen=True):

@@ -1,8 +1,9 @@
-"""The vehicle of a mission: its true state, how it executes commands, and where its laser is over a sweep."""
+"""The vehicle of a mission: its true state, attitude and path, and where its laser is over a sweep."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import Final
 
 import numpy as np
 from msgspec import Struct, field
@@ -11,11 +12,56 @@ from numpy.typing import NDArray
 from mavnav.pose import Pose
 from mavnav.scan import Attitude, LaserSpec
 from mavnav.simulation.planner.potential_field import MotionCommand
-from mavnav.simulation.world import Body, Scenario
+from mavnav.simulation.world.scenario import FlightConfig, Scenario
 from mavnav.units import DEG, MM, NS
+
+GRAVITY_M_S2: Final = 9.81
 
 START_NS = 1_700_000_000_000_000_000
 """Stamp of the first scan, the same for every mission."""
+
+
+class Body:
+    """The true attitude of the laser and what the sensor measures of it, scan by scan; read-only lists from outside.
+
+    Roll and pitch are the tilt of the commanded accelerations and a correlated noise; the height is the commanded one
+    and such a noise.
+    """
+
+    def __init__(self, config: FlightConfig, period_s: float, command_s: float, seed: int) -> None:
+        """Begin in level flight with a first attitude: ``seed`` decides all."""
+        self._config, self._command_s = config, command_s
+        self._noise, self._sensor = (np.random.default_rng([seed, stream]) for stream in (3, 4))
+        self._kept = float(np.exp(-period_s / (config.correlation_s)))
+        self._follow = 1.0 - float(np.exp(-period_s / (config.response_s)))
+        self._sigmas = np.array([*[config.tilt_noise_rad] * 2, config.height_noise_m])
+        self._off = self._sigmas * self._noise.standard_normal(3)
+        self._velocity_m_s, self._wanted, self._tilt = np.zeros(2), np.zeros(2), np.zeros(2)
+        self.true: list[Attitude] = []
+        self.measured: list[Attitude] = []
+        self._note()
+
+    def command(self, dx_m: float, dy_m: float) -> None:
+        """Take a command of the laser's frame: the vehicle tilts towards where it accelerates to."""
+        velocity_m_s = np.array((dx_m, dy_m)) / self._command_s
+        x, y = (velocity_m_s - self._velocity_m_s) / self._command_s
+        most = self._config.max_tilt_rad
+        self._wanted = np.clip(np.arctan2([-y, x], GRAVITY_M_S2), -most, most)
+        self._velocity_m_s = velocity_m_s
+
+    def step(self) -> None:
+        """Go on to the next scan."""
+        fresh = self._noise.standard_normal(3) * np.sqrt(1.0 - self._kept**2)
+        self._off = self._kept * self._off + self._sigmas * fresh
+        self._tilt = self._tilt + self._follow * (self._wanted - self._tilt)
+        self._note()
+
+    def _note(self) -> None:
+        c = self._config
+        true = np.array([*self._tilt, c.height_m]) + self._off
+        noise = np.array([*[c.sensor_tilt_rad] * 2, c.sensor_height_m])
+        self.true.append(Attitude(*true.tolist()))
+        self.measured.append(Attitude(*(true + noise * self._sensor.standard_normal(3)).tolist()))
 
 
 class Vehicle(Struct):

@@ -11,11 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from mavnav.batch.document import remark, why
+from mavnav.batch.document import missing_lines, remark, why
 from mavnav.batch.options import BatchOptions, request_of
 from mavnav.batch.request import BatchPart
 from mavnav.batch.runner import plan_batch, run_batch
-from mavnav.batch.summary import missing_lines
 from mavnav.errors import ConfigError, ExitCode, OutputError, UsageError
 from mavnav.jobs.worker import Ended, Event, Started
 from mavnav.metrics.gates import check_names, names

@@ -9,7 +9,7 @@ import junitparser
 import pytest
 import xmlschema
 
-from mavnav.batch.junit import to_junit
+from mavnav.batch.ci import to_junit
 
 SCHEMA = xmlschema.XMLSchema(Path(__file__).with_name("junit.xsd"))
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from mavnav.batch.document import file_differences
 from mavnav.batch.options import BatchOptions, request_of
-from mavnav.batch.repeats import file_differences
 from mavnav.errors import ExitCode, UsageError
 from support.html_page import Page
 from support.small_batch import NAME, batch
@@ -29,7 +29,7 @@ def test_a_run_that_is_repeated_has_the_same_bytes(home: Path) -> None:
 
 def test_bytes_that_differ_fail_the_gate_and_are_named(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     said = "map.pgm: 1 of 9 bytes differ, from byte 4 to 4"
-    monkeypatch.setattr("mavnav.batch.repeats.file_differences", lambda *_: [said])
+    monkeypatch.setattr("mavnav.batch.document.file_differences", lambda *_: [said])
     document, _ = batch(sources=("logs/good.mcap",), repeat=2, gates=("identical",))
     assert [row["code"] for row in document["cells"]] == [0, ExitCode.GATE_FAILED]
     assert document["exit_code"] == ExitCode.GATE_FAILED

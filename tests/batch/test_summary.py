@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from mavnav.batch.summary import MAX_ROWS, github_commands, to_summary
+from mavnav.batch.ci import MAX_ROWS, github_commands, to_summary
 from mavnav.cli import run
 
 

@@ -28,8 +28,7 @@ from mavnav.config.models import (
 )
 from mavnav.errors import ConfigError
 from mavnav.simulation.world import Scenario, load_scenario, scenario_schema
-from mavnav.simulation.world.flight import FlightConfig
-from mavnav.simulation.world.scenario import VehicleConfig
+from mavnav.simulation.world.scenario import FlightConfig, VehicleConfig
 from mavnav.units import DEG
 
 if TYPE_CHECKING:

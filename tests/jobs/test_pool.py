@@ -18,7 +18,7 @@ import pytest
 from mavnav.errors import ExitCode
 from mavnav.jobs.pool import run_jobs, run_with_retries, usable_cores
 from mavnav.jobs.worker import Ended, Event, Job, Outcome, Progressed, Retried, Started, Status, failure
-from mavnav.logs.content import unreadable
+from mavnav.logs.content import reading
 from support import strange_jobs as strange
 
 
@@ -130,8 +130,8 @@ def test_a_lack_of_memory_is_no_bug(error: Exception) -> None:
 
 
 def test_a_log_that_cannot_be_opened_for_want_of_memory_is_not_unreadable() -> None:
-    found = unreadable(Path("a.bag"), OSError(errno.ENOMEM, "Cannot allocate memory"))
-    assert isinstance(found, MemoryError)
+    with pytest.raises(MemoryError), reading(Path("a.bag")):
+        raise OSError(errno.ENOMEM, "Cannot allocate memory")
 
 
 def test_workers_say_nothing(capfd: pytest.CaptureFixture[str]) -> None:

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import pytest
 from msgspec.structs import replace
 
 from mavnav.logs.messages.decode import _deserialize, decoder
 from mavnav.logs.messages.definitions import ODOMETRY, POSE, SCAN, TF, TRANSFORM
-from mavnav.logs.messages.fast_cdr import exactly, laser_of, read_odometry, read_pose, read_transform, read_transforms
+from mavnav.logs.messages.fast_cdr import COVARIANCE, TWIST, exactly, laser_of, read_pose, read_transforms
 from mavnav.logs.messages.records import DecodeError, TransformMessage
 from mavnav.logs.records import Channel
 from mavnav.scan import Attitude
 from support.log_files import PATH, POSE_COVARIANCE, START_NS, Message, build, drive, laser, serialized, store
 from support.tilted import attitude_message
 
-BY_LAYOUT = {TF: exactly(read_transforms), ODOMETRY: exactly(read_odometry)}
+BY_LAYOUT = {
+    TF: exactly(read_transforms),
+    ODOMETRY: exactly(partial(read_pose, child=True, covariances=2 * COVARIANCE + TWIST)),
+}
 MESSAGES = [message for message in drive(2) if message.type in BY_LAYOUT]
 
 
@@ -95,7 +100,7 @@ def test_one_transform(ros) -> None:
     one = build(next(message for message in MESSAGES if message.type == TF), ros).transforms[0]
     data = bytes((types.serialize_ros1 if ros == 1 else types.serialize_cdr)(one, TRANSFORM))
     found = decoder(Channel("/t", TRANSFORM, encoding), poses=True)(data)
-    assert found == exactly(read_transform)(data, encoding) == by_definition(data, encoding, TRANSFORM)
+    assert found == exactly(partial(read_pose, child=True))(data, encoding) == by_definition(data, encoding, TRANSFORM)
     assert found[0].child == one.child_frame_id
 
 

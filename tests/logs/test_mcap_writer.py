@@ -7,7 +7,8 @@ import pytest
 from mcap.reader import make_reader
 
 from mavnav.logs.messages import definitions, ros
-from mavnav.logs.writing.mcap_writer import CHUNK_BYTES, Attachment, Extras, OutputChannel, write_serialized
+from mavnav.logs.records import AttachedFile, MetadataRecord
+from mavnav.logs.writing.mcap_writer import CHUNK_BYTES, OutputChannel, write_serialized
 
 CHANNELS = {
     "/tf_static": OutputChannel(definitions.TF, latched=True),
@@ -56,7 +57,7 @@ def test_channels_tell_their_type_and_whether_the_last_message_is_kept(tmp_path)
 
 
 def test_extras_come_first(tmp_path) -> None:
-    extras = Extras(7, {"name": {"a": "ü", "b": ""}}, (Attachment("é.txt", "text/plain", b"data"),))
+    extras = [MetadataRecord("name", {"a": "ü", "b": ""}), AttachedFile(7, 7, "é.txt", "text/plain", b"data")]
     with write_serialized(tmp_path / "a.mcap", CHANNELS, extras=extras) as put:
         put("/tf", 1, b"")
     with (tmp_path / "a.mcap").open("rb") as file:

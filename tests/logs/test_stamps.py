@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from mavnav.errors import NoScansError, UsageError
 from mavnav.logs import open_log
-from mavnav.logs.periods import comes_in_bursts, period_and_gaps
-from mavnav.logs.stamps import ascending
+from mavnav.logs.stamps import ascending, comes_in_bursts, period_and_gaps
 from support.log_files import ODOM, PERIOD_NS, START_NS, Message, laser, write_mcap
 
 if TYPE_CHECKING:

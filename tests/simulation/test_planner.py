@@ -227,7 +227,6 @@ def test_an_empty_map_and_a_goal_at_hand_are_no_trouble() -> None:
     for technique in TECHNIQUES:
         plan = Planner(PlannerConfig(technique=technique)).plan(GridBuilder(0.02), Pose(), (2.0, 0.0))
         assert plan.command.dx_m > 0
-        assert np.isinf(plan.clearance_m)
         there = Planner(PlannerConfig(technique=technique)).plan(GridBuilder(0.02), Pose(2.0, 0.0, 0.0), (2.0, 0.0))
         assert there.command == MotionCommand()
         assert not there.stuck

@@ -10,6 +10,7 @@ import errno
 import io
 import json
 import os
+import pickle
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
@@ -175,7 +176,7 @@ def run_here(jobs: Sequence[Job], workers: int, on_event: Callable[[Event], None
     outcomes = []
     for index, job in enumerate(jobs):
         on_event(Started(index, os.getpid()))
-        outcomes.append(attempt(job, lambda phase, done, total: None))
+        outcomes.append(attempt(pickle.dumps(job), lambda phase, done, total: None))
         on_event(Ended(index, outcomes[-1]))
     return outcomes
 

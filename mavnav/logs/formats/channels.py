@@ -10,6 +10,7 @@ from math import isfinite, isnan, tau
 from msgspec import Struct, field
 
 from mavnav.logs.formats.decompress import Allowance
+from mavnav.logs.formats.source import Source
 from mavnav.logs.messages.definitions import SCAN
 from mavnav.logs.messages.fast_cdr import laser_of
 from mavnav.logs.messages.records import LaserMessage
@@ -34,28 +35,26 @@ class ReaderState(Struct):
     undeclared: set[int] = field(default_factory=set)
     messages: int = 0
 
-    def usual_channel(self, number: int) -> Channel | None:
-        """Return the channel of a message if it and its type are declared, as they nearly always are."""
-        channel = self.channels.get(number)
-        return channel if channel is not None and states_type(channel) else None
-
-    def channel(self, number: int, data: bytes, kind: str, where: str) -> tuple[Channel | None, bool]:
+    def channel(self, number: int, data: bytes, kind: str, source: Source, at: int) -> tuple[Channel | None, bool]:
         """Return the channel of a message, and whether it is declared; the bytes decide where a declaration is lost.
 
         The channel is None if it is undeclared and the bytes are no LaserScan. ``kind`` is what the format calls it.
+        The message is at an offset of the source.
         """
         channel = self.channels.get(number)
+        if channel is not None and states_type(channel):  # as it nearly always is
+            return channel, True
         if channel is None and number in self.spare:
             channel = self.report.declare(self.spare[number])
         if channel is not None:
-            channel = self.channels[number] = with_known_type(channel, data, where, self.report)
+            channel = self.channels[number] = with_known_type(channel, data, source.where(at), self.report)
             return channel, True
         channel = channel_of(data, f"/{kind}_{number}", self.report)
         if number not in self.undeclared:
             self.undeclared.add(number)
             outcome = f"scans by their bytes, and taken for {channel.topic}" if channel else "left out"
             text = f"messages of {kind} {number}, which is declared nowhere before, are {outcome}"
-            self.report.damage(text, where)
+            self.report.damage(text, source.where(at))
         return channel, False
 
 

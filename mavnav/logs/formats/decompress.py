@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import IO, Any, Final, NamedTuple
 
 from mavnav.atomic_files import no_space, temporary_folder
 from mavnav.logs.read_report import ReadReport
@@ -111,14 +111,15 @@ def decompress(compression: str, data: bytes, allowance: Allowance | None = None
 
 
 def _decompress_sound(compression: str, data: bytes, limit: int) -> bytes:
-    """Decompress undamaged data of one frame, in large blocks."""
+    """Decompress undamaged data, in large blocks; raises one of `_errors_of_damage` for others, as far as they show."""
     blocks: list[bytes] = []
     size = 0
-    for block in _blocks(compression, data):
-        blocks.append(block)
-        size += len(block)
-        if size > limit:
-            raise DecompressError(f"{len(data)} bytes of {compression} decompress to more than {limit}")
+    with FRAMES[compression].open_stream(BytesIO(data)) as stream:
+        while block := stream.read(_BLOCK_BYTES):
+            blocks.append(block)
+            size += len(block)
+            if size > limit:
+                raise DecompressError(f"{len(data)} bytes of {compression} decompress to more than {limit}")
     return blocks[0] if len(blocks) == 1 else b"".join(blocks)
 
 
@@ -138,7 +139,7 @@ def _decompress_pieces(compression: str, data: bytes, limit: int, single_from: i
 
     From offset ``single_from`` on the pieces are single bytes.
     """
-    magics, make = FRAMES[compression]
+    magics, make, _ = FRAMES[compression]
     decompressor, blocks, size, offset = make(), list[bytes](), 0, 0
     try:
         while offset < len(data):
@@ -155,24 +156,6 @@ def _decompress_pieces(compression: str, data: bytes, limit: int, single_from: i
     except _errors_of_damage() as error:
         return b"".join(blocks), offset, str(error)
     return b"".join(blocks), offset, None if decompressor.eof else "the data end before the stream does"
-
-
-def _blocks(compression: str, data: bytes) -> Iterator[bytes]:
-    """Yield blocks of one frame; raises EOFError if the frame is cut or other bytes follow, except for zstd."""
-    if compression == "zstd":
-        with _zstd_stream(BytesIO(data)) as stream:
-            while block := stream.read(_BLOCK_BYTES):
-                yield block
-        return
-    decompressor, piece = FRAMES[compression][1](), data
-    while not decompressor.eof:
-        if decompressor.needs_input and not piece:
-            raise EOFError("the data end before the stream does")
-        if block := decompressor.decompress(piece, max_length=_BLOCK_BYTES):
-            yield block
-        piece = b""
-    if decompressor.unused_data:
-        raise EOFError("more follows")
 
 
 def _errors_of_damage() -> tuple[type[Exception], ...]:
@@ -192,25 +175,29 @@ def _zstd_stream(file: IO[bytes]) -> Any:  # noqa: ANN401
     return _zstd().stream_reader(file, read_across_frames=True, closefd=False)
 
 
-def _lz4_frame() -> Any:  # noqa: ANN401
+def _lz4() -> Any:  # noqa: ANN401
     import lz4.frame  # noqa: PLC0415
 
-    return lz4.frame.LZ4FrameDecompressor()
+    return lz4.frame
 
 
-def _gzip_stream(file: IO[bytes]) -> gzip.GzipFile:
-    import gzip  # noqa: PLC0415  few logs need it
+class _Frames(NamedTuple):
+    """The magic numbers of frames, and what makes a decompressor of one frame, or opens the content of a file."""
 
-    return gzip.open(file)
+    magics: tuple[bytes, ...]
+    make: Callable[[], Any]
+    open_stream: Callable[[IO[bytes]], Any]
 
 
 _SKIPPABLE = tuple(bytes([kind]) + b"\x2a\x4d\x18" for kind in range(0x50, 0x60))
-FRAMES: Final[dict[str, tuple[tuple[bytes, ...], Callable[[], Any]]]] = {
-    "zstd": ((ZSTD_MAGIC, *_SKIPPABLE), lambda: _zstd().decompressobj()),
-    "lz4": ((b"\x04\x22\x4d\x18", *_SKIPPABLE), _lz4_frame),
-    "bz2": ((b"BZh",), bz2.BZ2Decompressor),
+FRAMES: Final[dict[str, _Frames]] = {
+    "zstd": _Frames((ZSTD_MAGIC, *_SKIPPABLE), lambda: _zstd().decompressobj(), _zstd_stream),
+    "lz4": _Frames(
+        (b"\x04\x22\x4d\x18", *_SKIPPABLE), lambda: _lz4().LZ4FrameDecompressor(), lambda file: _lz4().open(file)
+    ),
+    "bz2": _Frames((b"BZh",), bz2.BZ2Decompressor, bz2.open),
 }
-"""Name of a compression -> the magic numbers of its frames, and a factory of decompressors for one frame."""
+"""Name of a compression -> its frames."""
 
 COMPRESSIONS: Final = frozenset({"", "none", *FRAMES})
 """Names of the compressions of chunks; data of the first two are stored as they are."""
@@ -267,7 +254,7 @@ def unpack_file(path: Path, packer: str, report: ReadReport) -> Iterator[Path]:
 
 PACKERS: dict[str, tuple[bytes, Callable[[IO[bytes]], Any]]] = {
     "zstd": (ZSTD_MAGIC, _zstd_stream),
-    "gzip": (b"\x1f\x8b\x08", _gzip_stream),
+    "gzip": (b"\x1f\x8b\x08", gzip.open),
     "bzip2": (b"BZh", bz2.open),
 }
 """Name of a program that compresses whole files -> the magic of its files, and a function that opens the content."""

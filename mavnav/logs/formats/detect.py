@@ -145,8 +145,7 @@ def read(path: Path, report: ReadReport, more: tuple[Path, ...] = ()) -> Iterato
             yield message
         report.next_file(file.stat().st_size)
     if metadata is not None:
-        rosbag2.compare_count(metadata, messages, report)
-        rosbag2.compare_storage(metadata, {split_name(sniff(file))[0] for file in files}, report)
+        rosbag2.compare(metadata, messages, {split_name(sniff(file))[0] for file in files}, report)
 
 
 def _read_file(path: Path, report: ReadReport) -> Iterator[RawMessage]:

@@ -33,21 +33,21 @@ SCHEMA_ENCODINGS: Final = frozenset(
 
 _ENCODING_OF_SCHEMA = {"ros2msg": "cdr", "ros2idl": "cdr", "ros1msg": "ros1"}
 _NO_SCHEMA = Schema()
+_MESSAGE = int(Op.MESSAGE)
 
 
 class McapState(ReaderState):
     """Schemas, channels and counters of the records read so far.
 
-    The data section is ``unsound`` if its CRC does not match, and ``verified`` if it does. In a ``suspect`` chunk,
-    channels read before and those of an undamaged summary take precedence over the chunk's own. In a ``chunked`` file,
-    messages outside of the chunks are suspect. ``spare`` are the channels of the summary.
+    The data section is ``sound`` if its CRC matches, None if it has none. In a ``suspect`` chunk, channels read before
+    and those of an undamaged summary take precedence over the chunk's own. In a ``chunked`` file, messages outside of
+    the chunks are suspect. ``spare`` are the channels of the summary.
     """
 
     schemas: dict[int, Schema] = field(default_factory=dict)
     closed: bool = False
     suspect: bool = False
-    unsound: bool = False
-    verified: bool = False
+    sound: bool | None = None
     chunked: bool = False
     spare_is_sound: bool = False
     reported_outside: bool = False
@@ -60,22 +60,12 @@ class McapState(ReaderState):
         self.messages, self.closed, self.reported_outside, self.data_ended = 0, False, False, False
 
 
-def plain_message(content: bytes, state: McapState) -> RawMessage | None:
-    """Return the message of a record on a usual channel."""
-    if len(content) < MESSAGE_HEAD.size:
-        return None
-    number, _, log_ns, publish_ns = MESSAGE_HEAD.unpack_from(content)
-    if (channel := state.usual_channel(number)) is None:
-        return None
-    state.messages += 1
-    return RawMessage(channel, log_ns, content[MESSAGE_HEAD.size :], publish_ns=publish_ns)
-
-
-def apply_record(opcode: int, content: bytes, where: str, state: McapState) -> RawMessage | None:
-    """Return the message of a record; a record of another kind updates the state and returns None."""
+def apply_record(opcode: int, content: bytes, source: Source, at: int, state: McapState) -> RawMessage | None:
+    """Return the message of a record at an offset; a record of another kind updates the state and returns None."""
     try:
-        if opcode == Op.MESSAGE:
-            return _message(content, where, state)
+        if opcode == _MESSAGE:
+            return _message(content, source, at, state)
+        where = source.where(at)
         if opcode == Op.SCHEMA:
             _declare_schema(RecordFields(content), where, state)
         elif opcode == Op.CHANNEL:
@@ -87,15 +77,15 @@ def apply_record(opcode: int, content: bytes, where: str, state: McapState) -> R
         elif opcode == Op.FOOTER:
             state.closed = True
     except struct.error as error:
-        state.report.damage(f"a record cannot be read ({error})", where)
+        state.report.damage(f"a record cannot be read ({error})", source.where(at))
     return None
 
 
-def _message(content: bytes, where: str, state: McapState) -> RawMessage | None:
+def _message(content: bytes, source: Source, at: int, state: McapState) -> RawMessage | None:
     number, _, log_ns, publish_ns = MESSAGE_HEAD.unpack_from(content)
     state.messages += 1
     data = content[MESSAGE_HEAD.size :]
-    channel, declared = state.channel(number, data, "channel", where)
+    channel, declared = state.channel(number, data, "channel", source, at)
     if channel is None:
         return None
     return RawMessage(channel, log_ns, data, not declared, publish_ns if declared else None)
@@ -215,20 +205,21 @@ def _search_summary(source: Source, state: McapState) -> None:
 
 def _parse_summary(summary: bytes, state: McapState, *, sound: bool) -> None:
     own = McapState(ReadReport())
-    for opcode, content in _records(summary):
+    source = Source(BytesIO(summary), len(summary))
+    for opcode, content in _records(source):
         if opcode in (Op.SCHEMA, Op.CHANNEL):
-            apply_record(opcode, content, "summary", own)
+            apply_record(opcode, content, source, 0, own)
         elif opcode == Op.CHUNK_INDEX:
             state.chunked |= any(content[_CHUNK_LENGTH])
     state.spare, state.spare_is_sound = own.channels, sound
 
 
-def _records(summary: bytes) -> Iterator[tuple[int, bytes]]:
+def _records(source: Source) -> Iterator[tuple[int, bytes]]:
     """Yield opcode and content of the records; after bytes that are no record, continue at the next one."""
-    source, offset = Source(BytesIO(summary), len(summary)), 0
+    offset = 0
     while offset < source.size:
         behind = offset
-        for opcode, content in mcap_records.plain_records(summary[offset:]):
+        for opcode, content in mcap_records.plain_records(source.read(offset, source.size)):
             if mcap_records.record_at(source, behind) is None:
                 break
             yield opcode, content
@@ -241,29 +232,23 @@ def check_data_section(source: Source, start: int, state: McapState) -> None:
 
     The state gets the results; a mismatch is reported. A data section that lost its end has no CRC.
     """
-    opcodes, end = set[int](), None
-    for opcode, offset in _record_heads(source, start + len(MAGIC)):
-        opcodes.add(opcode)
-        if opcode == Op.DATA_END:
-            end = offset
-            break
-    end = _last_data_end(source, _BLOCK_BYTES, start) if end is None else end
+    heads = dict(_record_heads(source, start + len(MAGIC)))
+    end = heads.get(Op.DATA_END) or _last_data_end(source, _BLOCK_BYTES, start)
     declared = 0 if end is None else int.from_bytes(source.read(end + HEAD.size, 4), "little")
-    state.chunked |= Op.CHUNK in opcodes or Op.MESSAGE_INDEX in opcodes
-    if end is None or declared == 0:
-        state.verified = state.unsound = False
-        return
-    state.verified = declared == _crc(source, start, end)
-    state.unsound = not state.verified
-    if state.unsound:
+    state.chunked |= Op.CHUNK in heads or Op.MESSAGE_INDEX in heads
+    state.sound = None if end is None or declared == 0 else declared == _crc(source, start, end)
+    if end is not None and state.sound is False:
         text = "the CRC of the data section does not match; which record is wrong cannot be known"
         state.report.damage(f"{text}, so all that no chunk's own CRC guards are suspect", source.where(end))
 
 
 def _record_heads(source: Source, offset: int) -> Iterator[tuple[int, int]]:
-    """Yield opcode and offset of records, up to the first invalid one; fast, because there may be millions."""
-    block, base = b"", offset
-    while True:
+    """Yield opcode and offset of records, up to the end of the data or the first invalid one.
+
+    It is fast, because there may be millions.
+    """
+    block, base, opcode = b"", offset, 0
+    while opcode != Op.DATA_END:
         if offset + HEAD.size > base + len(block):
             block, base = source.read(offset, _HOP_BYTES), offset
             if len(block) < HEAD.size:

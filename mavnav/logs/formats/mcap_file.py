@@ -23,7 +23,6 @@ from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import RawMessage
 
 _READ = frozenset({Op.HEADER, Op.FOOTER, Op.SCHEMA, Op.CHANNEL, Op.MESSAGE, Op.CHUNK, Op.STATISTICS, Op.DATA_END})
-_MESSAGE = int(Op.MESSAGE)
 _BLOCK_BYTES = 1 << 20
 _FREE_SEARCH_BYTES = 1 << 28
 _CHECKED_RECORD_COST = 4
@@ -55,17 +54,17 @@ def read_mcap(path: Path, report: ReadReport) -> Iterator[RawMessage]:
 def _outside(source: Source, record: McapRecord, state: McapState) -> Iterator[RawMessage]:
     """Process a record outside of the chunks; in the data section of a file with chunks it is a result of damage."""
     is_message = record.opcode == Op.MESSAGE
-    outside_chunks = state.chunked and not state.verified and (is_message or not state.data_ended)
+    outside_chunks = state.chunked and not state.sound and (is_message or not state.data_ended)
     if outside_chunks and is_message and not state.reported_outside:
         state.reported_outside = True
         text = "messages lie outside of the chunks, where no checksum guards them; they are suspect"
         state.report.damage(text, source.where(record.start))
     content = source.read(record.start, min(record.end - record.start, MAX_CHUNK_BYTES))
     state.suspect = outside_chunks
-    message = mcap_content.apply_record(record.opcode, content, source.where(record.start), state)
+    message = mcap_content.apply_record(record.opcode, content, source, record.start, state)
     state.suspect = False
     if message is not None:
-        doubtful = outside_chunks or state.unsound or _runs_into_loss(source, record.end)
+        doubtful = outside_chunks or state.sound is False or _runs_into_loss(source, record.end)
         yield message._replace(suspect=True) if doubtful else message
 
 
@@ -198,7 +197,7 @@ def _chunk_records(source: Source, record: McapRecord, where: str, state: McapSt
     if problem:
         text = "" if verified else "; what can be read of the chunk is suspect"
         state.report.damage(problem + text, where)
-    doubtful = problem is not None or (state.unsound and not head.crc)
+    doubtful = problem is not None or (state.sound is False and not head.crc)
     return records, doubtful and not verified
 
 
@@ -226,8 +225,7 @@ def _sound_messages(records: bytes, inner: Source, state: McapState) -> Iterator
         if not state.allowance.spend_record():
             state.report.damage(TOO_MANY, inner.where(offset))
             return
-        message = mcap_content.plain_message(content, state) if opcode == _MESSAGE else None
-        if message or (message := _inner_message(opcode, content, inner, offset, state)):
+        if message := _inner_message(opcode, content, inner, offset, state):
             yield message
         offset += HEAD.size + len(content)
     yield from _walk(inner, offset, state)
@@ -247,7 +245,7 @@ def _walk(inner: Source, offset: int, state: McapState) -> Iterator[RawMessage]:
 def _inner_message(opcode: int, content: bytes, inner: Source, offset: int, state: McapState) -> RawMessage | None:
     """Return the message of a record of a chunk; others of its kinds update the state, nested chunks are reported."""
     if opcode in IN_CHUNKS:
-        return mcap_content.apply_record(opcode, content, inner.where(offset), state)
+        return mcap_content.apply_record(opcode, content, inner, offset, state)
     if opcode == Op.CHUNK:
         state.report.damage("a chunk lies within a chunk, which is not legal; it is not read", inner.where(offset))
     return None

@@ -194,9 +194,7 @@ def _message(source: Source, record: _BagRecord, state: _BagState) -> RawMessage
     (number,) = _U32.unpack(record.fields[b"conn"])
     if number not in state.channels and number not in state.spare and state.search:
         state.spare, state.search = state.search() | state.spare, None
-    channel, declared = state.usual_channel(number), True
-    if channel is None:
-        channel, declared = state.channel(number, data, "connection", source.where(record.start))
+    channel, declared = state.channel(number, data, "connection", source, record.start)
     return None if channel is None else RawMessage(channel, _time_ns(record), data, record.suspect or not declared)
 
 

@@ -142,13 +142,6 @@ def _metadata(tree: Any, report: ReadReport) -> Metadata:  # noqa: ANN401  (any 
     return Metadata(tuple(names), messages, storage if isinstance(storage, str) else "")
 
 
-def compare_storage(metadata: Metadata, formats: set[str], report: ReadReport) -> None:
-    """Report that metadata.yaml names another storage than the files are, by their ``formats``."""
-    real = {STORAGES[name] for name in formats if name in STORAGES}
-    if metadata.storage and real and metadata.storage not in real:
-        report.warn(f"{METADATA} names the storage {metadata.storage!r}; the files are {' and '.join(sorted(real))}")
-
-
 def _plain_tree(text: bytes, report: ReadReport) -> Any:  # noqa: ANN401
     """Build dictionaries, lists and strings of YAML.
 
@@ -186,11 +179,15 @@ def _plain(node: Any, report: ReadReport) -> Any:  # noqa: ANN401
     return tree
 
 
-def compare_count(metadata: Metadata, messages: int, report: ReadReport) -> None:
-    """Report a difference between the number of messages in metadata.yaml and the number read."""
-    if metadata.messages is None or metadata.messages == messages:
-        return
-    if metadata.messages > messages:
-        report.damage(f"{messages} of the {metadata.messages} listed messages were read", METADATA)
-    else:
-        report.warn(f"{METADATA} counts {metadata.messages} messages, {messages} were read")
+def compare(metadata: Metadata, messages: int, formats: set[str], report: ReadReport) -> None:
+    """Report that metadata.yaml counts other messages than were read, or names another storage than the files are.
+
+    ``formats`` are those of the files.
+    """
+    listed, real = metadata.messages, {STORAGES[name] for name in formats if name in STORAGES}
+    if listed is not None and listed > messages:
+        report.damage(f"{messages} of the {listed} listed messages were read", METADATA)
+    elif listed is not None and listed < messages:
+        report.warn(f"{METADATA} counts {listed} messages, {messages} were read")
+    if metadata.storage and real and metadata.storage not in real:
+        report.warn(f"{METADATA} names the storage {metadata.storage!r}; the files are {' and '.join(sorted(real))}")

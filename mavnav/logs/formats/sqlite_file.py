@@ -15,10 +15,10 @@ from errno import ENOSPC
 from pathlib import Path
 from urllib.parse import quote
 
-from msgspec import Struct, field
+from msgspec import field
 
 from mavnav.atomic_files import temporary_folder
-from mavnav.logs.formats.channels import channel_of, with_known_type
+from mavnav.logs.formats.channels import ReaderState, channel_of, with_known_type
 from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES
 from mavnav.logs.formats.source import SQLITE_MAGIC, Source
 from mavnav.logs.formats.sqlite_pages import page_size, rows
@@ -41,15 +41,12 @@ _WAL_HEAD_BYTES = 32
 _FRAME_HEAD_BYTES = 24
 
 
-class _DatabaseState(Struct):
+class _DatabaseState(ReaderState, kw_only=True):
     """Channels read so far, and in ``missing`` the row numbers that sqlite did not return."""
 
     path: Path
-    report: ReadReport
     schemas: dict[str, Schema] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
     missing: list[range] = field(default_factory=list)
-    messages: int = 0
     last: int = 0
 
 
@@ -60,7 +57,7 @@ def read_sqlite(path: Path, report: ReadReport) -> Iterator[RawMessage]:
     searched for in the pages. Losses are reported.
     """
     with _readable_file(path, report) as whole:
-        state = _DatabaseState(path, report)
+        state = _DatabaseState(report, path=path)
         try:
             yield from _rows(whole, state)
         except (sqlite3.Error, UnicodeError) as error:

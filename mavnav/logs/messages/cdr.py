@@ -44,29 +44,27 @@ def _stamp(stamp_ns: int) -> bytes:
     return _STAMP.pack(*divmod(stamp_ns, 1_000_000_000))
 
 
-def _pose_of(at: int, parent: str, child: str) -> Callable[[int, Pose], bytes]:
-    """Return the function that serializes header, child frame and pose, from offset ``at`` on."""
-    outer = _text(at + 8, parent, 4)
-    inner = _text(at + 8 + len(outer), child, 8)
-    return lambda stamp_ns, pose: b"".join((_stamp(stamp_ns), outer, inner, _pose(pose)))
+def _pose_between(before: bytes, parent: str, child: str, after: bytes) -> Callable[[int, Pose], bytes]:
+    """Return the function that serializes a message of header, child frame and pose, with other bytes around them."""
+    outer = _text(len(before) + 8, parent, 4)
+    inner = _text(len(before) + 8 + len(outer), child, 8)
+    head = _LITTLE_ENDIAN + before
+    return lambda stamp_ns, pose: b"".join((head, _stamp(stamp_ns), outer, inner, _pose(pose), after))
 
 
 def transform(parent: str, child: str) -> Callable[[int, Pose], bytes]:
     """Return the function that serializes a TransformStamped from stamp (ns) and ``parent_T_child``."""
-    body = _pose_of(0, parent, child)
-    return lambda stamp_ns, pose: _LITTLE_ENDIAN + body(stamp_ns, pose)
+    return _pose_between(b"", parent, child, b"")
 
 
 def transforms(parent: str, child: str) -> Callable[[int, Pose], bytes]:
     """Return the function that serializes a TFMessage of one transform from stamp (ns) and ``parent_T_child``."""
-    head, body = _LITTLE_ENDIAN + _COUNT.pack(1), _pose_of(4, parent, child)
-    return lambda stamp_ns, pose: head + body(stamp_ns, pose)
+    return _pose_between(_COUNT.pack(1), parent, child, b"")
 
 
 def odometry(parent: str, child: str) -> Callable[[int, Pose], bytes]:
     """Return the function that serializes an Odometry; velocities and covariances are zero, which means unknown."""
-    body, unknown = _pose_of(0, parent, child), bytes(8 * (36 + 6 + 36))
-    return lambda stamp_ns, pose: _LITTLE_ENDIAN + body(stamp_ns, pose) + unknown
+    return _pose_between(b"", parent, child, bytes(8 * (36 + 6 + 36)))
 
 
 def attitudes(frame: str) -> Callable[[int, Attitude], bytes]:

@@ -14,8 +14,9 @@ import numpy as np
 from msgspec import Struct, field
 from numpy.typing import NDArray
 
+from mavnav.logs.formats import carmen
 from mavnav.logs.formats.decompress import DecompressError, unpack_message
-from mavnav.logs.messages import carmen, definitions, fast_cdr
+from mavnav.logs.messages import definitions, fast_cdr
 from mavnav.logs.messages.columns import columns_of, read_blocks
 from mavnav.logs.messages.other_scans import other_scan, suffix_of
 from mavnav.logs.messages.records import DecodeError, LaserMessage
@@ -145,14 +146,14 @@ def _foxglove(channel: Channel) -> Callable[[bytes], LaserMessage]:
 
 
 _FIELD_READERS: dict[str, Callable[[fast_cdr.CdrFields], Any]] = {
-    definitions.ODOMETRY: fast_cdr.read_odometry,
+    definitions.ODOMETRY: partial(fast_cdr.read_pose, child=True, covariances=2 * fast_cdr.COVARIANCE + fast_cdr.TWIST),
     definitions.IMU: fast_cdr.read_imu,
     definitions.TF: fast_cdr.read_transforms,
     definitions.TF_ROS1: fast_cdr.read_transforms,
     definitions.POSE: fast_cdr.read_pose,
-    definitions.POSE_COVARIANCE: fast_cdr.read_covariance_pose,
+    definitions.POSE_COVARIANCE: partial(fast_cdr.read_pose, covariances=fast_cdr.COVARIANCE),
     definitions.PATH: fast_cdr.read_path,
-    definitions.TRANSFORM: fast_cdr.read_transform,
+    definitions.TRANSFORM: partial(fast_cdr.read_pose, child=True),
 }
 _ROS_READERS: dict[str, Callable[[bytes, str], Any]] = {
     definitions.SCAN: partial(fast_cdr.laser_of, any_stamp=True),

@@ -22,7 +22,9 @@ _ENCAPSULATIONS = {0: (">", 0), 1: ("<", 0), 6: (">", 0), 7: ("<", 0), 8: (">", 
 """Encapsulation kind of a CDR message -> byte order, and bytes of a header before the fields."""
 
 _MAX_PADDING = 4
-_COVARIANCE, _TWIST = 36, 6
+COVARIANCE, TWIST = 36, 6
+"""Numbers of a covariance of six quantities, and of a twist."""
+
 _SECOND_NS = 1_000_000_000
 
 
@@ -78,20 +80,15 @@ def read_transforms(fields: CdrFields) -> list[TransformMessage]:
     return [fields.transform() for _ in range(fields.count())]
 
 
-def read_transform(fields: CdrFields) -> list[TransformMessage]:
-    """Read the fields of a geometry_msgs/TransformStamped."""
-    return [fields.transform()]
+def read_pose(fields: CdrFields, *, child: bool = False, covariances: int = 0) -> list[TransformMessage]:
+    """Read the fields of a message of one pose, with the frame of its ``child`` if it has one.
 
-
-def read_pose(fields: CdrFields) -> list[TransformMessage]:
-    """Read the fields of a geometry_msgs/PoseStamped."""
-    return [fields.transform(child=False)]
-
-
-def read_covariance_pose(fields: CdrFields) -> list[TransformMessage]:
-    """Read the fields of a geometry_msgs/PoseWithCovarianceStamped, and return its pose."""
-    pose = fields.transform(child=False)
-    fields.doubles(_COVARIANCE)
+    That is a geometry_msgs/PoseStamped, PoseWithCovarianceStamped or TransformStamped, or a nav_msgs/Odometry: after
+    the pose come so many numbers of ``covariances`` and twists.
+    """
+    pose = fields.transform(child=child)
+    if covariances:
+        fields.doubles(covariances)
     return [pose]
 
 
@@ -99,13 +96,6 @@ def read_path(fields: CdrFields) -> list[TransformMessage]:
     """Read the fields of a nav_msgs/Path, and return its poses."""
     fields.stamp_ns(), fields.text()
     return [fields.transform(child=False) for _ in range(fields.count())]
-
-
-def read_odometry(fields: CdrFields) -> list[TransformMessage]:
-    """Read the fields of a nav_msgs/Odometry, and return its pose."""
-    pose = fields.transform()
-    fields.doubles(_COVARIANCE + _TWIST + _COVARIANCE)
-    return [pose]
 
 
 def read_imu(fields: CdrFields) -> ImuMessage:

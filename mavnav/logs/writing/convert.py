@@ -12,16 +12,14 @@ from msgspec import Struct, field
 
 from mavnav.atomic_files import replacing
 from mavnav.errors import NoScansError, OutputError, UsageError
-from mavnav.logs.content import check_file, unreadable
+from mavnav.logs.content import check_file, reading
 from mavnav.logs.formats import detect
 from mavnav.logs.formats.decompress import DecompressError, unpack_message
 from mavnav.logs.messages.records import DecodeError
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import LATCHING, QOS, AttachedFile, Channel, Damage, MetadataRecord, RawMessage, Schema, Topic
-from mavnav.logs.writing.mcap_writer import CHUNK_BYTES, OutputChannel, qos_text
+from mavnav.logs.writing.mcap_writer import CHUNK_BYTES, OutputChannel, qos_text, writable_stamp, write_extra
 from mavnav.logs.writing.translation import Translator
-
-_MAX_STAMP_NS = (1 << 63) - 1
 
 
 class Conversion(Struct, frozen=True):
@@ -67,7 +65,7 @@ def convert_log(
     report = ReadReport()
     with replacing(target, force=force, another="another name", room="another place") as unfinished:
         writing = _Writing(strict, report, Translator(report))
-        _write(source, unfinished, writing, progress, added)
+        writing.write(source, unfinished, progress, added)
         topics = writing.topics()
         if not topics:
             raise NoScansError(f"{source}: {_nothing_read(writing)}")
@@ -111,6 +109,30 @@ class _Writing(Struct):
     numbers: dict[Channel, int] = field(default_factory=dict)
     schemas: dict[Schema, int] = field(default_factory=dict)
 
+    def write(
+        self, source: Path, target: Path, progress: Callable[[int, int], None] | None, added: Iterable[RawMessage]
+    ) -> None:
+        """Write the messages of a log and the added ones, in the order of recording."""
+        from mcap.writer import CompressionType, Writer  # noqa: PLC0415
+
+        from mavnav.version import __version__  # noqa: PLC0415
+
+        report = self.report
+        with target.open("wb") as file:
+            writer = Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+            writer.start(profile="ros2", library=f"mavnav {__version__}")
+            report.take_extra = partial(self.put_extra, writer)
+            waiting = deque(added)
+            for message in _read(source, report):
+                while waiting and waiting[0].log_ns < message.log_ns:
+                    self.put(writer, waiting.popleft(), added=True)
+                self.put(writer, message)
+                if progress:
+                    progress(min(report.done_bytes, report.total_bytes), report.total_bytes)
+            for message in waiting:
+                self.put(writer, message, added=True)
+            writer.finish()
+
     def put(self, writer: Any, message: RawMessage, *, added: bool = False) -> None:  # noqa: ANN401  (mcap is untyped here)
         """Write a message, or count it as left out; an ``added`` one to a channel of its topic and type, if any."""
         if self.strict and message.suspect:
@@ -127,7 +149,7 @@ class _Writing(Struct):
             alike = (n for known, n in self.numbers.items() if added and _kind(known) == _kind(channel))
             number = self.numbers[channel] = next(alike, None) or self._register(writer, channel)
         sent_ns = message.log_ns if message.publish_ns is None else message.publish_ns
-        writer.add_message(number, _stamp(message.log_ns), data, _stamp(sent_ns))
+        writer.add_message(number, writable_stamp(message.log_ns), data, writable_stamp(sent_ns))
         self.counts[_kind(channel)] += 1
 
     def put_extra(self, writer: Any, extra: AttachedFile | MetadataRecord | str) -> None:  # noqa: ANN401
@@ -135,11 +157,8 @@ class _Writing(Struct):
         if isinstance(extra, str):
             self.left_out["extras"] += 1
             self.report.warn(f"{extra}; it is left out")
-        elif isinstance(extra, MetadataRecord):
-            writer.add_metadata(extra.name, extra.values)
         else:
-            created_ns, log_ns = _stamp(extra.created_ns), _stamp(extra.log_ns)
-            writer.add_attachment(created_ns, log_ns, extra.name, extra.media_type, extra.data)
+            write_extra(writer, extra)
 
     def _register(self, writer: Any, channel: Channel) -> int:  # noqa: ANN401
         schema = channel.schema
@@ -160,46 +179,12 @@ def _kind(channel: Channel) -> tuple[str, str, str]:
     return channel.topic, channel.type, channel.encoding
 
 
-def _stamp(time_ns: int) -> int:
-    return min(max(time_ns, 0), _MAX_STAMP_NS)
-
-
-def _write(
-    source: Path,
-    unfinished: Path,
-    writing: _Writing,
-    progress: Callable[[int, int], None] | None,
-    added: Iterable[RawMessage],
-) -> None:
-    from mcap.writer import CompressionType, Writer  # noqa: PLC0415
-
-    from mavnav.version import __version__  # noqa: PLC0415
-
-    report = writing.report
-    with unfinished.open("wb") as file:
-        writer = Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-        writer.start(profile="ros2", library=f"mavnav {__version__}")
-        report.take_extra = partial(writing.put_extra, writer)
-        waiting = deque(added)
-        for message in _read(source, report):
-            while waiting and waiting[0].log_ns < message.log_ns:
-                writing.put(writer, waiting.popleft(), added=True)
-            writing.put(writer, message)
-            if progress:
-                progress(min(report.done_bytes, report.total_bytes), report.total_bytes)
-        for message in waiting:
-            writing.put(writer, message, added=True)
-        writer.finish()
-
-
 def _read(source: Path, report: ReadReport) -> Iterator[RawMessage]:
     """Yield the messages of the source; an OSError here is reported as one of the source, not of the target."""
-    try:
+    with reading(source):
         if detect.sniff(source) == detect.UNKNOWN:
             raise NoScansError(f"{source}: {detect.refusal(source)}")
         yield from detect.read(source, report)
-    except OSError as error:
-        raise unreadable(source, error) from error
 
 
 def _compare(unfinished: Path, target: Path, topics: tuple[Topic, ...]) -> None:

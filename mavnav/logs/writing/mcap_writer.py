@@ -5,20 +5,22 @@ The output does not depend on the clock: equal messages give equal bytes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from string import Template
-from typing import Final
+from typing import Any, Final
 
-from msgspec import Struct, field
+from msgspec import Struct
 
 from mavnav.logs.messages.definitions import definition
+from mavnav.logs.records import AttachedFile, MetadataRecord
 from mavnav.version import __version__
 
 CHUNK_BYTES: Final = 128 * 1024
 """Size of a chunk before compression, in bytes, about 4 s of scans; a cut file loses no chunk before the cut."""
 
+_LATEST_NS: Final = (1 << 63) - 1
 _QOS: Final = Template(Path(__file__).with_name("qos.yaml").read_text("ascii"))
 
 
@@ -35,28 +37,26 @@ def qos_text(channel: OutputChannel) -> str:
     return _QOS.substitute(depth=depth, durability=durability)
 
 
-class Attachment(Struct, frozen=True):
-    """A file attached to an MCAP file, with its media type."""
-
-    name: str
-    media_type: str
-    data: bytes
+def writable_stamp(time_ns: int) -> int:
+    """Return a time within the range that readers accept."""
+    return min(max(time_ns, 0), _LATEST_NS)
 
 
-class Extras(Struct, frozen=True):
-    """Content of an MCAP file besides messages: metadata records by name, and attachments with one stamp, ns."""
-
-    stamp_ns: int = 0
-    metadata: Mapping[str, dict[str, str]] = field(default_factory=dict)
-    attachments: tuple[Attachment, ...] = ()
-
-
-NO_EXTRAS: Final = Extras()
+def write_extra(writer: Any, extra: AttachedFile | MetadataRecord) -> None:  # noqa: ANN401  mcap is untyped here
+    """Write an attached file, or a record of texts by name."""
+    if isinstance(extra, MetadataRecord):
+        writer.add_metadata(extra.name, extra.values)
+    else:
+        created_ns, log_ns = writable_stamp(extra.created_ns), writable_stamp(extra.log_ns)
+        writer.add_attachment(created_ns, log_ns, extra.name, extra.media_type, extra.data)
 
 
 @contextmanager
 def write_serialized(
-    path: Path, channels: Mapping[str, OutputChannel], chunk_bytes: int = CHUNK_BYTES, extras: Extras = NO_EXTRAS
+    path: Path,
+    channels: Mapping[str, OutputChannel],
+    chunk_bytes: int = CHUNK_BYTES,
+    extras: Iterable[AttachedFile | MetadataRecord] = (),
 ) -> Iterator[Callable[[str, int, bytes], None]]:
     """Write an MCAP file of ROS 2 messages with their definitions; yields ``put(topic, stamp_ns, message)``.
 
@@ -74,10 +74,8 @@ def write_serialized(
             topic: writer.register_channel(topic, "cdr", schemas[c.type], {"offered_qos_profiles": qos_text(c)})
             for topic, c in channels.items()
         }
-        for name, values in extras.metadata.items():
-            writer.add_metadata(name, values)
-        for a in extras.attachments:
-            writer.add_attachment(extras.stamp_ns, extras.stamp_ns, a.name, a.media_type, a.data)
+        for extra in extras:
+            write_extra(writer, extra)
 
         def put(topic: str, stamp_ns: int, message: bytes) -> None:
             writer.add_message(numbers[topic], stamp_ns, message, stamp_ns)

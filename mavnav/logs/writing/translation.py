@@ -11,8 +11,8 @@ from typing import Any, Final, NamedTuple
 
 from msgspec import Struct, field
 
+from mavnav.logs.formats.carmen import ENCODING, decode_pose, scan_decoder
 from mavnav.logs.messages import cdr, ros
-from mavnav.logs.messages.carmen import ENCODING, decode_pose, scan_decoder
 from mavnav.logs.messages.decode import decoder
 from mavnav.logs.messages.definitions import ODOMETRY, SCAN, TF, TF_ROS1, TRANSFORM
 from mavnav.logs.messages.records import DecodeError, LaserMessage

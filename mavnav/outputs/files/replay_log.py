@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 
 from mavnav.logs.messages import cdr, definitions
 from mavnav.logs.messages.cdr import LINE_LIST, LINE_STRIP, TEXT, Marker
-from mavnav.logs.writing.mcap_writer import Attachment, Extras, OutputChannel, write_serialized
+from mavnav.logs.records import AttachedFile, MetadataRecord
+from mavnav.logs.writing.mcap_writer import OutputChannel, write_serialized
 from mavnav.mapping.occupancy_grid import UNKNOWN, Grid, show_ends
 from mavnav.mapping.tiled_arrays import max_pool
 from mavnav.metrics.ghost_walls import GhostWall
@@ -159,7 +160,7 @@ RED, ORANGE, MAGENTA = (0.84, 0.15, 0.16, 1.0), (0.9, 0.6, 0.0, 1.0), (0.8, 0.47
 WIDTH_M, LETTERS_M = 0.04, 0.2
 
 
-def extras(run: RunResult) -> Extras:
+def extras(run: RunResult) -> list[AttachedFile | MetadataRecord]:
     """Return the metadata record ``mavnav``, and run.json, configuration and map files as attachments.
 
     Of run.json the sections are left out that differ from run to run, and the path of the log, or the whole file of a
@@ -171,13 +172,14 @@ def extras(run: RunResult) -> Extras:
     for key in ("sha256", "size_bytes") if run.mission else ():
         del document["input"][key]
     files = [
-        Attachment("run.json", "application/json", plain_json(document).encode()),
-        Attachment("config.json", "application/json", to_json(run.config).encode()),
-        Attachment("map.yaml", "application/yaml", yaml_text(run).encode()),
+        ("run.json", "application/json", plain_json(document).encode()),
+        ("config.json", "application/json", to_json(run.config).encode()),
+        ("map.yaml", "application/yaml", yaml_text(run).encode()),
     ]
     if run.known.hits.size <= MOST_CELLS:
-        files.append(Attachment("map.pgm", "image/x-portable-graymap", b"".join(pgm_rows(run))))
-    return Extras(run.log.first_ns, {"mavnav": _metadata(run)}, tuple(files))
+        files.append(("map.pgm", "image/x-portable-graymap", b"".join(pgm_rows(run))))
+    first_ns = run.log.first_ns
+    return [MetadataRecord("mavnav", _metadata(run)), *(AttachedFile(first_ns, first_ns, *file) for file in files)]
 
 
 def _metadata(run: RunResult) -> dict[str, str]:

@@ -17,8 +17,7 @@ from mavnav.config.models import PlannerConfig
 from mavnav.kernels.planning import potential
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose, wrap_angle
-from mavnav.simulation.planner.local_minima import TECHNIQUES, Memory, Scene
-from mavnav.simulation.planner.shortest_path import XY
+from mavnav.simulation.planner.local_minima import TECHNIQUES, XY, Memory, Scene
 from mavnav.units import DEG, MM
 
 _LOOK_M = 1.0  # walls farther away decide no single step
@@ -41,14 +40,9 @@ class MotionCommand(Struct, frozen=True):
 
 
 class Plan(Struct, frozen=True):
-    """A command with its evidence.
-
-    ``clearance_m`` is the distance from the end of the step to the nearest wall of the map, inf where none is near.
-    ``reason`` is why the planner is stuck; the command is then no motion.
-    """
+    """A command, and the ``reason`` why the planner is stuck, if it is; the command is then no motion."""
 
     command: MotionCommand
-    clearance_m: float
     reason: str = ""
 
     @property
@@ -66,7 +60,7 @@ class Planner:
         self.memory: Memory | None = None
 
     def plan(self, grid: GridBuilder, map_T_laser: Pose, goal_xy_map_m: tuple[float, float]) -> Plan:
-        """Return the next command with its evidence, and remember what the next call needs."""
+        """Return the next command, and remember what the next call needs."""
         scene = _scene(self.config, grid, map_T_laser, goal_xy_map_m)
         drive = TECHNIQUES[self.config.technique](scene, _update_memory(self.memory, scene))
         step = np.zeros(2)
@@ -78,7 +72,7 @@ class Planner:
             wanted = _seen_share(scene, bearing_rad) * _limit_step(scene, velocity)
             step = _clear_step(scene, wanted, squeezes=drive.squeezes)
         self.memory = replace(drive.memory, velocity_m=step)
-        return Plan(_in_body(step, turn_rad, map_T_laser), _clearance_m(scene, step), drive.reason)
+        return Plan(_in_body(step, turn_rad, map_T_laser), drive.reason)
 
 
 def _scene(config: PlannerConfig, grid: GridBuilder, map_T_laser: Pose, goal_xy_map_m: tuple[float, float]) -> Scene:
@@ -126,7 +120,7 @@ def _seen_share(scene: Scene, bearing_rad: float) -> float:
 
     A vehicle that is too near to a wall backs off at once, slowly.
     """
-    too_near = _clearance_m(scene, np.zeros(2)) < scene.config.safety_m
+    too_near = _clearance_m(scene) < scene.config.safety_m
     seen = (scene.config.view_rad - abs(bearing_rad)) / _TAPER_RAD
     return float(np.clip(seen, _BACKING_OFF if too_near else 0.0, 1.0))
 
@@ -141,7 +135,7 @@ def _clear_step(scene: Scene, step_m: XY, *, squeezes: bool) -> XY:
         return step_m
     steps, progress = _candidates(step_m, _AHEAD_RAD if scene.config.technique == "field" else _FAN_RAD)
     clearances = _least_clearances_m(scene, steps)
-    now_m = _clearance_m(scene, np.zeros(2))
+    now_m = _clearance_m(scene)
     for level_m in _levels_m(scene.config)[: None if squeezes else 1]:
         allowed = (clearances >= min(level_m, now_m)) & (progress >= _LEAST_PROGRESS)
         if allowed.any():
@@ -170,8 +164,8 @@ def _least_clearances_m(scene: Scene, steps_m: XY) -> NDArray[np.float64]:
     return np.asarray(potential.clearance(scene.near_xy_map_m, points).reshape(samples, -1).min(axis=0))
 
 
-def _clearance_m(scene: Scene, step_m: XY) -> float:
-    return float(potential.clearance(scene.near_xy_map_m, (scene.xy_map_m + step_m)[None])[0])
+def _clearance_m(scene: Scene) -> float:
+    return float(potential.clearance(scene.near_xy_map_m, scene.xy_map_m[None])[0])
 
 
 def _in_body(step_m: XY, turn_rad: float, map_T_laser: Pose) -> MotionCommand:

@@ -119,8 +119,7 @@ class World(Struct, frozen=True, eq=False):
         """Return the distance of points (n, 2) to the nearest wall, (n,) in metres; inf where there is no wall."""
         x, y = xy_m[:, :1], xy_m[:, 1:]
         walls_m = np.hstack((_to_segments(self.segments, x, y), _to_arcs(self.arcs, x, y)))
-        nearest: Array = walls_m.min(axis=1, initial=np.inf)
-        return nearest
+        return np.asarray(walls_m.min(axis=1, initial=np.inf))
 
     def least_clearance_m(self, from_xy_m: Array, to_xy_m: Array) -> float:
         """Return the least distance of the straight path between two points (2,) to a wall, exact; 0 if they cross."""
@@ -151,9 +150,10 @@ class World(Struct, frozen=True, eq=False):
         return World(ends, arcs, self.heights_m, plates)
 
     def slice(self, low_m: float, high_m: float) -> World:
-        """Return the walls that reach into a slice of height, as walls from the floor to above everything."""
-        if not len(self.heights_m):
-            return World(self.segments, self.arcs)
+        """Return the walls that reach into a slice of height, as walls from the floor to above everything.
+
+        All walls of the world have heights.
+        """
         met = (self.heights_m[:, 0] < high_m) & (self.heights_m[:, 1] > low_m)
         n = len(self.segments)
         return World(self.segments[met[:n]], self.arcs[met[n:]])
@@ -162,8 +162,7 @@ class World(Struct, frozen=True, eq=False):
         """Return the distance of points (n, 2) to the nearest wall or bounded plate as seen from above, (n,) in m."""
         plates = self.plates[np.isfinite(self.plates[:, 2])]
         beside = _beside_plates(plates, xy_m[:, :1], xy_m[:, 1:]).min(axis=1, initial=np.inf)
-        nearest: Array = np.minimum(self.clearance_m(xy_m), np.maximum(beside, 0.0))
-        return nearest
+        return np.asarray(np.minimum(self.clearance_m(xy_m), np.maximum(beside, 0.0)))
 
     @property
     def bounds_m(self) -> tuple[float, float, float, float]:
@@ -249,8 +248,7 @@ def _to_segments(segments: Array, x: Array, y: Array) -> Array:
     ex, ey = segments[:, 2] - segments[:, 0], segments[:, 3] - segments[:, 1]
     squared = np.maximum(ex * ex + ey * ey, np.finfo(np.float64).tiny)
     u = np.clip((ax * ex + ay * ey) / squared, 0.0, 1.0)
-    distance: Array = np.hypot(ax - u * ex, ay - u * ey)
-    return distance
+    return np.asarray(np.hypot(ax - u * ex, ay - u * ey))
 
 
 def _to_arcs(arcs: Array, x: Array, y: Array) -> Array:

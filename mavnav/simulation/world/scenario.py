@@ -10,13 +10,12 @@ from math import floor, inf, pi
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-from msgspec import to_builtins
+from msgspec import Meta, to_builtins
 from msgspec.structs import asdict, replace
 
 from mavnav.config.models import Config, InSI, PlannerConfig, Strict, in_si, setting
 from mavnav.pose import Pose
 from mavnav.scan import LaserSpec
-from mavnav.simulation.world.flight import FlightConfig
 from mavnav.simulation.world.geometry import World
 from mavnav.simulation.world.laser import LASERS, LaserModel
 from mavnav.simulation.world.shapes import XY, Degrees, Metre, WallEntry, world_of
@@ -24,6 +23,8 @@ from mavnav.units import DEG, MM, MS
 
 AERIAL = ("flight", "ceiling_m")
 """The keys that only a vehicle with a section ``flight`` has."""
+
+Tilt = Annotated[float, Meta(ge=0.0, le=20.0)]
 
 LaserName = Literal["urg-04lx", "utm-30lx", "ust-10lx", "lds-01"]
 
@@ -96,6 +97,29 @@ class VehicleConfig(Strict, frozen=True):
 
     radius_m, laser_x_m, laser_y_m = in_si(MM, "radius_mm", "laser_x_mm", "laser_y_mm")
     laser_yaw_rad, command_s = InSI("laser_yaw_deg", DEG), InSI("command_ms", MS)
+
+
+class FlightConfig(Strict, frozen=True):
+    """Flight of an aerial vehicle; without this section it moves level, in the plane of its laser."""
+
+    height_m: Annotated[float, setting("commanded height of the laser above the floor", gt=0, le=1000)] = 1.2
+    slice_mm: Annotated[float, setting("slice around it in which walls are obstacles", gt=0, le=5000)] = 400.0
+    tilt_noise_deg: Annotated[Tilt, setting("standard deviation of roll and of pitch in steady flight")] = 2.0
+    height_noise_mm: Annotated[float, setting("standard deviation of the height", ge=0, le=500)] = 20.0
+    correlation_ms: Annotated[float, setting("time in which both fall to 1/e", gt=0, le=60_000)] = 300.0
+    max_tilt_deg: Annotated[Tilt, setting("largest tilt to accelerate; 0: none")] = 5.0
+    response_ms: Annotated[float, setting("time constant of the tilt after a command", gt=0, le=60_000)] = 200.0
+    sensor_tilt_deg: Annotated[Tilt, setting("standard deviation of measured roll and pitch")] = 0.5
+    sensor_height_mm: Annotated[float, setting("standard deviation of the measured height", ge=0, le=500)] = 10.0
+
+    tilt_noise_rad, max_tilt_rad, sensor_tilt_rad = in_si(DEG, "tilt_noise_deg", "max_tilt_deg", "sensor_tilt_deg")
+    height_noise_m, sensor_height_m = in_si(MM, "height_noise_mm", "sensor_height_mm")
+    correlation_s, response_s = in_si(MS, "correlation_ms", "response_ms")
+
+    @property
+    def slice_m(self) -> tuple[float, float]:
+        """Lower and upper end of the slice in which walls are obstacles."""
+        return self.height_m - 0.5 * self.slice_mm * MM, self.height_m + 0.5 * self.slice_mm * MM
 
 
 class RecoveryConfig(Strict, frozen=True):

@@ -1,6 +1,6 @@
-"""A batch as JUnit XML for CI servers.
+"""Output of a batch for CI: JUnit XML, a summary in Markdown, and annotations for GitHub.
 
-The format, a test suite per log, a test case per run, is junit-10.xsd, the schema of Jenkins' xUnit plugin:
+The format of the XML, a test suite per log, a test case per run, is junit-10.xsd, the schema of Jenkins' xUnit plugin:
 ``testsuites`` of ``testsuite`` of ``testcase``, each case with at most one ``failure`` or ``error``. A failed gate, a
 lost track and a damaged log are failures; a run without a result is an error. Metrics are the output of a case, because
 the schema has properties for suites only.
@@ -14,9 +14,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 from xml.etree import ElementTree as XML  # noqa: N814  short, because many lines use it
 
-from mavnav.batch.document import why
+from mavnav.batch.document import KEY_FIGURES, absent_runs, batch_headline, change_text, missing_lines, why, worst_first
 from mavnav.batch.files import FIGURES
 from mavnav.outputs.documents.quantities import number, verdict_texts
+from mavnav.outputs.report.markdown import escape, table_row
+
+MAX_ROWS: Final = 100
+"""Maximum number of runs in a summary, which GitHub limits to 1 MiB per step; the worst runs are shown."""
 
 _INVALID_XML: Final = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 """Characters that XML 1.0 does not allow (section 2.2)."""
@@ -28,9 +32,8 @@ def to_junit(document: Mapping[str, Any]) -> str:
     for row in document["cells"]:
         logs.setdefault(row["log"], []).append(row)
     suites = [_suite(log, rows) for log, rows in logs.items()]
-    missing_runs = (document["baseline"] or {}).get("missing", [])
-    if missing_runs:
-        suites.append(_missing(missing_runs, failed=bool(document["baseline"].get("gate"))))
+    if missing := absent_runs(document):
+        suites.append(_missing(missing, failed=bool(document["baseline"].get("gate"))))
     sums = {name: str(sum(int(suite.attrib[name]) for suite in suites)) for name in ("tests", "failures", "errors")}
     seconds = sum(float(suite.attrib["time"]) for suite in suites)
     root = XML.Element("testsuites", {"name": "mavnav batch", **sums, "time": f"{seconds:.3f}"})
@@ -89,3 +92,45 @@ def _missing(names: Sequence[str], *, failed: bool) -> XML.Element:
 
 def _text(text: str) -> str:
     return _INVALID_XML.sub("?", text)
+
+
+def to_summary(document: Mapping[str, Any]) -> str:
+    """Return a batch in GitHub's Markdown: the headline, the failures, and a table, worst runs first."""
+    rows = worst_first(document["cells"])
+    mark = "✅" if document["exit_code"] == 0 else "❌"
+    lines = [f"## {mark} mavnav batch", "", batch_headline(document) + ".", ""]
+    bad = [row for row in rows if row["code"]]
+    lines += [f"- **{escape(row['name'])}**: {escape('; '.join(why(row)))}" for row in bad[:MAX_ROWS]]
+    lines += [f"- **{escape(name)}**: in the baseline, not in this batch" for name in absent_runs(document)[:MAX_ROWS]]
+    lines += [""] if bad or absent_runs(document) else []
+    titles = ["", "run", "verdict", *(figure.head for figure in KEY_FIGURES)]
+    titles += ["since the baseline"] if document["baseline"] else []
+    lines += [table_row(titles), table_row(["---"] * len(titles))]
+    lines += [table_row(_cells(row, since=bool(document["baseline"]))) for row in rows[:MAX_ROWS]]
+    if len(rows) > MAX_ROWS:
+        lines += ["", f"{len(rows) - MAX_ROWS} more are in batch.html and batch.csv."]
+    return "\n".join(lines) + "\n"
+
+
+def _cells(row: Mapping[str, Any], *, since: bool) -> list[str]:
+    mark = "❌" if row["code"] else "✅"
+    word, numbers = verdict_texts(row["run"])[0] or "-", [figure.text_of(row["run"]) for figure in KEY_FIGURES]
+    texts = [mark, escape(row["name"]), word, *numbers]
+    return [*texts, change_text(row)] if since else texts
+
+
+def github_commands(document: Mapping[str, Any]) -> list[str]:
+    """Return the workflow commands that show the failures of a batch on GitHub, one line each."""
+    bad = [row for row in worst_first(document["cells"]) if row["code"]]
+    places = [f"file={_property(row['log'])},title={_property(row['name'])}" for row in bad]
+    errors = [f"::error {place}::{_data('; '.join(why(row)))}" for place, row in zip(places, bad, strict=True)]
+    return errors + [f"::{kind} title=mavnav::{_data(text)}" for kind, text in missing_lines(document)]
+
+
+def _data(text: str) -> str:
+    """Escape the text of a workflow command, which must be one line without a literal percent sign."""
+    return text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
+
+
+def _property(text: str) -> str:
+    return _data(text).replace(":", "%3A").replace(",", "%2C")
