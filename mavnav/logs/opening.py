@@ -157,7 +157,8 @@ def _chosen_topic(survey: Survey, topic: str | None) -> str:
         if not named or survey.scans or (lasers and topic not in lasers):
             raise TopicError(f"{survey.path}: no scans on topic {topic!r}; {_list_topics(survey)}")
     if topic is None and len(survey.scans) > 1:
-        raise SeveralTopicsError(f"{survey.path}: several scan topics: {_counts(survey)}; choose one with --topic NAME")
+        text = f"{survey.path}: several scan topics: {_counts(survey)}; choose one with --topic NAME"
+        raise SeveralTopicsError(f"{text}, or merge them with their names, joined by a comma")
     if not survey.scans:
         raise NoScansError(_no_scans(survey))
     return topic if topic is not None else next(iter(survey.scans))

@@ -261,6 +261,11 @@ TRIALS = [
     ("name one --topic at a time", "calibrate two.mcap --topic /scan,/rear", CALIBRATE),
     ("or one of 'mavnav simulate --list'", "simulate", "simulate --list"),
     ("choose one with --topic NAME", "replay two.mcap", f"replay two.mcap --topic /rear -o new {FAST}"),
+    (
+        "or merge them with their names, joined by a comma",
+        "replay lasers.mcap",
+        f"replay lasers.mcap --topic /scan,/rear -o new {FAST}",
+    ),
     ("the log holds none, leave --odom out", "replay bare.mcap --odom /odom", f"replay bare.mcap -o new {SHORT}"),
     (
         "name one of them, or write --attitude off",
