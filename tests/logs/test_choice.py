@@ -44,7 +44,9 @@ def odom(topic: str, k: int, **fields: Any) -> Message:
 
 def test_several_scan_topics_are_listed_and_one_can_be_chosen(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a", [laser(0, topic="/front"), laser(1, topic="/front"), laser(2, topic="/rear")])
-    with pytest.raises(TopicError, match=r": /front \(2 scans\), /rear \(1 scans\); choose one with --topic NAME, or merge"):
+    with pytest.raises(
+        TopicError, match=r": /front \(2 scans\), /rear \(1 scans\); choose one with --topic NAME, or merge"
+    ):
         open_log(path)
     log = open_log(path, topic="/front")
     assert (log.topic, log.counts.total, sum(1 for _ in log.scans())) == ("/front", 2, 2)
