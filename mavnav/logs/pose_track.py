@@ -58,7 +58,9 @@ class PoseTrack(MessageTrack):
             warn(f"{self.topic}: its stamps never change; the times of recording are used: see what publishes it")
             stamps = recorded + round(log.clock.ahead_s / NS)
         keep = in_order(stamps, recorded, self.topic, warn)
-        added_s = 0.0 if self.is_path else shift_s(clock_of(stamps[keep], recorded[keep]), log.clock)
+        added_s = (
+            0.0 if self.is_path else shift_s(clock_of(stamps[keep], recorded[keep]), log.clock, 2.0 * log.mid_sweep_s)
+        )
         if added_s:
             ahead = "ahead of" if added_s < 0.0 else "behind"
             text = f"{abs(added_s):.2f} s {ahead} those of the scans, by the times of recording, and corrected by that"

@@ -299,3 +299,20 @@ def test_scans_that_repeat_the_one_before_are_told(frozen: tuple[int, ...], told
     assert log.counts.repeated == len(frozen)
     assert any(f"{len(frozen)} of 50 scans repeat the one before" in w for w in log.warnings) == told
     assert len(list(log.scans())) == 50
+
+
+def test_that_a_slow_sweep_is_no_other_clock(tmp_path: Path) -> None:
+    """A scan is recorded when its sweep ends, and odometry at once."""
+    sweep_ns = 2 * 10**9
+    messages = [
+        Message("/odom", ODOM, START_NS + k * 10**8, {"x": 0.01 * k, "y": 0.0, "yaw": 0.0}, START_NS + k * 10**8)
+        for k in range(400)
+    ]
+    for k in range(15):
+        stamp_ns = START_NS + k * sweep_ns
+        scan = laser(k, beams=360, time_increment=2 / 360, scan_time=2.0, angle_increment=0.01745, angle_max=6.266)
+        messages.append(Message(scan.topic, scan.type, stamp_ns, scan.fields, stamp_ns + sweep_ns))
+    log = open_log(write_mcap(tmp_path / "a", sorted(messages, key=lambda message: message.time_ns)))
+    assert log.odometry is not None
+    assert not [text for text in log.warnings if "synchronize" in text]
+    assert log.odometry.odom_T_base.stamps_ns[0] == START_NS
