@@ -112,6 +112,7 @@ def track_verdict(slam: SlamResult, log: Log, config: Config, **more: object) ->
         "config": config,
         "input": {"duration_s": log.duration_s, "start_s": log.start_s, "odometry": log.odometry is not None},
         "scans": _scans(slam, log, config),
+        "cleaning": log.cleaning,
         "tracking": _tracking(slam, log, config),
         "search": _search(slam),
     }
