@@ -1,6 +1,6 @@
-"""The map of a run: which returns it is made of, its frame, the references in that, and what is measured of it.
+"""The map of a run: what it is made of, its frame, the references in that, and what is measured of it.
 
-Returns are used beyond the default range where most of a log's are.
+Returns are used beyond the default range where most of a log's are, and motion above the default speed is accepted.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from mavnav.outputs.directory import checked_file, digests_of
 from mavnav.outputs.documents.run_json import FoundPose, Localisation, StartPose
 from mavnav.pose import MAX_GAP_NS, Pose, Trajectory
 from mavnav.profiling import Stage, timed
+from mavnav.slam.matching.odometry_fit import usual_speed
 from mavnav.slam.matching.prior_map import PriorMap, prior_map_of
 from mavnav.slam.methods.registry import LOCALIZERS
 from mavnav.units import DEG, MM
@@ -44,6 +45,13 @@ LOOKED_AT: Final = 200
 
 MOST_BEYOND: Final = 0.5
 """Share of the returns beyond the default from which the laser's own limit takes its place."""
+
+
+def suited(config: Config, log: Log) -> tuple[Config, tuple[str, ...]]:
+    """Return a configuration for the ranges and the speed of a log, and warnings of what is another."""
+    config, reach = with_reach(config, log)
+    config, speed = with_speed(config, log)
+    return config, (*reach, *speed)
 
 
 def with_reach(config: Config, log: Log) -> tuple[Config, tuple[str, ...]]:
@@ -63,6 +71,27 @@ def with_reach(config: Config, log: Log) -> tuple[Config, tuple[str, ...]]:
     text = f"{100 * beyond:.0f} % of the returns are farther than {far_m:g} m; returns up to {limit_m:g} m are used"
     reaching = replace(config, robust=replace(config.robust, far_mm=limit_m / MM))
     return reaching, (f"{text}: set robust.far_mm to choose another limit",)
+
+
+FASTEST_M_S, FASTER = 20.0, 1.5
+"""Speed by odometry above which it is in another unit, and factor on it that gives the highest one to be accepted."""
+
+
+def with_speed(config: Config, log: Log) -> tuple[Config, tuple[str, ...]]:
+    """Return a configuration that accepts the speed of a log by its odometry, and a warning if it is another.
+
+    A ``robust.max_speed_m_s`` that is not the default stays.
+    """
+    limit_m_s = config.robust.max_speed_m_s
+    if config.method != "robust" or limit_m_s != RobustConfig().max_speed_m_s or log.odometry is None:
+        return config, ()
+    fast_m_s = usual_speed(log.odometry.odom_T_laser)
+    if not limit_m_s < fast_m_s <= FASTEST_M_S:
+        return config, ()
+    accepted_m_s = round(FASTER * fast_m_s, 1)
+    text = f"the vehicle moves at {fast_m_s:.1f} m/s by its odometry; up to {accepted_m_s:g} m/s is accepted"
+    faster = replace(config, robust=replace(config.robust, max_speed_m_s=accepted_m_s))
+    return faster, (f"{text}: set robust.max_speed_m_s to choose another limit",)
 
 
 def known_map(path: Path | None, start_pose: Pose | None, method: str) -> PriorMap | None:

@@ -16,6 +16,9 @@ from mavnav.cli import app_for
 from support.advice_trials import TRIALS
 
 TRIED = {
+    "pipelines/test_suited.py": {
+        "set robust.max_speed_m_s to choose another limit": "test_that_a_limit_that_is_set_stays"
+    },
     "batch/test_cluster.py": {
         "start them with dask worker --memory-limit": "test_a_worker_that_is_started_with_a_limit_keeps_it",
         "if the memory ran out, allow more": "test_a_job_that_is_killed_for_its_memory_ends_where_more_is_allowed",

@@ -194,8 +194,8 @@ def _without_changes(run: Run) -> str:
 
 
 def _is_farther(name: str, value: Any, usual: dict[str, Any]) -> bool:  # noqa: ANN401
-    """Return whether a setting uses more of the returns: fewer help no track."""
-    return name.endswith(".far_mm") and value > usual[name]
+    """Return whether a setting uses more of the returns, or allows faster motion: less helps no track."""
+    return name.endswith((".far_mm", ".max_speed_m_s", ".max_turn_deg_s")) and value > usual[name]
 
 
 def _doubted(run: Run, above: float, how: str) -> Cause:

@@ -116,13 +116,17 @@ def average_stamps(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
     return averaged
 
 
+def usual_speed(path: Trajectory) -> float:
+    """Return the upper quartile of the speeds along a path, m/s; 0 of few poses."""
+    if len(path) < LEAST_WINDOWS:
+        return 0.0
+    moved_m, elapsed_s = np.hypot(*np.diff(path.xyyaw[:, :2], axis=0).T), np.diff(path.stamps_ns) * NS
+    return float(np.quantile(moved_m / elapsed_s, 0.75))
+
+
 def in_meters(odometry: LogOdometry, fastest_m_s: float) -> OdometryFit:
     """Return the correction of odometry in centimeters or millimeters, which is faster than any vehicle; else none."""
-    path = odometry.odom_T_base
-    if len(path) < LEAST_WINDOWS:
-        return GOOD_ODOMETRY
-    moved_m, elapsed_s = np.hypot(*np.diff(path.xyyaw[:, :2], axis=0).T), np.diff(path.stamps_ns) * NS
-    usual_m_s = float(np.quantile(moved_m / elapsed_s, 0.75))
+    usual_m_s = usual_speed(odometry.odom_T_base)
     units = (unit for unit in UNITS if usual_m_s * unit <= fastest_m_s)
     return OdometryFit(distance_scale=next(units, 1.0))
 
