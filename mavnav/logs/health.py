@@ -13,6 +13,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from mavnav.logs.log import Log
+from mavnav.logs.own_body import spread_over
 from mavnav.scan import LaserSpec, Scan
 from mavnav.units import DEG, NS, pluralize
 
@@ -122,7 +123,7 @@ def _scan_statistics(scans: Iterable[Scan], far_m: float, own: NDArray[np.bool_]
             degrees = _degrees(spec)
             covered[degrees] = True
         good = np.isfinite(scan.ranges_m)
-        returned[degrees[good if own is None or len(own) != len(good) else good | own]] = True  # the robot is no news
+        returned[degrees[good if own is None else good | spread_over(own, len(good))]] = True  # the robot is no news
         top_m = float(np.max(scan.ranges_m, initial=0.0, where=good))
         if np.count_nonzero(scan.ranges_m == top_m) > max(SAME_SHARE * len(good), SAME_BEAMS):
             largest_m[top_m] += 1

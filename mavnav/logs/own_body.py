@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from msgspec import Struct, field
@@ -21,10 +21,13 @@ Floats = NDArray[np.float64]
 MOST_SCANS, LEAST_SCANS = 128, 20
 """Number of scans of a log that are compared, evenly over all of it, and fewest that show anything."""
 
-FARTHEST_M, SPREAD_M = 1.0, 0.1
-"""Range within which the body lies, and by which a beam on it may vary, from the 5th to the 95th percentile."""
+FARTHEST_M, SPREAD_M = 1.5, 0.1
+"""Range within which the body lies, and by which a beam on it may vary, between the outer `QUANTILES`."""
 
-SHARE: Final = 0.95
+QUANTILES: Final = 0.02, 0.5, 0.98
+"""Quantiles of the ranges of a beam, with room for a few outliers, but not for a drive after a long rest at a dock."""
+
+SHARE: Final = 0.75
 """Share of the scans in which a beam on the body has a return."""
 
 MOVES_M, MOVING_SHARE = 0.3, 1 / 3
@@ -36,8 +39,8 @@ JUMP, BESIDE = 1.5, 0.01
 A wall that the laser moves along stays at one distance as well, but goes on beside those beams.
 """
 
-LEAST_SHARE: Final = 0.01
-"""Share of the beams on the body that makes a difference."""
+LEAST_SHARE, LEAST_LEFT = 0.01, 0.5
+"""Share of the beams on the body that makes a difference, and least number of other returns as a share of its own."""
 
 
 class ScanSample(Struct):
@@ -59,15 +62,15 @@ class ScanSample(Struct):
 def own_beams(sample: ScanSample) -> NDArray[np.bool_] | None:
     """Return which beams (n,) see the robot itself; None if hardly any do, or nothing shows it.
 
-    Of scans of other numbers of beams than most, none is used.
+    Scans of other numbers of beams than most have their beams at the same angles.
     """
-    (beams, scans), *_ = Counter(map(len, sample.ranges_m)).most_common(1) or [(0, 0)]
-    if scans < LEAST_SCANS:
+    if len(sample.ranges_m) < LEAST_SCANS:
         return None
-    ranges_m = np.sort([each for each in sample.ranges_m if len(each) == beams], axis=0)  # NaN is last
+    ((beams, _),) = Counter(map(len, sample.ranges_m)).most_common(1)
+    ranges_m = np.sort([spread_over(each, beams) for each in sample.ranges_m], axis=0)  # NaN is last
     returns, columns = np.isfinite(ranges_m).sum(axis=0), np.arange(beams)
-    low, middle, high = (ranges_m[(q * (returns - 1)).astype(np.intp), columns] for q in (0.05, 0.5, 0.95))
-    constant = (returns >= SHARE * scans) & (high - low <= SPREAD_M) & (high <= FARTHEST_M)
+    low, middle, high = (ranges_m[(q * (returns - 1)).astype(np.intp), columns] for q in QUANTILES)
+    constant = (returns >= SHARE * len(ranges_m)) & (high - low <= SPREAD_M) & (high <= FARTHEST_M)
     others = (high - low)[~constant & (returns > 0)]
     if np.count_nonzero(others > MOVES_M) <= MOVING_SHARE * len(others):
         return None
@@ -77,7 +80,8 @@ def own_beams(sample: ScanSample) -> NDArray[np.bool_] | None:
         ends = (first, before), (last - 1, after - 1)
         if all(beside in {0, beams - 1} or apart(middle[at], middle[beside]) for at, beside in ends):
             own[before:after] |= low[before:after] <= JUMP * max(middle[first], middle[last - 1])
-    return own if own.sum() >= LEAST_SHARE * beams else None
+    matters = own.sum() >= LEAST_SHARE * beams and returns[~own].sum() >= LEAST_LEFT * returns[own].sum()
+    return own if matters else None
 
 
 def apart(range_m: float, beside_m: float) -> bool:
@@ -92,8 +96,15 @@ def runs_of(flags: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
 
 
 def without_beams(ranges_m: Floats, own: NDArray[np.bool_]) -> Floats:
-    """Return ranges (n,), m, without those of some beams; of another number of beams as they are."""
-    return np.where(own, np.nan, ranges_m) if len(ranges_m) == len(own) else ranges_m
+    """Return ranges (n,), m, without those of beams (m,) at the same angles."""
+    return np.where(spread_over(own, len(ranges_m)), np.nan, ranges_m)
+
+
+def spread_over(values: NDArray[Any], beams: int) -> NDArray[Any]:
+    """Return values of beams (n,) for another number of beams over the same angle: drivers of cheap lasers vary it."""
+    if len(values) == beams:
+        return values
+    return values[np.round(np.linspace(0, len(values) - 1, beams)).astype(np.intp)]
 
 
 def body_warning(own: NDArray[np.bool_], spec: LaserSpec) -> str:
