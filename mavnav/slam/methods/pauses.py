@@ -44,16 +44,17 @@ class Pauses:
         self._seen_ns = stamp_ns
 
     def exclude(self, map_T_laser: Pose, motion: Motion, stamp_ns: int) -> bool:
-        """Return whether a pose after a pause is not where odometry leads, or without it too far for the laser.
+        """Return whether a pose is not where odometry leads, or after a pause without it too far for the laser.
 
-        A laser that is lost while its scans go on may have been carried; one whose scans pause has moved as before.
+        A laser that is lost while its scans go on may have been carried, but not while its wheels drive; one whose
+        scans pause has moved as before.
         """
-        if self._end_ns is None or not motion.stamp_ns < self._end_ns <= stamp_ns:
-            return False
+        paused = self._end_ns is not None and motion.stamp_ns < self._end_ns <= stamp_ns
         ahead = motion.by_odometry(stamp_ns)
-        if ahead is not None:
-            return ahead.gap(map_T_laser)[0] > MOST_ERROR * ahead.gap(motion.map_T_laser)[0] + SLACK_M
-        return is_too_far(motion.map_T_laser, map_T_laser, motion.elapsed_s(stamp_ns), self._fastest_m_s)
+        if ahead is None:
+            return paused and is_too_far(motion.map_T_laser, map_T_laser, motion.elapsed_s(stamp_ns), self._fastest_m_s)
+        driven_m = ahead.gap(motion.map_T_laser)[0]
+        return (paused or driven_m > SLACK_M) and ahead.gap(map_T_laser)[0] > MOST_ERROR * driven_m + SLACK_M
 
 
 def is_too_far(a: Pose, b: Pose, elapsed_s: float, fastest_m_s: float) -> bool:

@@ -101,6 +101,15 @@ def test_odometry_tells_where_the_laser_is_after_a_pause(x_m: float, *, excluded
     assert pauses.exclude(Pose(x_m, 0.0), before._replace(odometry={}.get), now)  # too far where odometry is not known
 
 
+@pytest.mark.parametrize(("driven_m", "x_m", "excluded"), [(2.0, 3.0, False), (2.0, 3.2, True), (0.4, 9.0, False)])
+def test_a_lost_laser_whose_wheels_drive_was_not_carried(driven_m: float, x_m: float, *, excluded: bool) -> None:
+    pauses, path = Pauses(), {k * S // 10: Pose(0.1 * driven_m * k, 0.0) for k in range(11)}
+    before = motion_at(0, 0.5)._replace(odometry=path.get)
+    for stamp_ns in path:
+        pauses.note(stamp_ns, before)
+    assert pauses.exclude(Pose(x_m, 0.0), before, S) == excluded
+
+
 def test_missed_scans_are_no_pause() -> None:
     pauses = Pauses()
     for k in range(1, 200):
