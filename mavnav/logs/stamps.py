@@ -193,12 +193,12 @@ def clock_of(stamps_ns: NDArray[np.int64], log_ns: NDArray[np.int64]) -> Clock |
 def shift_s(clock: Clock | None, scans: Clock | None, sweep_s: float) -> float:
     """Return what to add to stamps of a clock to have those of the scans', s; 0 where no recording shows it.
 
-    A scan is recorded at the end of its sweep.
+    A scan may be recorded at the end of its sweep.
     """
     if clock is None or scans is None:
         return 0.0
-    shift = scans.ahead_s + sweep_s - clock.ahead_s
-    return shift if abs(shift) > max(APART_S, SPREAD * (clock.spread_s + scans.spread_s)) else 0.0
+    shift = scans.ahead_s - clock.ahead_s
+    return shift if abs(shift) > max(APART_S + sweep_s, SPREAD * (clock.spread_s + scans.spread_s)) else 0.0
 
 
 def set_back_text(stamps_ns: NDArray[np.int64], log_ns: NDArray[np.int64]) -> str:
