@@ -113,6 +113,13 @@ class LaserSpec(Struct, frozen=True, dict=True):
         return replace(self, angle_min_rad=-self.angle_min_rad, angle_step_rad=-self.angle_step_rad)
 
 
+def runs_of(marks: NDArray[np.bool_], least: int = 1) -> list[range]:
+    """Return the ranges of ``least`` or more successive beams, or rows, that are marked; ``marks`` (n,)."""
+    edges = np.diff(np.concatenate(([False], marks, [False])).astype(np.int8))
+    pairs = zip(np.flatnonzero(edges > 0).tolist(), np.flatnonzero(edges < 0).tolist(), strict=True)
+    return [range(start, end) for start, end in pairs if end - start >= least]
+
+
 @lru_cache(maxsize=8)
 def _directions(spec: LaserSpec) -> NDArray[np.float64]:
     angles = spec.angles_rad

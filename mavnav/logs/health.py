@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mavnav.logs.log import Log
 from mavnav.logs.own_body import spread_over
-from mavnav.scan import LaserSpec, Scan
+from mavnav.scan import LaserSpec, Scan, runs_of
 from mavnav.units import DEG, NS, pluralize
 
 MOST_SCANS: Final = 5000
@@ -160,9 +160,8 @@ def _sectors(dead: NDArray[np.bool_]) -> list[tuple[float, float]]:
     if dead.all():
         return [(0.0, 360.0)]
     turn = int(np.argmin(dead))  # begin at a degree that is not dead
-    edges = np.diff(np.concatenate((np.roll(dead, -turn), [False])).astype(np.int8), prepend=0)
-    pairs = zip(np.flatnonzero(edges > 0) + turn, np.flatnonzero(edges < 0) + turn, strict=True)
-    return [(float(a % 360), float(a % 360 + b - a)) for a, b in pairs if b - a >= SECTOR_DEG]
+    sectors = (((run.start + turn) % 360, len(run)) for run in runs_of(np.roll(dead, -turn), SECTOR_DEG))
+    return [(float(start_deg), float(start_deg + wide_deg)) for start_deg, wide_deg in sectors]
 
 
 def _missing_returns(

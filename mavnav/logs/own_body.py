@@ -6,14 +6,13 @@ Posts, plates and cables move with the laser. Matched with the map, they hold a 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
 from msgspec import Struct, field
 from numpy.typing import NDArray
 
-from mavnav.scan import LaserSpec
+from mavnav.scan import LaserSpec, runs_of
 from mavnav.units import DEG
 
 Floats = NDArray[np.float64]
@@ -75,11 +74,11 @@ def own_beams(sample: ScanSample) -> NDArray[np.bool_] | None:
     if np.count_nonzero(others > MOVES_M) <= MOVING_SHARE * len(others):
         return None
     own, reach = np.zeros(beams, np.bool_), max(round(BESIDE * beams), 1)
-    for first, last in runs_of(constant):
-        before, after = max(first - reach, 0), min(last + reach, beams)
-        ends = (first, before), (last - 1, after - 1)
+    for run in runs_of(constant):
+        before, after = max(run.start - reach, 0), min(run.stop + reach, beams)
+        ends = (run[0], before), (run[-1], after - 1)
         if all(beside in {0, beams - 1} or apart(middle[at], middle[beside]) for at, beside in ends):
-            own[before:after] |= low[before:after] <= JUMP * max(middle[first], middle[last - 1])
+            own[before:after] |= low[before:after] <= JUMP * max(middle[run[0]], middle[run[-1]])
     matters = own.sum() >= LEAST_SHARE * beams and returns[~own].sum() >= LEAST_LEFT * returns[own].sum()
     return own if matters else None
 
@@ -87,12 +86,6 @@ def own_beams(sample: ScanSample) -> NDArray[np.bool_] | None:
 def apart(range_m: float, beside_m: float) -> bool:
     """Return whether two ranges are of two things; NaN is nothing in range."""
     return not 1.0 / JUMP <= beside_m / range_m <= JUMP
-
-
-def runs_of(flags: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
-    """Yield the runs of flags (n,) that are set: the first of each, and the one after its last."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], flags, [False]))))
-    yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
 
 
 def without_beams(ranges_m: Floats, own: NDArray[np.bool_]) -> Floats:
@@ -110,7 +103,7 @@ def spread_over(values: NDArray[Any], beams: int) -> NDArray[Any]:
 def body_warning(own: NDArray[np.bool_], spec: LaserSpec) -> str:
     """Say which beams see the robot itself, and that they are left out."""
     angles_deg = spec.angles_rad / DEG
-    sectors = [f"{angles_deg[first]:.0f} to {angles_deg[last - 1]:.0f}" for first, last in runs_of(own)]
+    sectors = [f"{angles_deg[run[0]]:.0f} to {angles_deg[run[-1]]:.0f}" for run in runs_of(own)]
     named = ", ".join(sectors[:4]) + ", ..." * (len(sectors) > 4)
     return (
         f"{own.sum()} of {len(own)} beams (at {named} deg) see the same within {FARTHEST_M:g} m all along, the robot's "

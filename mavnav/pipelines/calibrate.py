@@ -31,7 +31,7 @@ from mavnav.outputs.files.document import plain, to_json, track_verdict
 from mavnav.outputs.pictures import calibration_picture
 from mavnav.outputs.report.summary_page import calibration_summary, draw_png, write_summary
 from mavnav.outputs.run import half_sweep_s
-from mavnav.pipelines.maps import suited
+from mavnav.pipelines.maps import config_for_log
 from mavnav.pose import Pose
 from mavnav.profiling import Progress
 from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, LogOdometry, fit_odometry
@@ -70,7 +70,7 @@ def calibrate(request: CalibrationRequest, progress: Progress) -> dict[str, Any]
     _check(request)
     log = _open(request, progress)
     load_kernels(request.config, progress)
-    config, warnings = suited(request.config, log)
+    config, warnings = config_for_log(request.config, log)
     outcome = run_slam(
         log.scans,
         config,

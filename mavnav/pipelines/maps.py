@@ -47,7 +47,7 @@ MOST_BEYOND: Final = 0.5
 """Share of the returns beyond the default from which the laser's own limit takes its place."""
 
 
-def suited(config: Config, log: Log) -> tuple[Config, tuple[str, ...]]:
+def config_for_log(config: Config, log: Log) -> tuple[Config, tuple[str, ...]]:
     """Return a configuration for the ranges and the speed of a log, and warnings of what is another."""
     config, reach = with_reach(config, log)
     config, speed = with_speed(config, log)

@@ -212,7 +212,7 @@ def _track_and_write(
     request: ReplayRequest, log: Log, given: Given, progress: Progress, stop: Stop, began: Timing
 ) -> tuple[RunResult, dict[str, Any]]:
     """Track, measure and write; ``began`` holds the clocks as they stood at the start."""
-    config, warnings = maps.suited(request.config, log)
+    config, warnings = maps.config_for_log(request.config, log)
     outcome = _track(request, log, config, given.known, progress, stop)
     outcome = changed(outcome, warnings=(*warnings, *outcome.warnings))
     log = log.as_recorded() if TrackedAgain(AS_RECORDED, kept=True) in outcome.attempts else log

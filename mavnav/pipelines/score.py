@@ -26,7 +26,7 @@ from mavnav.outputs.documents.sections import PoseJump
 from mavnav.outputs.run import RunResult, Timing, half_sweep_s
 from mavnav.outputs.writers import write_run
 from mavnav.pipelines.again import changed_values
-from mavnav.pipelines.maps import check_references, comparison_fields, measured_map, references_in_map, suited
+from mavnav.pipelines.maps import check_references, comparison_fields, config_for_log, measured_map, references_in_map
 from mavnav.pipelines.replay import ReplayRequest, open_request
 from mavnav.pipelines.trajectory_source import LASER, WHOLE, Program, TrajectorySource, run_program
 from mavnav.pose import Pose, Trajectory
@@ -107,7 +107,7 @@ def score_log(request: ScoreRequest, progress: Progress) -> list[Scored]:
     log = open_request(request, progress, odom="off", truth=request.recorded_truth)
     check_references(references, log, request.options, own_frame=True)
     poses = [_read(source, request, log, progress) for source in request.sources]
-    config, warnings = suited(request.config, log)
+    config, warnings = config_for_log(request.config, log)
     load_kernels(config, progress)
     log = replace(log, warnings=(*warnings, *log.warnings))
     request = replace(request, config=config)

@@ -16,7 +16,7 @@ from mavnav.cli import app_for
 from support.advice_trials import TRIALS
 
 TRIED = {
-    "pipelines/test_suited.py": {
+    "pipelines/test_config_for_log.py": {
         "set robust.max_speed_m_s to choose another limit": "test_that_a_limit_that_is_set_stays"
     },
     "batch/test_cluster.py": {

@@ -187,13 +187,13 @@ def _without_changes(run: Run) -> str:
     usual = by_dotted_key(load_config(None, [], {"method": method}).document())
     used = by_dotted_key({method: run["config"].get(method, {})})
     names = [
-        name for name, value in used.items() if value != usual.get(name, value) and not _is_farther(name, value, usual)
+        name for name, value in used.items() if value != usual.get(name, value) and not _is_looser(name, value, usual)
     ]
     named = ", ".join(f"{name}={used[name]} (default {usual[name]})" for name in names[:MOST_NAMED])
     return named and f"leave out {named}"
 
 
-def _is_farther(name: str, value: Any, usual: dict[str, Any]) -> bool:  # noqa: ANN401
+def _is_looser(name: str, value: Any, usual: dict[str, Any]) -> bool:  # noqa: ANN401
     """Return whether a setting uses more of the returns, or allows faster motion: less helps no track."""
     return name.endswith((".far_mm", ".max_speed_m_s", ".max_turn_deg_s")) and value > usual[name]
 

@@ -226,8 +226,8 @@ TECHNIQUES: dict[str, Callable[[Scene, Memory], Drive]] = {
 def aim_on_shortest_path(walls_xy_map_m: XY, xy_map_m: XY, goal_xy_map_m: XY, config: PlannerConfig) -> XY | None:
     """Return the point (2,) in m, map frame, to head for in a straight line; None where walls close the goal off.
 
-    Cells nearer to a wall than the safety clearance cost more, far more below the least one: the inflation of the walls
-    shrinks by itself where there is no other path.
+    Cells nearer to a wall than the safety clearance cost more, far more below the least one: the path
+    comes closer to walls only where there is no other.
     """
     origin, shape = _covering(np.vstack((walls_xy_map_m, xy_map_m, goal_xy_map_m)), config.plan_cell_m)
     cell_m = config.plan_cell_m

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.slam.matching.steps import LOST_SCANS, Steps, runs_of
+from mavnav.scan import runs_of
+from mavnav.slam.matching.steps import LOST_SCANS, Steps
 from mavnav.units import MM, NS
 
 if TYPE_CHECKING:

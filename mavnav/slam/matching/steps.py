@@ -157,13 +157,6 @@ def lost_intervals(steps: Steps) -> Iterator[LostInterval]:
             yield LostInterval(stamps_ns[start], stamps_ns[end - 1], end - start, recovered=recovered)
 
 
-def runs_of(marks: NDArray[np.bool_], least: int) -> list[range]:
-    """Return the ranges of ``least`` or more successive rows that are marked; ``marks`` (n,)."""
-    edges = np.diff(np.concatenate(([False], marks, [False])).astype(np.int8))
-    pairs = zip(np.flatnonzero(edges > 0).tolist(), np.flatnonzero(edges < 0).tolist(), strict=True)
-    return [range(start, end) for start, end in pairs if end - start >= least]
-
-
 def jumps(path: Trajectory) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return which motions between successive poses are jumps, and which of these are too fast, each (n - 1,)."""
     moved, elapsed_s = np.diff(path.xyyaw, axis=0), np.diff(path.stamps_ns) * NS

@@ -12,9 +12,10 @@ import numpy as np
 from msgspec import Struct, field
 
 from mavnav.pose import Pose, Trajectory
+from mavnav.scan import runs_of
 from mavnav.slam.matching.motion_model import MOST_ERROR
 from mavnav.slam.matching.odometry_fit import with_noise
-from mavnav.slam.matching.steps import LOST_SCANS, Step, runs_of, tracked_trajectory
+from mavnav.slam.matching.steps import LOST_SCANS, Step, tracked_trajectory
 from mavnav.slam.recovery.across_gap import reach_across
 from mavnav.slam.recovery.part_by_odometry import size
 from mavnav.units import NS

@@ -17,10 +17,11 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from mavnav.pose import Pose
+from mavnav.scan import runs_of
 from mavnav.slam.matching.budget import LONG_LOST_SCANS
 from mavnav.slam.matching.relocalization import AGREEING_SCANS, apart
 from mavnav.slam.matching.scan_matching import no_match
-from mavnav.slam.matching.steps import LOST_SCANS, LostInterval, Step, Steps, evenly, lost_intervals, runs_of
+from mavnav.slam.matching.steps import LOST_SCANS, LostInterval, Step, Steps, evenly, lost_intervals
 from mavnav.slam.methods.pauses import first_found_late, highest_speeds, pauses
 from mavnav.slam.recovery.across_gap import LOCAL_SCANS, pose_across_gap, reach_across
 from mavnav.slam.recovery.part_by_odometry import neighbours, placed_warning, pose_by_odometry

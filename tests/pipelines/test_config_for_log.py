@@ -11,7 +11,7 @@ from mavnav.config.loading import load_config
 from mavnav.config.models import Config
 from mavnav.logs import open_log
 from mavnav.logs.writing.recorder import Recording, record
-from mavnav.pipelines.maps import suited
+from mavnav.pipelines.maps import config_for_log
 from mavnav.pipelines.replay import ReplayRequest, replay_log
 from mavnav.pose import Trajectory
 from mavnav.scan import LaserSpec
@@ -37,7 +37,7 @@ HALL = np.vstack((room(40.0, 12.0), *(box(x, y, 0.5, 0.5) for x in (8.0, 15.0, 2
 
 def test_that_a_fast_vehicle_is_tracked_and_its_limit_named(tmp_path: Path) -> None:
     path = log_of(tmp_path, 4.0, HALL)
-    config, warnings = suited(Config(), open_log(path))
+    config, warnings = config_for_log(Config(), open_log(path))
     assert config.robust.max_speed_m_s == pytest.approx(6.0, abs=0.1)
     assert [text for text in warnings if "set robust.max_speed_m_s" in text]
     run, document = replay_log(
@@ -52,9 +52,9 @@ def test_that_a_fast_vehicle_is_tracked_and_its_limit_named(tmp_path: Path) -> N
 
 @pytest.mark.parametrize(("speed_m_s", "unit"), [(1.0, 1.0), (1.0, 100.0)], ids=["slow", "centimeters"])
 def test_that_the_usual_limit_stays_for_others(speed_m_s: float, unit: float, tmp_path: Path) -> None:
-    assert suited(Config(), open_log(log_of(tmp_path, speed_m_s, HALL, unit))) == (Config(), ())
+    assert config_for_log(Config(), open_log(log_of(tmp_path, speed_m_s, HALL, unit))) == (Config(), ())
 
 
 def test_that_a_limit_that_is_set_stays(tmp_path: Path) -> None:
     config = load_config(None, ["robust.max_speed_m_s=2"])
-    assert suited(config, open_log(log_of(tmp_path, 4.0, HALL))) == (config, ())
+    assert config_for_log(config, open_log(log_of(tmp_path, 4.0, HALL))) == (config, ())
