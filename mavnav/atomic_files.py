@@ -44,9 +44,10 @@ def beside(target: Path, *, exclusive: bool = False) -> Iterator[Path]:
 
     The path has the target's own name, in a temporary folder next to it that is removed in any case. The folder that a
     killed process left is removed by the next call. The old content of ``target`` is replaced in one step, or kept if
-    the block fails; a file never replaces a folder. Parent folders are created. Raises OSError for errors of the disk,
-    that of a full one with the name of a file, and FileExistsError with ``exclusive`` if another process has written
-    the target in the meantime. A device, a FIFO or a stream of this process is written into at the end, not replaced.
+    the block fails; a file never replaces a folder. Parent folders are created, and removed again if they stay empty.
+    Raises OSError for errors of the disk, that of a full one with the name of a file, and FileExistsError with
+    ``exclusive`` if another process has written the target in the meantime. A device, a FIFO or a stream of this
+    process is written into at the end, not replaced.
     """
     if is_stream(target):
         with temporary_folder() as folder:
@@ -54,12 +55,13 @@ def beside(target: Path, *, exclusive: bool = False) -> Iterator[Path]:
             _write_into(target, folder / target.name)
         return
     final = target.resolve()
-    final.parent.mkdir(parents=True, exist_ok=True)
-    _clear_leftovers(final)
+    missing = [parent for parent in final.parents if not parent.exists()]
     thread = threading.current_thread()
     folder = _folder(final, os.getpid(), "" if thread is threading.main_thread() else f".{thread.ident}")
-    _OPEN.add(folder)
     try:
+        final.parent.mkdir(parents=True, exist_ok=True)
+        _clear_leftovers(final)
+        _OPEN.add(folder)
         folder.mkdir()
         partial = folder / final.name
         yield partial
@@ -76,6 +78,9 @@ def beside(target: Path, *, exclusive: bool = False) -> Iterator[Path]:
     finally:
         _remove(folder)
         _OPEN.discard(folder)
+        for parent in missing:
+            with suppress(OSError):  # not empty
+                parent.rmdir()
 
 
 def _put(partial: Path, final: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import shutil
 from pathlib import Path
 
 import pytest
@@ -49,6 +50,23 @@ def test_every_operation_of_a_folder_may_fail(full: int, tmp_path: Path) -> None
         assert set(tree(tmp_path)) == {"run/run.json"}, disk.failed
         assert tree(tmp_path)["run/run.json"] in expected, disk.failed
         write(tmp_path, "old")
+
+
+def test_no_empty_folder_is_left(tmp_path: Path) -> None:
+    """A folder of several runs exists once one of them does."""
+    target = tmp_path / "runs" / "score"
+    disk = Disk(target.parent)
+    with failing(disk):
+        write(target, "")
+    left = []
+    for fail_at in range(1, disk.count + 1):
+        shutil.rmtree(target.parent)
+        disk = Disk(target.parent, fail_at)
+        with failing(disk), pytest.raises(OSError, match="No space left"):
+            write(target, "")
+        left += [disk.failed.split()[0]] * any(tmp_path.iterdir())
+        write(target, "")
+    assert left == ["fsync"]  # of the folder that has the whole run already
 
 
 def test_a_loss_of_power_keeps_the_old_or_the_new(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
