@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Iterator
 from itertools import islice
 from math import ceil, inf
@@ -28,10 +27,6 @@ PARTIAL, NEIGHBOURS = 0.5, 10
 
 FIRST_SCANS, SOME_SHARE = 10, 0.01
 """One partial scan counts among so many at the beginning; later ones from this share on."""
-
-SAME_SHARE, SAME_BEAMS, SAME_SCANS = 0.02, 10, 0.5
-"""Share and number of the beams of a scan above which its largest range stands for no return, and the share of scans in
-which that is the same value."""
 
 FAR_SHARE, MOST_FAR = 0.05, 0.5
 """Shares of the valid returns above which those that are too far to be used are reported, and used."""
@@ -99,21 +94,19 @@ def sensor_health(log: Log, far_m: float = inf) -> SensorHealth:
 class _Seen(Struct, frozen=True):
     """Valid beams and stamps of the scans, (n,), degrees (360,) of beams and of valid returns.
 
-    ``largest_m`` are the largest ranges that many beams of a scan share, ``far`` the number of returns farther than the
-    replay uses, ``farthest_m`` the farthest return.
+    ``far`` is the number of returns farther than the replay uses, ``farthest_m`` the farthest return.
     """
 
     valid: NDArray[np.int64]
     stamps_ns: NDArray[np.int64]
     covered: NDArray[np.bool_]
     returned: NDArray[np.bool_]
-    largest_m: Counter[float]
     far: int
     farthest_m: float
 
 
 def _scan_statistics(scans: Iterable[Scan], far_m: float, own: NDArray[np.bool_] | None) -> _Seen:
-    valid, stamps_ns, largest_m, tops_m, far = [], [], Counter[float](), [0.0], 0
+    valid, stamps_ns, farthest_m, far = [], [], 0.0, 0
     covered, returned = np.zeros(360, np.bool_), np.zeros(360, np.bool_)
     spec: LaserSpec | None = None
     degrees = np.zeros((0, 1), np.intp)
@@ -124,14 +117,11 @@ def _scan_statistics(scans: Iterable[Scan], far_m: float, own: NDArray[np.bool_]
             covered[degrees] = True
         good = np.isfinite(scan.ranges_m)
         returned[degrees[good if own is None else good | spread_over(own, len(good))]] = True  # the robot is no news
-        top_m = float(np.max(scan.ranges_m, initial=0.0, where=good))
-        if np.count_nonzero(scan.ranges_m == top_m) > max(SAME_SHARE * len(good), SAME_BEAMS):
-            largest_m[top_m] += 1
-        tops_m.append(top_m)
+        farthest_m = float(np.max(scan.ranges_m, initial=farthest_m, where=good))
         far += int(np.count_nonzero(scan.ranges_m >= far_m))
         valid.append(int(np.count_nonzero(good)))
         stamps_ns.append(scan.stamp_ns)
-    return _Seen(np.array(valid), np.array(stamps_ns, np.int64), covered, returned, largest_m, far, max(tops_m))
+    return _Seen(np.array(valid), np.array(stamps_ns, np.int64), covered, returned, far, farthest_m)
 
 
 def _degrees(spec: LaserSpec) -> NDArray[np.intp]:
@@ -192,12 +182,6 @@ def _missing_returns(
 
 
 def _odd_returns(seen: _Seen, far_m: float) -> Iterator[Finding]:
-    scans = len(seen.valid)
-    range_m, count = next(iter(seen.largest_m.most_common(1)), (0.0, 0))
-    if scans >= SECTOR_SCANS and count > SAME_SCANS * scans:
-        what = f"in {count} of {scans} scans many beams have the same largest range, {range_m:g} m"
-        advice = f"if that stands for no return, replay with --set robust.far_mm={1e3 * range_m - 1.0:g}"
-        yield Finding("saturated", what, advice)
     share = seen.far / max(int(seen.valid.sum()), 1)
     what = f"{100 * share:.0f} % of the returns are farther than {far_m:g} m, up to {seen.farthest_m:.0f} m"
     if share > MOST_FAR:

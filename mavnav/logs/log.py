@@ -16,6 +16,7 @@ from mavnav.logs.merging import Mounted, virtual_scans
 from mavnav.logs.messages.decode import decoder, scan_topic
 from mavnav.logs.messages.records import DecodeError, LaserMessage
 from mavnav.logs.namespaces import topic_and_frame
+from mavnav.logs.no_return import without_value
 from mavnav.logs.own_body import without_beams
 from mavnav.logs.preprocessing import ScanFilter
 from mavnav.logs.read_report import ReadReport
@@ -89,6 +90,8 @@ class Log(LogContents, frozen=True, eq=False, kw_only=True):
         Name of the frame of the base, if there is one.
     upside_down
         Whether the laser is mounted upside down; the beams of `scans` are turned over then.
+    none_m
+        Range in m that stands for no return, and is left out of `scans`; None if none does.
     own_beams
         Which beams (n,) see the robot itself, and are left out of `scans`; None if none do.
     odometry
@@ -119,6 +122,7 @@ class Log(LogContents, frozen=True, eq=False, kw_only=True):
     mounting_source: Literal["tf_static", "option"] | None = None
     base_frame: str | None = None
     upside_down: bool = False
+    none_m: float | None = None
     own_beams: NDArray[np.bool_] | None = None
     odometry: Odometry | None = None
     imu: Imu | None = None
@@ -209,6 +213,8 @@ class Log(LogContents, frozen=True, eq=False, kw_only=True):
     def _admitted_scans(self) -> Iterator[tuple[LaserSpec, NDArray[np.float64]]]:
         """Return the scans that the filter admits, in the order of the file, as seen from above."""
         admitted = self._reread() if self._ranges is None else iter(self._ranges)
+        if self.none_m is not None:
+            admitted = ((spec, without_value(ranges_m, self.none_m)) for spec, ranges_m in admitted)
         if (own := self.own_beams) is not None:
             admitted = ((spec, without_beams(ranges_m, own)) for spec, ranges_m in admitted)
         return ((spec.turned_over(), ranges_m) for spec, ranges_m in admitted) if self.upside_down else admitted

@@ -18,6 +18,7 @@ from mavnav.logs.merging import FRAME, partners, virtual_laser
 from mavnav.logs.messages.decode import LASER_TYPES, scan_topics
 from mavnav.logs.messages.other_scans import OTHER_TYPES
 from mavnav.logs.namespaces import topic_and_frame
+from mavnav.logs.no_return import no_return_m, no_return_warning, without_value
 from mavnav.logs.own_body import body_warning, own_beams
 from mavnav.logs.preprocessing import KINDS
 from mavnav.logs.records import LogContents, ScanCounts
@@ -118,7 +119,9 @@ def choose(
     sensor, frame_id = timeline.first
     period_s, gaps = period_and_gaps(timeline.stamps_ns)
     skipped = dict(sorted((scans.refused + timeline.skipped).items()))
-    own = own_beams(scans.sample)
+    none_m = no_return_m(scans.sample)
+    sample = replace(scans.sample, ranges_m=[without_value(ranges_m, none_m) for ranges_m in scans.sample.ranges_m])
+    own = own_beams(sample)
     log = Log(
         topic=name,
         frame_id=frame_id,
@@ -132,6 +135,7 @@ def choose(
         gaps=gaps,
         stamp_source=timeline.source,
         clock=timeline.clock,
+        none_m=none_m,
         own_beams=own,
         _order=timeline.order,
         stamps_ns=timeline.stamps_ns,
@@ -141,6 +145,8 @@ def choose(
     if timeline.distrust:
         text = f"{name}: the scans' own stamps are unusable ({timeline.distrust}); the times of recording are used"
         log = replace(log, warnings=(*log.warnings, text))
+    if none_m is not None:
+        log = replace(log, warnings=(*log.warnings, f"{name}: {no_return_warning(none_m)}"))
     if own is not None:
         log = replace(log, warnings=(*log.warnings, f"{name}: {body_warning(own, sensor)}"))
     return _with_motion(log, survey, extrinsic, upside_down=upside_down)

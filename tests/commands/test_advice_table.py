@@ -37,7 +37,6 @@ TRIED = {
         "check --start and --end": "test_a_window_within_the_time_that_an_error_states_has_scans",
         "compare with it by --truth topic:": "test_an_odometry_topic_that_is_named_can_be_chosen",
         "none is used: {}; choose with --odom TOPIC": "test_an_odometry_topic_that_is_named_can_be_chosen",
-        "if that stands for no return, replay with": "test_the_returns_that_info_names_are_used_or_left_out",
         "if they are walls, replay with": "test_the_returns_that_info_names_are_used_or_left_out",
         "set robust.far_mm to choose another limit": "test_returns_beyond_the_default_are_used_where_most_are",
         "mavnav: damage: {} more; --json lists them": "test_damage_that_is_not_printed_is_in_json",

@@ -48,13 +48,6 @@ def repeated() -> list[Message]:
     return messages
 
 
-def saturated() -> list[Message]:
-    return [
-        laser(k, ranges=np.minimum(m.fields["ranges"], 2.8), angle_min=0.0, angle_increment=STEP_RAD)
-        for k, m in enumerate(scans())
-    ]
-
-
 def far() -> list[Message]:
     messages = scans()
     for message in messages:
@@ -96,7 +89,6 @@ def examined(messages: list[Message], path: Path) -> SensorHealth:
         (partial, ["partial"]),
         (hidden, ["dead_sectors"]),
         (repeated, []),
-        (saturated, ["saturated"]),
         (far, ["far"]),
         (gap, ["gaps"]),
         (slow, ["slow"]),

@@ -1,0 +1,47 @@
+"""The value that a driver writes where nothing is in range, if it is none of REP-117 and within the limits.
+
+Taken for returns, it draws a ring around the laser wherever that goes.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mavnav.logs.own_body import ScanSample
+
+LEAST_SHARE, LEAST_BEAMS, MOST_SHARE = 0.01, 3, 0.95
+"""Shares of all returns, and number a scan, between which that value lies. More are a round room, from its centre."""
+
+NEAR, RARE = 0.05, 0.1
+"""Part of the value up to which others are near, and largest count of any of these, and of all beyond, as a share of
+its own: the distances of a wall are spread, also those of a laser that rounds them."""
+
+
+def no_return_m(sample: ScanSample) -> float | None:
+    """Return the largest or least range, m, that stands for no return in a sample of scans; None if none does."""
+    ranges_m = np.concatenate([np.zeros(0), *sample.ranges_m])
+    values_m, counts = np.unique(ranges_m[np.isfinite(ranges_m)], return_counts=True)
+    if not len(counts):
+        return None
+    k, total = int(np.argmax(counts)), int(counts.sum())
+    count = int(counts[k])
+    first, last = np.searchsorted(values_m, values_m[k] * np.array((1.0 - NEAR, 1.0 + NEAR)))
+    near, beyond = np.delete(counts[first:last], k - first), min(counts[:k].sum(), counts[k + 1 :].sum())
+    least = max(LEAST_SHARE * total, LEAST_BEAMS * len(sample.ranges_m))
+    stands_out = max(near.max(initial=0), beyond) <= RARE * count
+    return float(values_m[k]) if least <= count <= MOST_SHARE * total and stands_out else None
+
+
+def without_value(ranges_m: NDArray[np.float64], none_m: float | None) -> NDArray[np.float64]:
+    """Return ranges (n,), m, with NaN in place of the one that stands for no return."""
+    return ranges_m if none_m is None else np.where(ranges_m == none_m, np.nan, ranges_m)
+
+
+def no_return_warning(none_m: float) -> str:
+    """Say which value is taken for no return, and what to do."""
+    return f"many ranges are {none_m:g} m, and hardly any near that or beyond: they are taken for no return"
