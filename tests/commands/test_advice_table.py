@@ -83,7 +83,6 @@ TRIED = {
         "too large for the memory: a pose or a range is far off": "test_a_map_too_large_fits_in_larger_cells",
         "('mavnav calibrate' compares them)": "test_odometry_of_something_else_is_compared_by_calibrate",
         "the others are matched without it: record it": "test_the_stretch_that_odometry_covers_is_replayed_alone",
-        "see what publishes it, or leave it out with --odom off": "test_odometry_that_jumps_is_left_out_as_advised",
         "replay the parts that are left out alone": "test_parts_that_are_left_out_are_replayed_alone",
         "are left out; replay them alone with": "test_parts_that_are_left_out_are_replayed_alone",
         "replay {} alone with --start {} --end {}": "test_parts_that_are_left_out_are_replayed_alone",

@@ -161,7 +161,7 @@ def _partly_used(track: Track, known: NDArray[np.bool_]) -> str:
     if is_recorded(track, track.steps.column("stamp_ns")[~known]):
         return (
             f"odometry is used for {scans}, because poses of it that jump are left out; the others are matched without "
-            "it: see what publishes it, or leave it out with --odom off"
+            "it: see what publishes it"
         )
     return (
         f"odometry covers {scans} (not in gaps of over 0.5 s); the others are matched without it: record it for the "
