@@ -57,8 +57,8 @@ class Change(Struct, frozen=True):
 class Difference(Struct, frozen=True):
     """The changes, the largest first, the centres of their cells (n, 2) in the first map's frame, m, and totals.
 
-    ``compared_m2`` is the area that both maps know. ``same_share`` is the share of the second map's walls that the
-    first map has too, among those around which the first map is known.
+    ``compared_m2`` is the area that both maps know. ``same_share`` is the share of the walls of both maps that the
+    other map has too, among those around which that is known.
     """
 
     changes: tuple[Change, ...]
@@ -102,14 +102,15 @@ def difference(a: View, b: View, a_T_b: Pose) -> Difference:
     gone, gone_xy_m = _changes("gone", a, b, a_T_b.inverse(), Pose())
     new, new_xy_m = _changes("new", b, a, a_T_b, a_T_b)
     changes = sorted([*gone, *new], key=lambda change: -change.m2)
-    walls_xy_m = transform_points(a_T_b, b.middles(b.walls))
-    same, unlike = (int(np.count_nonzero(a.at(mask, walls_xy_m))) for mask in (a.near & a.known, a.clear & ~a.near))
+    sides = (a, transform_points(a_T_b, b.middles(b.walls))), (b, transform_points(a_T_b.inverse(), a.middles(a.walls)))
+    same = sum(np.count_nonzero(view.at(view.near & view.known, walls_xy_m)) for view, walls_xy_m in sides)
+    unlike = sum(np.count_nonzero(view.at(view.clear & ~view.near, walls_xy_m)) for view, walls_xy_m in sides)
     return Difference(
         changes=tuple(pair_changes(changes)),
         gone_xy_m=gone_xy_m,
         new_xy_m=new_xy_m,
         compared_m2=_known_to_both(a, b, a_T_b.inverse()) * a.grid.cell_m**2,
-        same_share=same / max(same + unlike, 1),
+        same_share=float(same / max(same + unlike, 1)),
     )
 
 

@@ -36,7 +36,7 @@ NUMBERS: Final = ("compared_m2", "same_share", "gone_m2", "new_m2", "changed_m2"
 
 
 LEAST_SAME: Final = 0.5
-"""Maps of which less is the same are not of one place."""
+"""Least share of the walls that is the same in maps of one place of which all places agree; 1 if none did."""
 
 
 class DiffRequest(Struct, frozen=True):
@@ -64,7 +64,7 @@ def diff_maps(request: DiffRequest, progress: Progress) -> dict[str, Any]:
     alignment, searched_all = align(a, b, Config())
     view_a, view_b = View(a.grid), View(b.grid)
     result = alignment and difference(view_a, view_b, alignment.a_T_b)
-    if alignment is None or result is None or result.same_share < LEAST_SAME:
+    if alignment is None or result is None or not are_of_one_place(alignment, result):
         document, picture = _document(request, None, None, searched_all=searched_all), None
     else:
         document = _document(request, alignment, result, searched_all=searched_all)
@@ -78,6 +78,11 @@ def diff_maps(request: DiffRequest, progress: Progress) -> dict[str, Any]:
         summary = diff_summary(document, draw_png(picture) if picture else None)
         write_file(request.report, partial(write_summary, summary), force=request.force)
     return document
+
+
+def are_of_one_place(alignment: Alignment, result: Difference) -> bool:
+    """Return whether so many walls are the same as must be: the more, the fewer places agree on the alignment."""
+    return result.same_share >= 1.0 - (1.0 - LEAST_SAME) * alignment.agreeing / alignment.taken
 
 
 def read_grid(path: Path) -> tuple[Grid, Pose]:

@@ -74,12 +74,22 @@ def align(a: PriorMap, b: PriorMap, config: Config) -> tuple[Alignment | None, b
     """Find map ``b`` in map ``a`` near the same frame, or if most scans do not agree there, anywhere.
 
     None unless at least three virtual scans of ``b``, and most of those that are found in ``a``, agree, or all scans
-    fit together at just one place: in a coarse map each of them fits at many. Also returns whether the searches came
-    to their end: together they have one credit.
+    fit together at just one place: in a coarse map each of them fits at many. Where not most of all scans agree, those
+    of ``a`` must agree in ``b``, too. Also returns whether the searches came to their end, of which each has a
+    credit.
     """
-    credit = relocalization.search_credit()
-    alignment = _one_by_one(a, b, config, credit) or _together(a, b, config, credit)
-    return alignment, bool(credit[0])
+    credit, credit_together = relocalization.search_credit(), relocalization.search_credit()
+    alignment = _one_by_one(a, b, config, credit)
+    if alignment and 2 * alignment.agreeing <= alignment.taken and not _is_mutual(alignment, a, b, config):
+        alignment = None
+    alignment = alignment or _together(a, b, config, credit_together)
+    return alignment, bool(credit[0] and credit_together[0])
+
+
+def _is_mutual(alignment: Alignment, a: PriorMap, b: PriorMap, config: Config) -> bool:
+    """Return whether map ``a`` is found in map ``b`` where an alignment of ``b`` has it."""
+    back, middle = _one_by_one(b, a, config, relocalization.search_credit()), Pose(*b.walls_xy_m.mean(axis=0).tolist())
+    return back is not None and not relocalization.apart(alignment.a_T_b @ middle, back.a_T_b.inverse() @ middle)
 
 
 def _one_by_one(a: PriorMap, b: PriorMap, config: Config, credit: relocalization.Credit) -> Alignment | None:

@@ -14,7 +14,7 @@ from PIL import Image
 import mavnav as api
 from mavnav.outputs.pictures.canvas import rgb_of
 from mavnav.outputs.pictures.difference_picture import AREAS, GONE, NEW
-from support.changed_rooms import TURNED, mapped, rooms, saved
+from support.changed_rooms import TURNED, mapped, other_room, rooms, saved
 from support.synthetic import room
 
 
@@ -78,6 +78,16 @@ def test_maps_of_different_places(mavnav, maps, tmp_path) -> None:
     assert not (tmp_path / "diff.png").exists()
     document = api.diff(maps[0], other)
     assert (document["alignment"], document["changed_m2"], document["changes"]) == (None, None, [])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("a", "b"), [(24, 20), (26, 29)])
+def test_rooms_of_which_few_walls_are_the_same_are_not_one(a: int, b: int, mavnav, tmp_path) -> None:
+    """Seven and five of twelve places agree, from both sides, on 59 and 71 % of the walls."""
+    maps = [saved(other_room(seed), tmp_path / str(seed)) for seed in (a, b)]
+    code, out, err = mavnav("diff", *maps, "-q")
+    assert (code, out) == (1, "")
+    assert "cannot be aligned; too few places of one fit the other" in err
 
 
 def test_a_search_that_ends_early_says_so(mavnav, maps, monkeypatch) -> None:

@@ -12,7 +12,7 @@ from mavnav.metrics.map_difference import Change, View, difference, pair_changes
 from mavnav.pose import Pose
 from mavnav.sessions.map_alignment import align
 from mavnav.slam.matching.prior_map import PriorMap
-from support.changed_rooms import DOOR, MOVED, POSES, TURNED, WALL, mapped, rooms
+from support.changed_rooms import DOOR, MOVED, POSES, TURNED, WALL, mapped, other_room, rooms
 from support.synthetic import room
 
 
@@ -47,6 +47,12 @@ def test_planted_changes_are_found(before, off) -> None:
     assert kinds(DOOR, door=True, poses=[*POSES[:4], *POSES[7:]]) == [("new", True)]
 
 
+def test_the_share_of_walls_that_are_the_same_is_of_both_maps() -> None:
+    empty, full = mapped(room(6.0, 4.0), poses=POSES[:4]), other_room(23)
+    shares = [difference(View(a), View(b), Pose()).same_share for a, b in ((empty, full), (full, empty))]
+    assert shares[0] == pytest.approx(shares[1], abs=1e-3)
+
+
 def test_what_one_map_does_not_know_is_no_change(before) -> None:
     """The second room is unknown to the first map, and the wall that was built hides nothing that is gone."""
     few = mapped(rooms(), poses=[POSES[0], POSES[8]])
@@ -79,3 +85,8 @@ def test_maps_of_other_frames_are_aligned_despite_changes(before) -> None:
 def test_another_room_is_not_aligned(before) -> None:
     other = mapped(room(9.0, 2.2), TURNED, poses=[(1.0, 1.1), (4.0, 1.1), (8.0, 1.0)])
     assert align(known(before), known(other), Config()) == (None, True)
+
+
+def test_a_place_that_few_scans_find_is_found_from_the_other_map_too() -> None:
+    """Scans along two walls fit in the corner of any other room: six of twelve agreed, and none the other way."""
+    assert align(known(other_room(23)), known(other_room(27)), Config()) == (None, True)

@@ -8,7 +8,7 @@ import numpy as np
 
 from mavnav.mapping.occupancy_grid import Grid, GridBuilder
 from mavnav.pose import Pose, transform_points
-from support.synthetic import LDS_01, Segments, box, cast, furnished_rooms, polyline
+from support.synthetic import LDS_01, Segments, box, cast, furnished_rooms, polyline, room
 
 POSES = ((0.8, 0.8), (3.0, 0.8), (5.2, 1.0), (5.0, 3.0), (4.6, 4.0), (4.6, 5.2), (5.8, 5.6), (3.0, 3.3), (0.9, 3.0))
 """Positions of the laser, x and y in the world, m."""
@@ -42,6 +42,15 @@ def mapped(walls: Segments, world_T_map: Pose = WORLD, seed: int = 0, poses: obj
             )
             grid.insert(world_T_map.between(Pose(x_m, y_m)), transform_points(world_T_map.inverse(), xy_m))
     return grid.by_rows()
+
+
+def other_room(seed: int) -> Grid:
+    """Return the map of a room of 4 to 8 m, with four boxes, in the frame of its walls."""
+    rng = np.random.default_rng(seed)
+    w, h = rng.uniform(4.0, 8.0, 2)
+    boxes = [box(rng.uniform(1, w - 1), rng.uniform(1, h - 1), *rng.uniform(0.3, 0.8, 2)) for _ in range(4)]
+    poses = (0.53, 0.61), (w - 0.47, 0.58), (w - 0.51, h - 0.63), (0.57, h - 0.49)
+    return mapped(np.vstack([room(w, h), *boxes]), poses=poses)
 
 
 def saved(grid: Grid, folder: Path) -> Path:
