@@ -176,6 +176,15 @@ def test_the_same_as_the_command(log: Path, run: mavnav.Run, tmp_path: Path) -> 
         assert (tmp_path / "run" / name).read_bytes() == (run.directory / name).read_bytes()
 
 
+def test_the_files_are_those_of_the_outputs(log: Path, tmp_path: Path) -> None:
+    for outputs, report in (("map", False), (["trajectory", "map"], True)):
+        run = mavnav.replay(log, end_s=1, outputs=outputs, report=report, directory=tmp_path / str(report))
+        names = {path.name for path in run.directory.iterdir()}
+        assert {"trajectory.tum" in names, "report.html" in names} == {report}
+        assert "hits.npz" in names
+        assert "result.mcap" not in names
+
+
 def test_steps_of_scans_are_those_of_the_command_on_line(log: Path) -> None:
     opened = mavnav.open_log(log, end_s=2)
     found = [step.match.map_T_laser for step in mavnav.track(opened, period_s=opened.period_s) if step.tracked]
@@ -205,6 +214,8 @@ def test_a_mission(tmp_path: Path) -> None:
         (lambda: mavnav.replay("a", resolution_m=5), "^resolution_m: robust.cell_mm is 5000"),
         (lambda: mavnav.replay("a", settings={"robust.cell_mm": 0}), "^settings {'robust.cell_mm': 0}: robust.cell_mm"),
         (lambda: mavnav.replay(LOG, start_s=5, end_s=1), "end_s must be later than start_s"),
+        (lambda: mavnav.replay(LOG, outputs="maps"), "outputs: unknown 'maps'; known are trajectory"),
+        (lambda: mavnav.replay(LOG, outputs="maps"), "^outputs: unknown 'maps'; known are trajectory"),
         (lambda: mavnav.replay(LOG, directory=ROOT), "choose another directory with directory"),
         (lambda: mavnav.metrics("nothing"), "no such file"),
         (lambda: mavnav.check("nothing"), "name the directory of a finished run"),

@@ -89,6 +89,7 @@ def replay(
     directory: File | None = None,
     force: bool = False,
     report: bool = False,
+    outputs: str | Sequence[str] | None = None,
     progress: Progress | None = None,
     **options: Unpack[ReplayOptions[File]],
 ) -> Run:
@@ -110,6 +111,8 @@ def replay(
         Whether to replace an earlier run there.
     report
         Whether to write report.html, too.
+    outputs
+        Groups of files to write, as of ``--outputs``: ``["trajectory", "map"]``; by default all but some.
     progress
         Called as ``progress(phase, done, total)`` while work goes on; ``total`` is None if it is unknown.
 
@@ -128,9 +131,10 @@ def replay(
     continued = given.get("continue_from")
     base = run_layer(continued) if continued and config is None else None
     chosen = load_config(arguments.config_of(config), arguments.sets_of(settings), settings_of(given), base)
-    request = ReplayRequest(
-        arguments.path_of(log, "log"), Path(), chosen, given, force, report, typed=_typed_config(config)
-    )
+    groups = None if outputs is None else (*arguments.values_of(outputs, "outputs"), *["report"] * report)
+    report = report or bool({"report", "all"} & {*(groups or ())})
+    path, typed = arguments.path_of(log, "log"), _typed_config(config)
+    request = ReplayRequest(path, Path(), chosen, given, force, report, groups, typed=typed)
 
     def work(target: Path) -> Run:
         replay_log(changed(request, directory=target), progress or silent, 0.0)
