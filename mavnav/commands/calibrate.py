@@ -16,6 +16,7 @@ import typer
 
 from mavnav.commands import shared
 from mavnav.commands.progress import REPLAY, loading_modules, reporting
+from mavnav.commands.sources import local_log
 from mavnav.commands.terminal import Rows, emit, emit_json, note, note_problems, print_verdict
 from mavnav.config.options import read_options, settings_of
 
@@ -26,7 +27,7 @@ MOUNTING: Final = ("x_m", "y_m", "yaw_deg")
     "topic", "start_s", "end_s", "odom", "strict", odom={"usage": "--odom auto|TOPIC", "completer": "recorded_odometry"}
 )
 def calibrate(
-    log: shared.LogFile,
+    log: shared.LogSource,
     *,
     config: shared.ConfigFile = None,
     sets: shared.Sets = None,
@@ -52,14 +53,14 @@ def calibrate(
         Draw turn rates and errors of the fit over time.
     """
     options = read_options(given)
-    with reporting(quiet=quiet, stages=REPLAY) as report:
+    with local_log([log]) as source, reporting(quiet=quiet, stages=REPLAY) as report:
         with loading_modules():
             from mavnav.config.loading import load_config
             from mavnav.pipelines.calibrate import CalibrationRequest
             from mavnav.pipelines.calibrate import calibrate as calibrated
         chosen = load_config(config, sets or [], settings_of(options))
         files, config_file = (output, picture, report_page), Path(config) if config else None
-        request = CalibrationRequest(log, chosen, options, *files, force=force, config_file=config_file)
+        request = CalibrationRequest(source.path, chosen, options, *files, force, config_file, source.name)
         document = calibrated(request, report)
     if json:
         emit_json(document)
@@ -70,7 +71,7 @@ def calibrate(
                 emit(f"\n{line}")
         note_problems(document)
     if document["refused"]:
-        note(f"mavnav: error: {log}: {document['refused']}")
+        note(f"mavnav: error: {document['input']['path']}: {document['refused']}")
     raise typer.Exit(document["exit_code"])
 
 

@@ -5,6 +5,7 @@ Examples
 mavnav convert crashed.bag.active drive.mcap
 mavnav convert rosbag2_folder drive.mcap --strict --json | jq .left_out
 mavnav convert drive.bag drive_with_map.mcap --run runs/drive
+ssh robot cat drive.bag | mavnav convert - drive.mcap
 """
 
 from __future__ import annotations
@@ -17,12 +18,13 @@ import typer
 
 from mavnav.commands import shared
 from mavnav.commands.progress import reporting
+from mavnav.commands.sources import local_log
 from mavnav.commands.terminal import Rows, note_problems, print_result
 
 
 @shared.with_options("strict")
 def convert(
-    log: shared.LogFile,
+    log: shared.LogSource,
     target: Annotated[Path, typer.Argument(metavar="OUT.mcap", show_default=False)],
     *,
     run: Annotated[Path | None, shared.input_option("--run", metavar="RUN")] = None,
@@ -42,9 +44,10 @@ def convert(
     """
     from mavnav.pipelines.convert import convert_to
 
-    with reporting(quiet=quiet) as report:
+    with local_log([log]) as source, reporting(quiet=quiet) as report:
         strict, progress = bool(given["strict"]), partial(report, "converting")
-        result = convert_to(log, target, run, strict=strict, force=force, progress=progress)
+        result = convert_to(source.path, target, run, strict=strict, force=force, progress=progress)
+        result["input"]["path"] = source.name
     print_result(result, _rows(result), json=json)
     if not json:
         note_problems(result)

@@ -150,7 +150,7 @@ def _panel(parameter: Parameter) -> str:
 
 
 log_argument = partial(typer.Argument, metavar="LOG", show_default=False)
-LogFile = Annotated[Path, log_argument()]
+LogSource = Annotated[str, log_argument()]
 LogParts = Annotated[list[str], log_argument()]
 MaybeLogParts = Annotated[list[str] | None, log_argument()]
 Again = Annotated[Path | None, input_option("--again", metavar="RUN")]

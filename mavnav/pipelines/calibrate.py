@@ -49,7 +49,10 @@ RANGE_BIAS: Final = "an additive bias of all ranges moves the walls, not the tra
 
 
 class CalibrationRequest(Struct, frozen=True):
-    """The log and what of it, the configuration of the track and its file, and the files to write, if any."""
+    """The log and what of it, the configuration of the track and its file, and the files to write, if any.
+
+    ``name`` is what the log is called, its path if empty.
+    """
 
     log: Path
     config: Config
@@ -59,6 +62,7 @@ class CalibrationRequest(Struct, frozen=True):
     report: Path | None = None
     force: bool = False
     config_file: Path | None = None
+    name: str = ""
 
 
 def calibrate(request: CalibrationRequest, progress: Progress) -> dict[str, Any]:
@@ -155,7 +159,7 @@ def _document(request: CalibrationRequest, log: Log, outcome: SlamResult, result
         "verdict": None,
         "headline": "",
         "input": {
-            "path": str(request.log),
+            "path": request.name or str(request.log),
             "topic": log.topic,
             "frame_id": log.frame_id,
             "base_frame": log.base_frame,
@@ -325,7 +329,7 @@ def replay_line(request: CalibrationRequest, rows: list[dict[str, Any]], log: Lo
         words += ["--set upside_down=true"] if overhead else []
     words += [row["option"] for row in rows if row["option"] and row["name"] in differing]
     reading = reading_options(request.options, request.config.odom)
-    return " ".join(("mavnav replay", quote(str(request.log)), *reading, *words)) if words else None
+    return " ".join(("mavnav replay", quote(request.name or str(request.log)), *reading, *words)) if words else None
 
 
 def _mounting(rows: list[dict[str, Any]]) -> tuple[float, float, float] | None:

@@ -6,7 +6,9 @@ import json
 import re
 import shlex
 from html import unescape
+from io import BytesIO
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -71,6 +73,23 @@ def test_the_log_of_a_robot(mavnav, log, tmp_path) -> None:
     code, out, err = mavnav("calibrate", log, "-q", "-o", document)
     assert (code, out) == (6, "")
     assert "--force" in err
+
+
+@pytest.mark.slow
+def test_a_log_on_standard_input_is_called_by_a_dash(mavnav, log, tmp_path, monkeypatch) -> None:
+    def piped(path: Path) -> str:
+        monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=BytesIO(path.read_bytes()), isatty=lambda: False))
+        return "-"
+
+    code, out, err = mavnav("calibrate", piped(log), "--json", "-q")
+    document, of_file = json.loads(out), json.loads(mavnav("calibrate", log, "--json", "-q")[1])
+    assert (code, err, document["input"]["path"]) == (0, "", "-")
+    assert document["quantities"] == of_file["quantities"]
+    assert document["lines"]["replay"] == of_file["lines"]["replay"].replace(str(log), "-")
+    alone = write_mcap(tmp_path / "alone.mcap", [m for m in drive() if m.topic == "/scan"])
+    code, out, err = mavnav("calibrate", piped(alone), "-q")
+    assert (code, out) == (2, "")
+    assert err.startswith("mavnav: error: -: no odometry; record")
 
 
 def at_rest(path: Path, scans: int) -> Path:

@@ -66,6 +66,11 @@ def test_a_log_from_elsewhere_is_the_log(
     assert (tmp_path / "far/trajectory.tum").read_bytes() == (tmp_path / "near/trajectory.tum").read_bytes()
     document = json.loads((tmp_path / "far/run.json").read_text())
     assert document["input"]["path"] == source
+    capsys.readouterr()
+    assert run(["convert", given(log, monkeypatch), str(tmp_path / "far.mcap"), "--json", "-q"]) == 0
+    assert json.loads(capsys.readouterr().out)["input"]["path"] == source
+    assert run(["convert", str(log), str(tmp_path / "near.mcap"), "-q"]) == 0
+    assert (tmp_path / "far.mcap").read_bytes() == (tmp_path / "near.mcap").read_bytes()
     assert document["input"]["sha256"] == near["input"]["sha256"]
 
 
