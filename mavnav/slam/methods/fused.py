@@ -11,7 +11,7 @@ from mavnav.pose import Pose
 from mavnav.scan import Scan
 from mavnav.slam.matching.fusion import WHEELS, Fusion, evidence_of
 from mavnav.slam.matching.motion_model import Motion
-from mavnav.slam.matching.scan_matching import Match, MatchVerdict, Schedule, search_lines
+from mavnav.slam.matching.scan_matching import Match, MatchVerdict, Schedule, no_match, search_lines
 from mavnav.slam.methods.robust import Robust
 
 PRIOR = 0.05
@@ -20,6 +20,8 @@ PRIOR = 0.05
 LEAST_UNITS = 0.005
 """Least motion of wheels over a scan period of which the error counts, m and rad: their stamps err, too."""
 
+LEAST_DRIVEN = 0.01
+"""Motion by wheels since the last pose, m and rad, from which a scan that repeats the one before shows nothing."""
 
 VELOCITY = Fusion()
 """What is known of constant velocity, which bridges gaps of the odometry."""
@@ -32,6 +34,7 @@ class Fused(Robust):
         super()._begin()
         self._fusion = self._used = self._learnt = Fusion()
         self._units = 0.0  # of the motion since the last accepted pose, see `Fusion`; 0 if nothing predicts it
+        self._last_m = np.zeros(0)
 
     @cached_property
     def _guided(self) -> Schedule:
@@ -40,9 +43,12 @@ class Fused(Robust):
         return Schedule.of(self.config, self.lines, (expert.near_window_m, expert.near_window_rad), prior=PRIOR)
 
     def match(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
-        """Match the scan as `Robust` does, fused with the prediction."""
+        """Match the scan as `Robust` does, fused with the prediction; not one that repeats while wheels drive."""
         self._used, self._units = self._prediction(scan, predicted, motion)
         self._learnt = self._fusion
+        repeats, self._last_m = np.array_equal(self._last_m, scan.ranges_m, equal_nan=True), scan.ranges_m
+        if repeats and self._used.inherited and sum(predicted.gap(motion.map_T_laser)) > LEAST_DRIVEN:
+            return no_match(predicted, len(scan.ranges_m))
         return super().match(scan, predicted, motion)
 
     def _prediction(self, scan: Scan, predicted: Pose, motion: Motion) -> tuple[Fusion, float]:
