@@ -253,8 +253,11 @@ def _fit(odometry: LogOdometry, motions: _Windows, offset_s: float, scales: Odom
 def _scale(driven: NDArray[Any], wanted: NDArray[Any], error2: float) -> float:
     """Return the factor on some motions that leads to others, by least squares; 1 if it may be 1, or is not positive.
 
-    ``error2`` is the squared error of a motion times the number of motions that overlap.
+    ``error2`` is the squared error of a motion times the number of motions that overlap. Others that are hardly any
+    show their noise alone.
     """
+    if _mean2(wanted) < LEAST_MOTION**2:
+        return 1.0
     driven2 = float(np.vdot(driven, driven).real) + 1e-12
     scale = float(np.vdot(driven, wanted).real) / driven2
     return scale if scale > 0.0 and (scale - 1.0) ** 2 * driven2 > SURE**2 * error2 else 1.0

@@ -116,6 +116,15 @@ def test_a_scale_that_may_be_one_is_one() -> None:
     assert jittery[1:3] == (1.0, 1.0)
 
 
+def test_turns_that_are_noise_show_no_scale() -> None:
+    """Along a corridor the turns of wheels are noise, and a scale of nearly 0 would fit best."""
+    path, rng = steady(), np.random.default_rng(3)
+    noisy, odometry = (replace(path, xyyaw=path.xyyaw + np.outer(rng.normal(0, 0.01, 301), (0, 0, 1))) for _ in "ab")
+    fit = fit_odometry(LogOdometry(odometry), noisy, GOOD_ODOMETRY)
+    assert fit is not None
+    assert fit.turn_scale == 1.0
+
+
 def test_a_fifth_of_wrong_motions_changes_nothing() -> None:
     path = swerving()
     wrong = path.xyyaw.copy()
