@@ -14,12 +14,12 @@ if TYPE_CHECKING:
 
     from mavnav.logs.own_body import ScanSample
 
-LEAST_SHARE, LEAST_BEAMS, MOST_SHARE = 0.01, 3, 0.95
+LEAST_SHARE, LEAST_BEAMS, MOST_SHARE = 0.01, 3, 0.99
 """Shares of all returns, and number a scan, between which that value lies. More are a round room, from its centre."""
 
-NEAR, RARE = 0.05, 0.1
-"""Part of the value up to which others are near, and largest count of any of these, and of all beyond, as a share of
-its own: the distances of a wall are spread, also those of a laser that rounds them."""
+NEAR, NEAR_M, RARE = 0.05, 0.3, 0.1
+"""Part of the value, at least so many meters, up to which others are near, and largest count of any of these, and of
+all beyond, as a share of its own: the distances of a wall are spread, also those of a laser that rounds them."""
 
 
 def no_return_m(sample: ScanSample) -> float | None:
@@ -30,7 +30,8 @@ def no_return_m(sample: ScanSample) -> float | None:
         return None
     k, total = int(np.argmax(counts)), int(counts.sum())
     count = int(counts[k])
-    first, last = np.searchsorted(values_m, values_m[k] * np.array((1.0 - NEAR, 1.0 + NEAR)))
+    near_m = max(NEAR * values_m[k], NEAR_M)
+    first, last = np.searchsorted(values_m, (values_m[k] - near_m, values_m[k] + near_m))
     near, beyond = np.delete(counts[first:last], k - first), min(counts[:k].sum(), counts[k + 1 :].sum())
     least = max(LEAST_SHARE * total, LEAST_BEAMS * len(sample.ranges_m))
     stands_out = max(near.max(initial=0), beyond) <= RARE * count

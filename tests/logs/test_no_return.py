@@ -54,6 +54,14 @@ def test_that_walls_are_returns_also_in_centimeters_and_at_rest(path: Trajectory
     assert no_return_m(sample_of([np.round(scan.ranges_m, 2) for scan in hall])) is None
 
 
+@pytest.mark.parametrize("step_m", [0.05, 0.1])
+def test_that_a_wall_beside_the_robot_is_one_also_where_ranges_are_rounded_coarsely(step_m: float) -> None:
+    """At 1 m the next value of such a laser is 5 or 10 % off."""
+    wall_m = 1.0 / np.cos(np.linspace(-1.4, 1.4, 361))
+    noisy_m = [wall_m + 0.01 * np.random.default_rng(k).standard_normal(361) for k in range(30)]
+    assert no_return_m(sample_of([np.round(ranges_m / step_m) * step_m for ranges_m in noisy_m])) is None
+
+
 def test_that_a_round_room_is_a_wall_from_its_centre() -> None:
     assert no_return_m(sample_of([np.full(360, 3.0)] * 30)) is None
     assert no_return_m(sample_of([np.full(360, np.nan)])) is None
