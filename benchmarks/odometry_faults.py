@@ -1,8 +1,8 @@
 """A corridor of 40 m with good odometry and one fault at a time: how long the path becomes.
 
-Along a plain corridor the walls show no motion: the path is as long as the odometry says. Doors 0.12 m deep show little
-of it in every scan, and the scale of wrong wheels in many. ``python benchmarks/odometry_faults.py`` prints a table: the
-fault, the length of the path as a share of the true one, the largest error, the doubt, and what was said.
+Along a plain corridor the walls show no motion: the path is as long as the odometry says. Doors 0.12 m deep show it
+a little. ``python benchmarks/odometry_faults.py`` prints a table: the fault, the length of the path as a share of the
+true one, the largest error, the doubt, and what was said.
 """
 
 from __future__ import annotations
