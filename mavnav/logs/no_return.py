@@ -44,5 +44,5 @@ def without_value(ranges_m: NDArray[np.float64], none_m: float | None) -> NDArra
 
 
 def no_return_warning(none_m: float) -> str:
-    """Say which value is taken for no return, and what to do."""
-    return f"many ranges are {none_m:g} m, and hardly any near that or beyond: they are taken for no return"
+    """Say which value is taken for no return."""
+    return f"many ranges are exactly {none_m:g} m, and hardly any are near that: this value is taken for no return"

@@ -309,7 +309,7 @@ def test_the_returns_that_info_names_are_used_or_left_out(tmp_path: Path, capsys
     log = write_mcap(tmp_path / "capped.mcap", capped)
     code, document = replayed(log, tmp_path / "c")
     assert (code, document["verdict"]["word"]) == (0, "good")
-    assert [text for text in document["warnings"] if "many ranges are 20 m" in text]
+    assert [text for text in document["warnings"] if "many ranges are exactly 20 m" in text]
 
 
 def test_a_truth_without_a_mounting_is_that_of_the_laser_once_it_is_given(tmp_path: Path) -> None:

@@ -77,7 +77,7 @@ def test_that_a_log_leaves_the_value_out(kept_bytes: int, tmp_path: Path, monkey
     write(Recording(ringed, Trajectory.of([], []), Trajectory.of([], [])), tmp_path / "ring.mcap")
     log = open_log(tmp_path / "ring.mcap")
     assert log.warnings == (
-        "/scan: many ranges are 3.45 m, and hardly any near that or beyond: they are taken for no return",
+        "/scan: many ranges are exactly 3.45 m, and hardly any are near that: this value is taken for no return",
     )
     for read, scan in zip(log.scans(), scans, strict=True):
         np.testing.assert_array_equal(np.isnan(read.ranges_m), np.isnan(scan.ranges_m))
