@@ -276,7 +276,7 @@ def _scan_warnings(log: Log) -> Iterator[str]:
             yield f"{log.topic}: {count} of {counts.total} scans skipped: {reason.replace('_', ' ')}"
     if counts.repeated > REPEATED_SHARE * counts.usable:
         text = f"{log.topic}: {counts.repeated} of {counts.usable} scans repeat the one before"
-        meaning = "right at rest in a simulation without noise; else the track is wrong there"
+        meaning = "right at rest in a simulation without noise; else the track is wrong there without odometry"
         yield f"{text}: {meaning}: check the driver, or cut the log with --start and --end"
     if comes_in_bursts(log.stamps_ns):
         text = f"less than 5 ms apart, of scans that were taken every {log.period_s * 1e3:.0f} ms"

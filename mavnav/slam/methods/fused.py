@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from mavnav.pose import Pose
 from mavnav.scan import Scan
 from mavnav.slam.matching.fusion import WHEELS, Fusion, evidence_of
-from mavnav.slam.matching.motion_model import Motion
+from mavnav.slam.matching.motion_model import MOST_ERROR, Motion
 from mavnav.slam.matching.scan_matching import Match, MatchVerdict, Schedule, no_match, search_lines
 from mavnav.slam.methods.robust import Robust
 
@@ -21,7 +21,7 @@ LEAST_UNITS = 0.005
 """Least motion of wheels over a scan period of which the error counts, m and rad: their stamps err, too."""
 
 LEAST_DRIVEN = 0.01
-"""Motion by wheels since the last pose, m and rad, from which a scan that repeats the one before shows nothing."""
+"""Motion by wheels since the last pose, m and rad, from which a scan that repeats the one before does not show rest."""
 
 VELOCITY = Fusion()
 """What is known of constant velocity, which bridges gaps of the odometry."""
@@ -43,13 +43,15 @@ class Fused(Robust):
         return Schedule.of(self.config, self.lines, (expert.near_window_m, expert.near_window_rad), prior=PRIOR)
 
     def match(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
-        """Match the scan as `Robust` does, fused with the prediction; not one that repeats while wheels drive."""
+        """Match the scan as `Robust` does, fused with the prediction; a repeat only where wheels lead."""
         self._used, self._units = self._prediction(scan, predicted, motion)
         self._learnt = self._fusion
         repeats, self._last_m = np.array_equal(self._last_m, scan.ranges_m, equal_nan=True), scan.ranges_m
-        if repeats and self._used.inherited and sum(predicted.gap(motion.map_T_laser)) > LEAST_DRIVEN:
-            return no_match(predicted, len(scan.ranges_m))
-        return super().match(scan, predicted, motion)
+        match, driven = super().match(scan, predicted, motion), sum(predicted.gap(motion.map_T_laser))
+        if not repeats or not self._used.inherited or driven < LEAST_DRIVEN:
+            return match
+        moved = sum(match.map_T_laser.gap(predicted)) < MOST_ERROR * driven
+        return match if moved else no_match(predicted, match.beams_used)
 
     def _prediction(self, scan: Scan, predicted: Pose, motion: Motion) -> tuple[Fusion, float]:
         """Return what is known of the prediction of a scan, and the motion to it in units of that."""

@@ -71,9 +71,20 @@ def test_where_walls_show_the_pose_wheels_are_learnt_from_if_they_turn_as_well(m
     assert (method._fusion.excess > MOST_EXCESS) == (moved == Pose())
 
 
-@pytest.mark.parametrize(("driven_m", "commanded", "matches"), [(0.05, False, 1), (0, False, 2), (0.05, True, 2)])
-def test_a_scan_that_repeats_shows_nothing_while_wheels_drive(driven_m: float, commanded: bool, matches: int) -> None:
-    method, first = Fused(Config()), scan_at(furnished_rooms(), START)
+@pytest.mark.parametrize(
+    ("walls", "start", "driven_m", "commanded", "matches"),
+    [
+        (furnished_rooms(), START, 0.05, False, 1),
+        (furnished_rooms(), START, 0.0, False, 2),
+        (furnished_rooms(), START, 0.05, True, 2),
+        (HALLWAY, Pose(), 0.05, False, 2),
+    ],
+    ids=["drives", "at rest", "commanded", "hallway that looks alike"],
+)
+def test_a_scan_that_repeats_does_not_show_rest_while_wheels_drive(
+    walls: np.ndarray, start: Pose, driven_m: float, commanded: bool, matches: int
+) -> None:
+    method, first = Fused(Config()), scan_at(walls, start)
     motion = Motion(0.1, lambda stamp_ns: Pose(driven_m * stamp_ns / PERIOD_NS), commanded=commanded)
     method.insert(first, Pose(), motion)
     for number in (1, 2):
@@ -89,7 +100,7 @@ def test_a_driver_that_stops_measuring_is_bridged_by_wheels() -> None:
     wheels = drifting_odometry(drive.world_T_laser, 0, 0.02, 0.02)
     result = run_slam(lambda: iter(scans), Config(), 0.1, wheels)
     true = drive.map_T_laser.xyyaw[np.isin(drive.map_T_laser.stamps_ns, result.trajectory.stamps_ns)]
-    assert len(true) == len(scans) - 19
+    assert len(scans) - 19 <= len(true) < len(scans) - 15
     assert np.hypot(*(result.trajectory.xyyaw - true)[:, :2].T).max() < 0.1
 
 
