@@ -109,7 +109,8 @@ FAULTS = {
 }
 """What is wrong with the odometry."""
 
-WRONG_SCALES = (0.5, 0.7, 0.9, 1.0, 1.1, 1.3, 2.0)
+SCALES = (0.5, 0.7, 0.9, 1.0, 1.1, 1.3, 2.0)
+"""Factors on the distances of the odometry past doors."""
 
 
 def replayed(drive: Recording, recorded: Trajectory) -> tuple[float, float, float, tuple[str, ...]]:
@@ -129,7 +130,7 @@ def main() -> None:
     print(f"path of {plain.map_T_laser.travelled_m:.1f} m, {len(plain.scans)} scans")
     good, past_doors = odometry_of(plain.world_T_laser), odometry_of(shallow.world_T_laser)
     runs = [(fault, plain, make(good)) for fault, make in FAULTS.items()]
-    runs += [(f"distances times {k}, doors", shallow, correct_path(past_doors, 0, k)) for k in WRONG_SCALES]
+    runs += [(f"distances times {k}, doors", shallow, correct_path(past_doors, 0, k)) for k in SCALES]
     for fault, drive, recorded in runs:
         share, off_m, doubt, said = replayed(drive, recorded)
         words = said[0][:70] if said else ""

@@ -90,7 +90,7 @@ class Stage:
         _switch(_enclosing.pop())
 
 
-def timed(name: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+def as_stage(name: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Make each call of a function a stage of the work, at half the time of a context manager."""
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:

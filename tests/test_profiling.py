@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mavnav import profiling
-from mavnav.profiling import OTHER, Stage, add_scan, each, new_profile, peak_memory_mb, scans_s, timed
+from mavnav.profiling import OTHER, Stage, add_scan, as_stage, each, new_profile, peak_memory_mb, scans_s
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def test_inner_stages_are_not_charged_to_outer_ones(clock: list[float]) -> None:
 
 
 def test_a_decorated_function_is_a_stage_even_when_it_fails(clock: list[float]) -> None:
-    @timed("work")
+    @as_stage("work")
     def work(seconds: float) -> None:
         clock[0] += seconds
         raise ValueError

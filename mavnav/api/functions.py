@@ -17,7 +17,7 @@ from mavnav import logs
 from mavnav.api import arguments
 from mavnav.api.results import Comparison, Run, in_directory
 from mavnav.config.loading import load_config
-from mavnav.config.options import OPTIONS, SEARCHING, File, ReplayOptions, SearchOptions, settings_of
+from mavnav.config.options import OPTIONS, SEARCHING, File, ReplayOptions, SearchOptions, fields_of_outputs, settings_of
 from mavnav.errors import UsageError
 from mavnav.profiling import Progress, silent
 
@@ -131,10 +131,10 @@ def replay(
     continued = given.get("continue_from")
     base = run_layer(continued) if continued and config is None else None
     chosen = load_config(arguments.config_of(config), arguments.sets_of(settings), settings_of(given), base)
-    groups = None if outputs is None else (*arguments.values_of(outputs, "outputs"), *["report"] * report)
-    report = report or bool({"report", "all"} & {*(groups or ())})
     path, typed = arguments.path_of(log, "log"), _typed_config(config)
-    request = ReplayRequest(path, Path(), chosen, given, force, report, groups, typed=typed)
+    request = ReplayRequest(path, Path(), chosen, given, force, report, typed=typed)
+    if outputs is not None:
+        request = changed(request, **fields_of_outputs(arguments.values_of(outputs, "outputs"), report=report))
 
     def work(target: Path) -> Run:
         replay_log(changed(request, directory=target), progress or silent, 0.0)

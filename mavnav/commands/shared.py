@@ -67,7 +67,7 @@ import typer
 from mavnav.commands import completion
 from mavnav.commands.terminal import can_print, note, printable
 from mavnav.config.option_kinds import CHECKS, INPUT, OUTPUT, RESOURCES, SEARCH, SWITCH
-from mavnav.config.options import OPTIONS
+from mavnav.config.options import OPTIONS, fields_of_outputs
 from mavnav.errors import ExitCode, UsageError, missing, worst
 
 if TYPE_CHECKING:
@@ -180,10 +180,10 @@ def output_values(outputs: str | None, *, report: bool, preview: bool | None) ->
     """Return whether the page is written, and ``outputs`` as the names that ``--outputs`` lists; raises UsageError."""
     if outputs is None:
         return {"report": True}
-    names = tuple(dict.fromkeys([*outputs.split(","), *(["report"] if report else [])]))
+    names = outputs.split(",")
     if preview and not {"map", "all"} & {*names}:
         raise UsageError("--preview is drawn from map; add it to --outputs")
-    return {"report": bool({"report", "all"} & {*names}), "outputs": names}
+    return fields_of_outputs(names, report=report)
 
 
 def check_logs(logs: Sequence[Path]) -> None:

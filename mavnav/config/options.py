@@ -156,6 +156,12 @@ def settings_of(options: ReplayOptions[Path]) -> dict[str, object]:
     return {key: False if value is True else value for key, value in values if key}
 
 
+def fields_of_outputs(names: Sequence[str], *, report: bool) -> dict[str, Any]:
+    """Return the groups of files to write, with the page if that is asked for, as fields of a request."""
+    groups = tuple(dict.fromkeys([*names, *["report"] * report]))
+    return {"report": bool({"report", "all"} & {*groups}), "outputs": groups}
+
+
 def run_options(options: ReplayOptions[Path]) -> Iterator[tuple[str, Any]]:
     """Yield name and value of the options that are not part of the configuration."""
     yield from ((name, value) for name, value in options.items() if not OPTIONS[name].setting)

@@ -38,9 +38,9 @@ def no_return_m(sample: ScanSample) -> float | None:
     return float(values_m[k]) if least <= count <= MOST_SHARE * total and stands_out else None
 
 
-def without_value(ranges_m: NDArray[np.float64], none_m: float | None) -> NDArray[np.float64]:
+def without_value(ranges_m: NDArray[np.float64], none_m: float) -> NDArray[np.float64]:
     """Return ranges (n,), m, with NaN in place of the one that stands for no return."""
-    return ranges_m if none_m is None else np.where(ranges_m == none_m, np.nan, ranges_m)
+    return np.where(ranges_m == none_m, np.nan, ranges_m)
 
 
 def no_return_warning(none_m: float) -> str:

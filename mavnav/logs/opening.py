@@ -119,8 +119,9 @@ def choose(
     sensor, frame_id = timeline.first
     period_s, gaps = period_and_gaps(timeline.stamps_ns)
     skipped = dict(sorted((scans.refused + timeline.skipped).items()))
-    none_m = no_return_m(scans.sample)
-    sample = replace(scans.sample, ranges_m=[without_value(ranges_m, none_m) for ranges_m in scans.sample.ranges_m])
+    sample, none_m = scans.sample, no_return_m(scans.sample)
+    if none_m is not None:
+        sample = replace(sample, ranges_m=[without_value(ranges_m, none_m) for ranges_m in sample.ranges_m])
     own = own_beams(sample)
     log = Log(
         topic=name,

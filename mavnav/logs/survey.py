@@ -31,7 +31,7 @@ from mavnav.logs.segments import Recorded, SweepJoiners
 from mavnav.logs.topic_scans import TopicScans
 from mavnav.logs.trajectories import OdometryTracks, TruthTracks
 from mavnav.logs.transforms import FrameTree
-from mavnav.profiling import timed
+from mavnav.profiling import as_stage
 
 _PROGRESS_STEPS = 200
 _MOST_WAITING_BYTES, _OVERHEAD_BYTES = 4 << 20, 100
@@ -185,7 +185,7 @@ class _Pass(Struct):
         return kind
 
 
-@timed("reading")
+@as_stage("reading")
 def survey(
     path: Path,
     *,

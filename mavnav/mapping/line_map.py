@@ -20,7 +20,7 @@ from mavnav.kernels.scans.observability import observability
 from mavnav.kernels.scans.points import LONGEST_M, extent, place_points, points_between
 from mavnav.mapping.tiled_arrays import NO_EXTENT, Extent, check_size, covered_extent, covering, enlarge, within
 from mavnav.pose import Pose
-from mavnav.profiling import timed
+from mavnav.profiling import as_stage
 
 Array = NDArray[np.float64]
 
@@ -150,7 +150,7 @@ class LineMap(Struct):
         bounds = cost_floors.cost_floors(box, step, truncate_m, self.nearest, self.lines, self.geometry)
         return CostFloors(corner, *bounds, truncate_m, step, wider)
 
-    @timed("field update")
+    @as_stage("field update")
     def insert(self, xy_map_m: Array, extent_m: Extent | None = None) -> None:
         """Insert points (n, 2), in m, and refit the lines around them; their ``extent`` may be given."""
         if len(xy_map_m) == 0:
@@ -188,7 +188,7 @@ class LineMap(Struct):
         place_points(between, map_T_laser.as_array(), between)
         self.insert(between)
 
-    @timed("field update")
+    @as_stage("field update")
     def remove(self, xy_map_m: Array) -> None:
         """Remove the cells at some points (n, 2), in m, with all their points; some of these cells may be empty.
 

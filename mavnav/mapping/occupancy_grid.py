@@ -17,7 +17,7 @@ from mavnav.kernels.scans.points import extent
 from mavnav.mapping import tiled_arrays
 from mavnav.mapping.tiled_arrays import Extent
 from mavnav.pose import Pose
-from mavnav.profiling import timed
+from mavnav.profiling import as_stage
 
 Array = NDArray[np.float64]
 
@@ -97,7 +97,7 @@ class GridBuilder(Struct):
         """Return the counts by rows and columns; the crossings are shared, not copied."""
         return Grid(self.cell_m, self.origin_xy_m, tiled_arrays.plain(self.hits), self.passes)
 
-    @timed("insert")
+    @as_stage("insert")
     def insert(self, laser: Pose, xy_map_m: Array, extent_m: Extent | None = None) -> None:
         """Count the end points (n, 2) of one scan, in m, and the cells that its beams crossed.
 
@@ -134,7 +134,7 @@ class GridBuilder(Struct):
         self.hits[col // WIDE, row, col % WIDE] = 0
         return cell_centres(self, row, col)
 
-    @timed("virtual scan")
+    @as_stage("virtual scan")
     def virtual_scan(
         self, laser: Pose, directions: Array, far_m: float, gap_cells: int, *, middle: bool = False
     ) -> Array:

@@ -29,7 +29,7 @@ from mavnav.metrics.reference import COVERED_M, position_errors
 from mavnav.outputs.directory import checked_file, digests_of
 from mavnav.outputs.documents.run_json import FoundPose, Localisation, StartPose
 from mavnav.pose import MAX_GAP_NS, Pose, Trajectory
-from mavnav.profiling import Stage, timed
+from mavnav.profiling import Stage, as_stage
 from mavnav.slam.matching.odometry_fit import usual_speed
 from mavnav.slam.matching.prior_map import PriorMap, prior_map_of
 from mavnav.slam.methods.registry import LOCALIZERS
@@ -237,7 +237,7 @@ def _with_recorded_truth(
     return replace(references, truth=seen.seen_from(map_T_begin) if first and map_T_begin else seen)
 
 
-@timed("measuring")
+@as_stage("measuring")
 def measured_map(outcome: SlamResult, log: Log) -> MeasuredMap:
     """Measure the known part of the map of a run, with the scans behind it."""
     journey = Journey(

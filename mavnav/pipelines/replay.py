@@ -27,7 +27,7 @@ from mavnav.outputs.writers import WITHOUT_MAP, check_groups, write_run
 from mavnav.pipelines import maps
 from mavnav.pipelines.again import replay_words
 from mavnav.pose import Pose, correct_path
-from mavnav.profiling import Progress, Stage, new_profile, scans_s, timed
+from mavnav.profiling import Progress, Stage, as_stage, new_profile, scans_s
 from mavnav.slam.findings import TrackedAgain
 from mavnav.slam.methods.registry import load_kernels, uses_odometry
 from mavnav.slam.pipeline import FINISHING, SMOOTHING, run_slam
@@ -188,7 +188,7 @@ def replay_log(
         return _track_and_write(request, log, given, progress, stop, began)
 
 
-@timed("loading")
+@as_stage("loading")
 def _compile(config: Config, progress: Progress, *, rare: bool) -> tuple[float, float]:
     """Compile the kernels the first time; returns what that took, by the clock and of the processor, s."""
     wall_s, cpu_s = perf_counter(), process_time()

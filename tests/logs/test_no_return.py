@@ -37,7 +37,7 @@ def sample_of(ranges_m: list[NDArray[np.float64]]) -> ScanSample:
 
 @pytest.mark.parametrize("none_m", [3.45, 0.13, 25.0])
 @pytest.mark.parametrize("step_m", [1e-9, 0.01, 0.025])
-def test_that_a_value_for_no_return_is_told_from_walls(none_m: float, step_m: float) -> None:
+def test_that_a_value_for_no_return_is_distinguished_from_walls(none_m: float, step_m: float) -> None:
     rounded = [np.round(each / step_m) * step_m for each in seen()]
     assert no_return_m(sample_of(rounded)) is None
     ranges_m = [np.where(np.isnan(each), none_m, each) for each in rounded]

@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from mavnav.pose import Pose
-from mavnav.profiling import timed
+from mavnav.profiling import as_stage
 from mavnav.slam.doubt.features import (
     DISAGREEMENT,
     FEATURES,
@@ -100,7 +100,7 @@ def match_again(track: Track, drawn: Robust) -> Track:
     return refine_poses(alone, drawn)
 
 
-@timed("doubt")
+@as_stage("doubt")
 def judge(track: Track, refiner: Refiner, limits: Limits) -> Track:
     """Judge a track by its features; compare it with a resampled track if its doubt is within ``limits``."""
     if len(track.findings.observed) < len(track.steps) or track.steps.column("tracked").sum() < FEWEST:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from mavnav.config.models import Config
 from mavnav.pose import Pose, Trajectory, blend
-from mavnav.profiling import timed
+from mavnav.profiling import as_stage
 from mavnav.slam.findings import Edge, Loop, Loops, PoseGraph
 from mavnav.slam.loop_closure.closure import KeyClosure, agreeing_closures, find_closure, is_small
 from mavnav.slam.loop_closure.key_frames import (
@@ -64,7 +64,7 @@ ROUNDS = 3
 """Maximum number of rounds: a closed loop can bring other closures within the bounds."""
 
 
-@timed("loops")
+@as_stage("loops")
 def find_loops(map_T_laser: Trajectory, points_of: PointsOf, information_of: InformationOf, config: Config) -> Loops:
     """Find the loops of a track, and correct the path between their ends.
 

@@ -19,7 +19,7 @@ from mavnav.mapping.line_map import LineMap
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.mapping.tiled_arrays import Extent
 from mavnav.pose import Pose, wrap_angle
-from mavnav.profiling import timed
+from mavnav.profiling import as_stage
 from mavnav.slam.matching.scan_matching import Match, Schedule, search_lines, with_effort
 from mavnav.units import DEG
 
@@ -92,7 +92,7 @@ CONFLICT_POINTS = 150
 """Number of points, a sample of the scan, for the visibility conflicts."""
 
 
-@timed("gate")
+@as_stage("gate")
 def with_conflicts(match: Match, points: Floats, line_map: LineMap, grid: GridBuilder) -> Match:
     """Return the match with the visibility conflicts of its points (n, 2), laser frame."""
     pose, counts, some = match.map_T_laser.as_array(), (grid.lattice, grid.hits, grid.passes), points[:CONFLICT_POINTS]
@@ -168,7 +168,7 @@ def candidates(
     return [with_conflicts(match, points, line_map, grid) for match in matches]
 
 
-@timed("search")
+@as_stage("search")
 def refined_minima(
     points: Floats,
     line_map: LineMap,

@@ -14,7 +14,7 @@ from mavnav.kernels.line_search import search as line_search
 from mavnav.kernels.maps.layout import SearchGrid
 from mavnav.mapping.line_map import LineMap
 from mavnav.pose import Pose, wrap_angle
-from mavnav.profiling import timed
+from mavnav.profiling import as_stage
 
 
 class Match(NamedTuple):
@@ -114,7 +114,7 @@ class Schedule(Struct, frozen=True):
         return cls(np.array(samples, float), np.array(limits, float))
 
 
-@timed("search")
+@as_stage("search")
 def search_lines(
     points: NDArray[np.float64], line_map: LineMap, start: Pose, schedule: Schedule, before: Match | None = None
 ) -> Match:

@@ -46,9 +46,11 @@ class Fused(Robust):
         """Match the scan as `Robust` does, fused with the prediction; a repeat only where wheels lead."""
         self._used, self._units = self._prediction(scan, predicted, motion)
         self._learnt = self._fusion
-        repeats, self._last_m = np.array_equal(self._last_m, scan.ranges_m, equal_nan=True), scan.ranges_m
-        match, driven = super().match(scan, predicted, motion), sum(predicted.gap(motion.map_T_laser))
-        if not repeats or not self._used.inherited or driven < LEAST_DRIVEN:
+        on_wheels = self._used.inherited > 0.0
+        repeats = on_wheels and np.array_equal(self._last_m, scan.ranges_m, equal_nan=True)
+        self._last_m, driven = scan.ranges_m, sum(predicted.gap(motion.map_T_laser))
+        match = super().match(scan, predicted, motion)
+        if not repeats or driven < LEAST_DRIVEN:
             return match
         moved = sum(match.map_T_laser.gap(predicted)) < MOST_ERROR * driven
         return match if moved else no_match(predicted, match.beams_used)

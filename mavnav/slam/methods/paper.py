@@ -11,7 +11,7 @@ from mavnav.config.models import Config
 from mavnav.kernels.maps.layout import SearchGrid
 from mavnav.mapping.occupancy_grid import Grid, GridBuilder
 from mavnav.pose import Pose, transform_points, wrap_angle
-from mavnav.profiling import timed
+from mavnav.profiling import as_stage
 from mavnav.scan import LaserSpec, Scan
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.scan_matching import Match, MatchVerdict, first_match, no_match, with_effort
@@ -67,7 +67,7 @@ class Paper:
             self._seen = predicted, spec, seen_m
         return self._seen[2]
 
-    @timed("gate")
+    @as_stage("gate")
     def gate(self, match: Match, scan: Scan, motion: Motion) -> MatchVerdict:
         """Accept a match whose cost is at most the threshold (paper, "Map Update")."""
         return MatchVerdict.SURE if match.cost_m2 <= self._threshold_m2(scan) else MatchVerdict.REFUSED
@@ -128,7 +128,7 @@ def _give_up_m2(config: Config) -> float:
     return max(config.paper.expert.refine_above_m2, GIVE_UP_RATIO * config.paper.gate_m2)
 
 
-@timed("search")
+@as_stage("search")
 def _search_polar(
     virtual_m: Floats, points: Floats, spec: LaserSpec, predicted: Pose, config: Config, level: float, factor: int
 ) -> Match:
@@ -188,7 +188,7 @@ def _at_gate(
     return match._replace(cost_m2=cost, inliers=share, beams_used=int(used) if cost < np.inf else len(points))
 
 
-@timed("cleaning")
+@as_stage("cleaning")
 def polar_points(ranges_m: Floats, spec: LaserSpec, mixed_pixel_m: float) -> Floats:
     """Return the valid beams as rows x, y, beam number, range, bearing, (n, 5), without mixed pixels (cost step vii).
 

@@ -13,7 +13,7 @@ from mavnav.kernels.scans.sweep_shift import sweep_shift
 from mavnav.mapping.occupancy_grid import Grid, GridBuilder
 from mavnav.mapping.tiled_arrays import Extent
 from mavnav.pose import Pose
-from mavnav.profiling import timed
+from mavnav.profiling import as_stage
 from mavnav.scan import LONGEST_SWEEP, Scan
 from mavnav.slam.matching import budget
 from mavnav.slam.matching.motion_model import Motion
@@ -215,7 +215,7 @@ class Robust:
         self._bounded = True
         return candidates(points, self.lines, self.known, region, self.config, limit=limit)
 
-    @timed("gate")
+    @as_stage("gate")
     def gate(self, match: Match, scan: Scan, motion: Motion) -> MatchVerdict:
         """Decide whether to accept the match."""
         if self._pauses.exclude(match.map_T_laser, motion, scan.stamp_ns):
@@ -285,7 +285,7 @@ class Robust:
         self._begin()
         return counts.by_rows()
 
-    @timed("cleaning")
+    @as_stage("cleaning")
     def match_points(self, scan: Scan, motion: Motion | None = None) -> NDArray[np.float64]:
         """Return the points (n, 2) that are matched, m, laser frame; de-skewed if the motion is given."""
         return self._points(scan, motion)[1]
@@ -313,7 +313,7 @@ class Robust:
             return AT_REST
         return np.array(motion.twist_at(scan.stamp_ns))
 
-    @timed("cleaning")
+    @as_stage("cleaning")
     def sweep_T_mid(self, scan: Scan, motion: Motion) -> Pose:
         """Return the pose of the laser at mid-sweep, seen from that at which the scan as recorded fits best."""
         twist, equations = self._twist(scan, motion), np.empty((3, 4))

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 
 from mavnav.kernels.scans.rts_smoother import smooth
 from mavnav.mapping.occupancy_grid import GridBuilder
-from mavnav.profiling import timed
+from mavnav.profiling import as_stage
 from mavnav.slam.matching.motion_model import LONGEST_S, Motion, motions_along
 from mavnav.slam.matching.observability import UNMEASURED, degeneracy_warning
 from mavnav.slam.matching.steps import Step, Steps, jumps, tracked_trajectory
@@ -149,7 +149,7 @@ def smooth_jitter(track: Track, _refiner: Refiner) -> Track:
     return track
 
 
-@timed("smoothing")
+@as_stage("smoothing")
 def smooth_positions(steps: Steps, period_s: float) -> None:
     """Move the steps to smoothed positions: jitter lengthens every path and moves a laser at rest.
 
