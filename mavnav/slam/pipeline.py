@@ -29,6 +29,7 @@ from mavnav.slam.retries.beginning import track_from_good_beginning
 from mavnav.slam.retries.levelling import as_recorded
 from mavnav.slam.retries.odometry import FITTING_ODOMETRY
 from mavnav.slam.retries.sweep_time import TIMED_SWEEPS
+from mavnav.slam.retries.wheel_scale import with_scaled_wheels
 from mavnav.slam.track import LogScans, OnStep, Pass, Placement, Track
 
 SHORTEST_PERIOD_S = 1e-3
@@ -113,6 +114,7 @@ def run_slam(
     start = start if recorded_ns is None else replace(start, recorded_ns=recorded_ns)
     unlevelled = (as_recorded(recorded),) if recorded else ()
     track = try_again(track_from_good_beginning(start), (*FITTING_ODOMETRY, *unlevelled))  # steps 1 to 8 first
+    track = with_scaled_wheels(track)
     track = try_again(or_with_own_map(track, start), ATTEMPTS)
     return summarize(after(track, (*RECOVERING, *CHECKING, *last)))
 

@@ -59,6 +59,24 @@ def evidence_of(points: Array, map_T_laser: Pose, line_map: LineMap, truncate_m:
     return Evidence(symmetric(information), pulls.sum(axis=1), pulls @ pulls.T)
 
 
+def longer_than_predicted(evidence: Evidence, matched: Pose, predicted: Pose, before: Pose) -> tuple[float, float]:
+    """Return the share by which the motion from a pose is longer than predicted if the match alone decides.
+
+    Beside it the inverse of its variance; both are 0 without motion. What walls leave open weighs nothing.
+    """
+    hessian, pull, spread = evidence
+    moved_m = np.array((predicted.x_m - before.x_m, predicted.y_m - before.y_m))
+    driven_m = float(np.hypot(*moved_m))
+    if driven_m == 0.0:
+        return 0.0, 0.0
+    ahead = np.append(moved_m / driven_m, 0.0)
+    floor = hessian + 1e-6 * max(float(hessian.trace()), 1.0) * EYE
+    along = np.linalg.solve(floor, ahead)
+    apart = (matched.x_m - predicted.x_m, matched.y_m - predicted.y_m)
+    off_m = float(ahead[:2] @ apart + along @ pull)
+    return off_m / driven_m, driven_m**2 / float(along @ (spread + LEAST_SIGMA_M**2 * floor) @ along)
+
+
 class Fusion(NamedTuple):
     """Variances of a prediction over a unit of motion, m2 and rad2, and the factor on the covariance of a match.
 

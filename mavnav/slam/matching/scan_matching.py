@@ -25,7 +25,9 @@ class Match(NamedTuple):
     ``evaluations`` the number of candidate poses whose cost was evaluated, ``iterations`` the number of grids searched.
     ``conflicts`` is the share of visibility conflicts. ``motion_cost`` is the distance from the motion prior (1: as far
     as strong acceleration reaches). ``ambiguous`` is true if another pose fits the scan about as well (``relocalize``).
-    ``threshold_m2`` is the largest accepted cost, inf if acceptance does not depend on the cost.
+    ``threshold_m2`` is the largest accepted cost, inf if acceptance does not depend on the cost. ``longer`` is the
+    share by which the motion since the last pose is longer than wheels say where the match alone decides, and
+    ``longer_weight`` the inverse of its variance; 0 without wheels.
     """
 
     map_T_laser: Pose
@@ -39,6 +41,8 @@ class Match(NamedTuple):
     motion_cost: float = 0.0
     ambiguous: bool = False
     threshold_m2: float = np.inf
+    longer: float = 0.0
+    longer_weight: float = 0.0
 
 
 class MatchVerdict(Enum):

@@ -52,7 +52,7 @@ _COLUMNS = np.dtype([(name, _KINDS[kind][1]) for name, kind in _FIELDS.items()])
 
 
 class Steps(Sequence[Step]):
-    """The steps of a run, packed in 107 bytes each; as objects they take 630, and a log may have 100 000 scans."""
+    """The steps of a run, packed in 123 bytes each; as objects they take 630, and a log may have 100 000 scans."""
 
     __slots__ = ("_rows",)
 

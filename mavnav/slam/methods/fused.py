@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mavnav.pose import Pose
 from mavnav.scan import Scan
-from mavnav.slam.matching.fusion import WHEELS, Fusion, evidence_of
+from mavnav.slam.matching.fusion import WHEELS, Fusion, evidence_of, longer_than_predicted
 from mavnav.slam.matching.motion_model import MOST_ERROR, Motion
 from mavnav.slam.matching.scan_matching import Match, MatchVerdict, Schedule, no_match, search_lines
 from mavnav.slam.methods.robust import Robust
@@ -34,7 +34,7 @@ class Fused(Robust):
         super()._begin()
         self._fusion = self._used = self._learnt = Fusion()
         self._units = 0.0  # of the motion since the last accepted pose, see `Fusion`; 0 if nothing predicts it
-        self._last_m = np.zeros(0)
+        self._last_m, self._before = np.zeros(0), Pose()
 
     @cached_property
     def _guided(self) -> Schedule:
@@ -45,7 +45,7 @@ class Fused(Robust):
     def match(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
         """Match the scan as `Robust` does, fused with the prediction; a repeat only where wheels lead."""
         self._used, self._units = self._prediction(scan, predicted, motion)
-        self._learnt = self._fusion
+        self._learnt, self._before = self._fusion, motion.map_T_laser
         on_wheels = self._used.inherited > 0.0
         repeats = on_wheels and np.array_equal(self._last_m, scan.ranges_m, equal_nan=True)
         self._last_m, driven = scan.ranges_m, sum(predicted.gap(motion.map_T_laser))
@@ -95,7 +95,10 @@ class Fused(Robust):
         evidence = evidence_of(points, match.map_T_laser, self.lines, self.config.robust.expert.truncate_m)
         pose, learnt = self._used.fuse(evidence, match.map_T_laser, predicted, self._units)
         self._learnt = self._fusion if self._used is VELOCITY else learnt
-        return match._replace(map_T_laser=pose)
+        if not self._used.inherited:
+            return match._replace(map_T_laser=pose)
+        longer, weight = longer_than_predicted(evidence, match.map_T_laser, predicted, self._before)
+        return match._replace(map_T_laser=pose, longer=longer, longer_weight=weight)
 
     def gate(self, match: Match, scan: Scan, motion: Motion) -> MatchVerdict:
         """Decide whether to accept the match, from which the fusion learns then."""
