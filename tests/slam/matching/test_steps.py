@@ -20,7 +20,18 @@ MS = 1_000_000
 
 numbers, counts, poses = st.floats(allow_nan=False), st.integers(0, 2**62), st.builds(Pose, *3 * [st.floats(-9e9, 9e9)])
 matches = st.builds(
-    Match, poses, numbers, counts, numbers, counts, counts, st.booleans(), numbers, numbers, st.booleans(), numbers
+    Match,
+    poses,
+    numbers,
+    counts,
+    numbers,
+    counts,
+    counts,
+    st.booleans(),
+    numbers,
+    numbers,
+    st.booleans(),
+    *3 * [numbers],
 )
 stamps_ns = st.integers(-(2**62), 2**62)
 
