@@ -7,36 +7,23 @@ true one, the largest error, the doubt, and what was said.
 
 from __future__ import annotations
 
+import itertools
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
-import itertools
-
 from mavnav.config.models import Config
 from mavnav.logs.odometry_chains import without_jumps
 from mavnav.pose import Pose, Trajectory, correct_path
-from mavnav.scan import LaserSpec
 from mavnav.slam.pipeline import run_slam
 from mavnav.units import DEG
-from support.synthetic import Recording, along, box, polyline, record
+from support.synthetic import Recording, corridor
 
-SHORT = LaserSpec(-120 * DEG, 0.5 * DEG, 481, 0.05, 6.0, 0.0, 0.1)
 MS, RATE_NS = 10**6, 50_000_000
 FRAME = Pose(4.0, -1.0, 0.6)
-
-
-def corridor(doors: Sequence[float] = ()) -> Recording:
-    """Return a drive of 26 m through the middle of a corridor, at a speed that changes, past doors of 0.9 m."""
-    walls = polyline((0.0, -1.2), (40.0, -1.2), (40.0, 1.2), (0.0, 1.2), closed=True)
-    frames = [box(x_m, side * 1.2, 0.9, 0.24) for x_m, side in zip(doors, itertools.cycle((-1, 1)))]
-    return record(
-        np.vstack((walls, *frames)), along([(7.0, 0.0), (20.0, 0.2), (33.0, 0.0)], speed_m_s=0.9), SHORT, 0.01
-    )
 
 
 def odometry_of(truth: Trajectory, seed: int = 0) -> Trajectory:

@@ -5,6 +5,8 @@ Ray casting is exact (ray against segment, in numpy). All random numbers depend 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import cycle
 from math import atan2, hypot, pi
 
 import numpy as np
@@ -167,6 +169,18 @@ def record(
         seen = np.vstack((segments, moved(carried, world_T_laser[k])))
         scans.append(scan_at(seen, world_T_laser[k], spec, stamp_ns=int(stamp), noise=noise, rng=rng))
     return Recording(scans, world_T_laser)
+
+
+SHORT = LaserSpec(-120 * DEG, 0.5 * DEG, 481, 0.05, 6.0, 0.0, 0.1)
+"""A laser that does not see the ends of a corridor."""
+
+
+def corridor(doors: Sequence[float] = ()) -> Recording:
+    """Return a drive of 26 m through the middle of a corridor, past doors of 0.9 m, 0.12 m deep, at some places, m."""
+    walls = polyline((0.0, -1.2), (40.0, -1.2), (40.0, 1.2), (0.0, 1.2), closed=True)
+    frames = [box(x_m, side * 1.2, 0.9, 0.24) for x_m, side in zip(doors, cycle((-1, 1)))]
+    path = along([(7.0, 0.0), (20.0, 0.2), (33.0, 0.0)], speed_m_s=0.9)
+    return record(np.vstack((walls, *frames)), path, SHORT, 0.01)
 
 
 def drifting_odometry(

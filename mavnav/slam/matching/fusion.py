@@ -48,6 +48,11 @@ class Evidence(NamedTuple):
     pull: Array
     spread: Array
 
+    def regular(self) -> tuple[Array, Array]:
+        """Return the Hessian and the spread (3, 3) with a floor that lets them be inverted."""
+        hessian = self.hessian + 1e-6 * max(float(self.hessian.trace()), 1.0) * EYE
+        return hessian, self.spread + LEAST_SIGMA_M**2 * hessian
+
 
 def evidence_of(points: Array, map_T_laser: Pose, line_map: LineMap, truncate_m: float) -> Evidence:
     """Return what points (n, 2), m, laser frame, show about a pose near it, by distances across their lines alone.
@@ -64,17 +69,16 @@ def longer_than_predicted(evidence: Evidence, matched: Pose, predicted: Pose, be
 
     Beside it the inverse of its variance; both are 0 without motion. What walls leave open weighs nothing.
     """
-    hessian, pull, spread = evidence
     moved_m = np.array((predicted.x_m - before.x_m, predicted.y_m - before.y_m))
     driven_m = float(np.hypot(*moved_m))
     if driven_m == 0.0:
         return 0.0, 0.0
     ahead = np.append(moved_m / driven_m, 0.0)
-    floor = hessian + 1e-6 * max(float(hessian.trace()), 1.0) * EYE
-    along = np.linalg.solve(floor, ahead)
+    hessian, spread = evidence.regular()
+    along = np.linalg.solve(hessian, ahead)
     apart = (matched.x_m - predicted.x_m, matched.y_m - predicted.y_m)
-    off_m = float(ahead[:2] @ apart + along @ pull)
-    return off_m / driven_m, driven_m**2 / float(along @ (spread + LEAST_SIGMA_M**2 * floor) @ along)
+    off_m = float(ahead[:2] @ apart + along @ evidence.pull)
+    return off_m / driven_m, driven_m**2 / float(along @ spread @ along)
 
 
 class Fusion(NamedTuple):
@@ -103,15 +107,14 @@ class Fusion(NamedTuple):
 
     def fuse(self, evidence: Evidence, matched: Pose, predicted: Pose, units: float) -> tuple[Pose, Fusion]:
         """Return the mean of a matched pose and that which is predicted after some motion; what it shows."""
-        hessian, pull, spread = evidence
+        (hessian, pull, _), (regular, spread) = evidence, evidence.regular()
         (x_m, y_m, yaw_rad), old = predicted, np.array(self[:3])
         shift = np.array((matched.x_m - x_m, matched.y_m - y_m, wrap_angle(matched.yaw_rad - yaw_rad)))
-        floor = hessian + 1e-6 * max(float(hessian.trace()), 1.0) * EYE
-        gain = np.linalg.solve(spread + LEAST_SIGMA_M**2 * floor, hessian)
+        gain = np.linalg.solve(spread, hessian)
         information = hessian @ gain
         moving, before = units * old[[0, 0, 1]], self.inherited * self.covariance
         precision = np.linalg.inv(np.diag(moving) + before)
-        apart, toward = shift + np.linalg.solve(floor, pull), information @ shift + gain.T @ pull
+        apart, toward = shift + np.linalg.solve(regular, pull), information @ shift + gain.T @ pull
         strict = self.factor / self.strict
         usual = np.linalg.inv(information / strict + precision) @ toward / strict
         unlikely = float(toward @ (apart - usual)) / strict

@@ -104,5 +104,5 @@ def next_scale(tried: dict[float, float]) -> float:
     if small is not None and large is not None:
         more, less = tried[small], tried[large]
         return (more * large - less * small) / (more - less)
-    scale, longer = list(tried.items())[-1]
+    scale, longer = next(reversed(tried.items()))
     return scale * (1.0 + float(np.clip(STEP * len(tried) * longer, -MOST_STEP, MOST_STEP)))

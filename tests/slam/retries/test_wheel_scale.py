@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 import pytest
 
 from mavnav.config.models import Config
 from mavnav.pose import Pose, correct_path
-from mavnav.scan import LaserSpec
 from mavnav.slam.findings import TrackedAgain
 from mavnav.slam.matching.fusion import Evidence, longer_than_predicted
 from mavnav.slam.matching.scan_matching import first_match
@@ -17,19 +14,10 @@ from mavnav.slam.matching.steps import Step, Steps
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.result import SlamResult
 from mavnav.slam.retries.wheel_scale import STRETCHES, Longer, longer_than_wheels, next_scale
-from mavnav.units import DEG
-from support.synthetic import Recording, along, box, polyline, record
+from support.synthetic import Recording, corridor
 
-SHORT = LaserSpec(-120 * DEG, 0.5 * DEG, 481, 0.05, 6.0, 0.0, 0.1)
-
-
-def past_doors() -> Recording:
-    """Return a drive of 26 m through a corridor, past doors 0.12 m deep."""
-    walls = polyline((0.0, -1.2), (40.0, -1.2), (40.0, 1.2), (0.0, 1.2), closed=True)
-    frames = [box(x_m, side * 1.2, 0.9, 0.24) for x_m, side in zip(np.arange(3.0, 38.0, 3.1), itertools.cycle((-1, 1)))]
-    return record(
-        np.vstack((walls, *frames)), along([(7.0, 0.0), (20.0, 0.2), (33.0, 0.0)], speed_m_s=0.9), SHORT, 0.01
-    )
+DOORS = np.arange(3.0, 38.0, 3.1)
+"""Where the doors of a corridor are, m."""
 
 
 def replayed(recording: Recording, scale: float) -> SlamResult:
@@ -45,7 +33,7 @@ def steps_of(longer: list[float], weights: list[float]) -> Steps:
 
 @pytest.mark.parametrize("scale", [0.8, 1.1])
 def test_wheels_that_count_wrong_are_scaled_past_flat_doors(scale: float) -> None:
-    recording = past_doors()
+    recording = corridor(DOORS)
     result = replayed(recording, scale)
     ends = result.trajectory[0].between(result.trajectory[-1])
     assert ends.distance_m == pytest.approx(26.0, abs=0.15)
@@ -54,7 +42,7 @@ def test_wheels_that_count_wrong_are_scaled_past_flat_doors(scale: float) -> Non
 
 
 def test_right_wheels_are_tracked_once() -> None:
-    result = replayed(past_doors(), 1.0)
+    result = replayed(corridor(DOORS), 1.0)
     assert result.odometry.distance_scale == pytest.approx(1.0, abs=0.01)
     assert "scaled wheels" not in [attempt.name for attempt in result.attempts]
 
