@@ -15,6 +15,7 @@ from mavnav.slam.doubt.second_motion import LEAST_AGREEING, second_motion
 from mavnav.slam.findings import NOT_PLANAR, SECOND_LOST, SECOND_MOTION
 from mavnav.slam.matching.observability import LEAST_OBSERVABILITY
 from mavnav.slam.retries.attempt import COARSER, COARSER_VOXELS, FEW_POINTS
+from mavnav.slam.retries.odometry import by_wheels
 from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
@@ -85,13 +86,6 @@ def turns_rad(yaws_rad: Floats) -> Floats:
     return np.abs(wrap_angles(np.diff(yaws_rad, prepend=yaws_rad[:1])))
 
 
-def by_wheels(track: Track, stamps_ns: NDArray[np.int64]) -> Floats:
-    """Return the poses (n, 3) by the corrected odometry of the log, used or not; NaN where it has none."""
-    given = track.log_odometry
-    pose_at = given.lookup(track.findings.odometry) if given else lambda _: None
-    return np.array([pose_at(stamp_ns) or (np.nan,) * 3 for stamp_ns in stamps_ns.tolist()]).reshape(-1, 3)
-
-
 def resampled_poses(track: Track) -> Floats | None:
     """Return the poses (n, 3) of the tracked scans in a track with coarser voxels, NaN for scans without a pose there.
 
@@ -147,26 +141,27 @@ def disagreement(evidence: TrackEvidence) -> Floats:
 
     NaN without a second track.
     """
-    known = np.isfinite(evidence.resampled[:, 0]).any()
-    return difference(evidence, evidence.resampled) if known else np.full(len(evidence.stamps_ns), np.nan)
+    stamps_ns, other = evidence.stamps_ns, evidence.resampled
+    known = np.isfinite(other[:, 0]).any()
+    return difference(stamps_ns, evidence.xyyaw, other) if known else np.full(len(stamps_ns), np.nan)
 
 
 def odometry_disagrees(evidence: TrackEvidence) -> Floats:
     """Return the difference between track and odometry, as a multiple of the bound for wrong and the usual error."""
-    return difference(evidence, evidence.wheels, WHEELS_SHARE)
+    return difference(evidence.stamps_ns, evidence.xyyaw, evidence.wheels, WHEELS_SHARE)
 
 
-def difference(evidence: TrackEvidence, other: Floats, share: float = 0.0) -> Floats:
-    """Return the difference to other poses (n, 3) in the motion from or to each scan (n,), NaN where there are none.
+def difference(stamps_ns: NDArray[np.int64], xyyaw: Floats, other: Floats, share: float = 0.0) -> Floats:
+    """Return the difference of poses (n, 3) to other ones, NaN where there are none, in the motion from or to each.
 
-    It is a multiple of the bound for wrong and a share of the motion.
+    It is (n,) multiples of the bound for wrong and a share of the motion.
     """
-    common, out = np.flatnonzero(np.isfinite(other[:, 0])), np.zeros(len(evidence.stamps_ns))
-    stamps_s, start = evidence.stamps_ns[common] * NS, np.arange(len(common))
+    common, out = np.flatnonzero(np.isfinite(other[:, 0])), np.zeros(len(stamps_ns))
+    stamps_s, start = stamps_ns[common] * NS, np.arange(len(common))
     for window_s in WINDOWS_S if len(common) else ():
         end = np.minimum(np.searchsorted(stamps_s, stamps_s + window_s), len(common) - 1)
         moved = motions(other[common], start, end)
-        off = motions(evidence.xyyaw[common], start, end) - moved
+        off = motions(xyyaw[common], start, end) - moved
         ratio_m = np.hypot(off[:, 0], off[:, 1]) / (WRONG_M + share * np.hypot(moved[:, 0], moved[:, 1]))
         ratio_rad = np.abs(wrap_angles(off[:, 2])) / (WRONG_RAD + share * np.abs(wrap_angles(moved[:, 2])))
         ratio = np.where(stamps_s[end] - stamps_s > window_s + 1.5, 0.0, np.maximum(ratio_m, ratio_rad))

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from msgspec.structs import replace
 
+from mavnav.pose import motions
+from mavnav.slam.findings import TrackedAgain
 from mavnav.slam.matching.motion_model import MOST_ERROR
 from mavnav.slam.matching.odometry_fit import (
     GOOD_ODOMETRY,
@@ -19,7 +21,7 @@ from mavnav.slam.matching.odometry_fit import (
 from mavnav.slam.matching.steps import NEARLY_ALL, Step, Steps, tracked_trajectory
 from mavnav.slam.retries.attempt import Attempt
 from mavnav.slam.retries.unused_odometry import is_recorded
-from mavnav.units import DEG
+from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -126,9 +128,23 @@ def drop_odometry(track: Track) -> Track | None:
     return replace(track, motion=track.motion._replace(odometry=None))
 
 
+ERRING_WHEELS: Final = "without wheels"
+"""The attempt without odometry that shows where that errs."""
+
+WINDOW_S: Final = 10.0
+"""Time over which the largest error of odometry is given."""
+
+
 def contradiction(track: Track) -> str:
     """Say how odometry contradicts the scans, and what to do."""
     odometry, path = track.log_odometry, tracked_trajectory(track.steps)
+    if odometry and TrackedAgain(ERRING_WHEELS, kept=True) in track.findings.attempts:
+        off_m, at_ns = largest_error(track, path)
+        at_s = (at_ns - track.steps[0].stamp_ns) * NS
+        return (
+            f"it is off by up to {off_m:.2g} m in {WINDOW_S:.0f} s (from {at_s:.1f} s on), while the walls show the "
+            "motion without it; see what the wheels did there"
+        )
     if odometry and is_mirrored(odometry, path):
         return (
             "the laser turns the other way; if it is mounted upside down, or its scans are mirrored, replay with --set "
@@ -143,6 +159,23 @@ def contradiction(track: Track) -> str:
         "no time offset and scale makes it fit; check its axes and its clock, and whose it is ('mavnav calibrate' "
         "compares them); if they are right, see map.png"
     )
+
+
+def by_wheels(track: Track, stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the poses (n, 3) by the corrected odometry of the log, used or not; NaN where it has none."""
+    given = track.log_odometry
+    pose_at = given.lookup(track.findings.odometry) if given else lambda _: None
+    return np.array([pose_at(stamp_ns) or (np.nan,) * 3 for stamp_ns in stamps_ns.tolist()]).reshape(-1, 3)
+
+
+def largest_error(track: Track, path: Trajectory) -> tuple[float, int]:
+    """Return by how much odometry differs from a path over ``WINDOW_S`` at most, m, and the stamp of its beginning."""
+    wheels, begins = by_wheels(track, path.stamps_ns), np.arange(len(path))
+    ends = np.minimum(np.searchsorted(path.stamps_ns, path.stamps_ns + round(WINDOW_S / NS)), len(path) - 1)
+    apart = motions(wheels, begins, ends) - motions(path.xyyaw, begins, ends)
+    off_m = np.nan_to_num(np.linalg.norm(apart[:, :2], axis=1))
+    worst = int(off_m.argmax())
+    return float(off_m[worst]), int(path.stamps_ns[worst])
 
 
 def is_mirrored(odometry: LogOdometry, path: Trajectory) -> bool:
