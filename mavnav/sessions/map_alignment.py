@@ -17,6 +17,7 @@ from mavnav.slam.matching import relocalization
 from mavnav.slam.matching.placement import place_together
 from mavnav.slam.matching.prior_map import PriorMap
 from mavnav.slam.matching.scan_matching import Schedule, empty_line_map, search_lines
+from mavnav.slam.matching.steps import NEARLY_ALL
 from mavnav.slam.methods.acceptance import Acceptance
 from mavnav.slam.recovery.parts import consensus
 from mavnav.units import DEG
@@ -54,6 +55,9 @@ The others lie in rooms that were only looked into, of which another map may sho
 LEAST_INLIERS = 0.5
 """Minimum share of inliers of a virtual scan; the others may lie on changes, or beyond the other map."""
 
+CLEARLY_LESS = 0.5
+"""Ratio of costs from which another place is taken than the one near the same frame that most scans agree on."""
+
 REFINED_M, REFINED_RAD = 0.2, 2 * DEG
 """Half-widths of the search that refines the alignment."""
 
@@ -71,12 +75,12 @@ class Alignment(NamedTuple):
 
 
 def align(a: PriorMap, b: PriorMap, config: Config) -> tuple[Alignment | None, bool]:
-    """Find map ``b`` in map ``a`` near the same frame, or if most scans do not agree there, anywhere.
+    """Find map ``b`` in map ``a`` near the same frame, or unless nearly all scans agree there, anywhere.
 
-    None unless at least three virtual scans of ``b``, and most of those that are found in ``a``, agree, or all scans
-    fit together at just one place: in a coarse map each of them fits at many. Where not most of all scans agree, those
-    of ``a`` must agree in ``b``, too. Also returns whether the searches came to their end, of which each has a
-    credit.
+    Where most agree near it, walls must fit clearly better elsewhere. None unless at least three virtual scans of
+    ``b``, and most of those that are found in ``a``, agree, or all scans fit together at just one place: in a coarse
+    map each of them fits at many. Where not most of all scans agree, those of ``a`` must agree in ``b``, too. Also
+    returns whether the searches came to their end, of which each has a credit.
     """
     credit, credit_together = relocalization.search_credit(), relocalization.search_credit()
     alignment = _one_by_one(a, b, config, credit)
@@ -96,9 +100,11 @@ def _one_by_one(a: PriorMap, b: PriorMap, config: Config, credit: relocalization
     """Return the better alignment on which virtual scans of ``b`` agree; None if too few do."""
     target, scans = _Target(a, config, credit), virtual_scans(b, config)
     near = _alignment(target, target.place_scans(scans, anywhere=False), b, len(scans))
-    if near and 2 * near.agreeing > near.taken:
+    if near and near.agreeing >= NEARLY_ALL * near.taken:
         return near
     far = _alignment(target, target.place_scans(scans, anywhere=True), b, len(scans))
+    if near and 2 * near.agreeing > near.taken and far and far.cost_m2 > CLEARLY_LESS * near.cost_m2:
+        return near
     return min((alignment for alignment in (near, far) if alignment), key=attrgetter("cost_m2"), default=None)
 
 
