@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 LEAST_SHARE, LEAST_BEAMS, MOST_SHARE = 0.01, 3, 0.99
 """Shares of all returns, and number a scan, between which that value lies. More are a round room, from its centre."""
 
+LEAST_SCANS = 5
+"""Number of scans from which a value may be a driver's habit."""
+
 NEAR, NEAR_M, RARE = 0.05, 0.3, 0.1
 """Part of the value, at least so many meters, up to which others are near, and largest count of any of these, and of
 all beyond, as a share of its own: the distances of a wall are spread, also those of a laser that rounds them."""
@@ -26,7 +29,7 @@ def no_return_m(sample: ScanSample) -> float | None:
     """Return the largest or least range, m, that stands for no return in a sample of scans; None if none does."""
     ranges_m = np.concatenate([np.zeros(0), *sample.ranges_m])
     values_m, counts = np.unique(ranges_m[np.isfinite(ranges_m)], return_counts=True)
-    if not len(counts):
+    if not len(counts) or len(sample.ranges_m) < LEAST_SCANS:
         return None
     k, total = int(np.argmax(counts)), int(counts.sum())
     count = int(counts[k])
