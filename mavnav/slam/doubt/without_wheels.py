@@ -29,13 +29,13 @@ leave motion open, or people walk along."""
 
 def drop_wheels(track: Track) -> Track | None:
     """Return a track without the odometry that is used for it; None if none is, or the map is given."""
-    if track.motion.odometry is None or track.log_odometry is None or not track.builds_map:
+    if track.motion.odometry is None or not track.builds_map:
         return None
     return replace(track, motion=track.motion._replace(odometry=None))
 
 
 def differs_and_is_sure(alone: Track, track: Track) -> bool:
-    """Return whether a track without wheels differs from one with them by more than right tracks do, and is sure."""
+    """Return whether a track without wheels differs from one with them clearly, and is sure."""
     return differs(alone, track) and is_sure(alone)
 
 

@@ -41,7 +41,7 @@ def test_wheels_that_count_wrong_are_scaled_past_flat_doors(scale: float) -> Non
     assert TrackedAgain("scaled wheels", kept=True) in result.attempts
 
 
-def test_right_wheels_are_tracked_once() -> None:
+def test_right_wheels_are_not_scaled() -> None:
     result = replayed(corridor(DOORS), 1.0)
     assert result.odometry.distance_scale == pytest.approx(1.0, abs=0.01)
     assert "scaled wheels" not in [attempt.name for attempt in result.attempts]
