@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mavnav.config.models import Config
 from mavnav.pose import Pose, Rotation, Trajectory
 from mavnav.slam.doubt.judge import judge_flown, judge_redrawn, judge_track
-from mavnav.slam.doubt.without_wheels import WITHOUT_WHEELS
+from mavnav.slam.doubt.without_wheels import without_erring_wheels
 from mavnav.slam.loop_closure.detection import close_loops
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, LogOdometry, in_meters
@@ -115,7 +115,7 @@ def run_slam(
     start = start if recorded_ns is None else replace(start, recorded_ns=recorded_ns)
     unlevelled = (as_recorded(recorded),) if recorded else ()
     track = try_again(track_from_good_beginning(start), (*FITTING_ODOMETRY, *unlevelled))  # steps 1 to 8 first
-    track = try_again(with_scaled_wheels(track), (WITHOUT_WHEELS,))
+    track = without_erring_wheels(with_scaled_wheels(track))
     track = try_again(or_with_own_map(track, start), ATTEMPTS)
     return summarize(after(track, (*RECOVERING, *CHECKING, *last)))
 

@@ -183,12 +183,12 @@ def corridor(doors: Sequence[float] = ()) -> Recording:
     return record(np.vstack((walls, *frames)), path, SHORT, 0.01)
 
 
-def past_cupboards() -> Recording:
-    """Return a drive of 24 m along a corridor, past cupboards 0.3 m deep at uneven distances."""
-    rng, spec = np.random.default_rng(3), LaserSpec(-2.3, 4.6 / 540, 541, 0.05, 12.0, 0.0, 0.1)
+def past_cupboards(bare_m: float = 0.0) -> Recording:
+    """Return a drive of 24 m along a corridor, past cupboards 0.3 m deep at uneven distances, then bare walls."""
+    rng, spec, end_m = np.random.default_rng(3), LaserSpec(-2.3, 4.6 / 540, 541, 0.05, 12.0, 0.0, 0.1), 30.0 + bare_m
     cupboards = [box(x_m, rng.choice((-1.2, 1.2)), rng.uniform(0.5, 1.5), 0.6) for x_m in np.arange(1.0, 30.0, 1.9)]
-    walls = np.vstack((polyline((0, -1.2), (30, -1.2), (30, 1.2), (0, 1.2), closed=True), *cupboards))
-    return record(walls, along([(2.0, 0.0), (14.0, 0.1), (26.0, 0.0)], speed_m_s=0.8), spec, 0.003)
+    walls = np.vstack((polyline((0, -1.2), (end_m, -1.2), (end_m, 1.2), (0, 1.2), closed=True), *cupboards))
+    return record(walls, along([(2.0, 0.0), (14.0, 0.1), (end_m - 4.0, 0.0)], speed_m_s=0.8), spec, 0.003)
 
 
 def drifting_odometry(

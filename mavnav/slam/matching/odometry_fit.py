@@ -91,6 +91,13 @@ class LogOdometry(Struct, frozen=True):
         averaged_ns = partial(np.interp, xp=self.scans_ns, fp=average_stamps(self.scans_ns))
         return lambda stamp_ns: pose_at(round(float(averaged_ns(stamp_ns))))
 
+    def without(self, spans_ns: NDArray[np.int64], fit: OdometryFit) -> LogOdometry:
+        """Return odometry without its poses in some spans of time (n, 2), first and last stamp of scans, ascending."""
+        stamps_ns = self.odom_T_base.stamps_ns + round(fit.offset_s / NS)
+        last = np.searchsorted(spans_ns[:, 0], stamps_ns, side="right") - 1
+        kept = (last < 0) | (stamps_ns > spans_ns[last, 1])
+        return replace(self, odom_T_base=Trajectory(self.odom_T_base.stamps_ns[kept], self.odom_T_base.xyyaw[kept]))
+
     def with_mean_stamps(self, map_T_laser: Trajectory) -> Trajectory | None:
         """Return a path at the averaged stamps of its scans; None if the scans are unknown."""
         if self.scans_ns is None:

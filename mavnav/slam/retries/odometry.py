@@ -129,22 +129,22 @@ def drop_odometry(track: Track) -> Track | None:
 
 
 ERRING_WHEELS: Final = "without wheels"
-"""The attempt without odometry that shows where that errs."""
+"""The attempt without odometry, or without a part of it, that shows where it errs."""
 
 WINDOW_S: Final = 10.0
 """Time over which the largest error of odometry is given."""
 
 
+def wheels_err(track: Track) -> bool:
+    """Return whether odometry, or a part of it, is left out as a track without it shows that it errs."""
+    return TrackedAgain(ERRING_WHEELS, kept=True) in track.findings.attempts
+
+
 def contradiction(track: Track) -> str:
     """Say how odometry contradicts the scans, and what to do."""
     odometry, path = track.log_odometry, tracked_trajectory(track.steps)
-    if odometry and TrackedAgain(ERRING_WHEELS, kept=True) in track.findings.attempts:
-        off_m, at_ns = largest_error(track, path)
-        at_s = (at_ns - track.steps[0].stamp_ns) * NS
-        return (
-            f"it is off by up to {off_m:.2g} m in {WINDOW_S:.0f} s (from {at_s:.1f} s on), while the walls show the "
-            "motion without it; see what the wheels did there"
-        )
+    if odometry and wheels_err(track):
+        return describe_error(track, path)
     if odometry and is_mirrored(odometry, path):
         return (
             "the laser turns the other way; if it is mounted upside down, or its scans are mirrored, replay with --set "
@@ -158,6 +158,16 @@ def contradiction(track: Track) -> str:
     return (
         "no time offset and scale makes it fit; check its axes and its clock, and whose it is ('mavnav calibrate' "
         "compares them); if they are right, see map.png"
+    )
+
+
+def describe_error(track: Track, path: Trajectory) -> str:
+    """Say by how much the odometry of a track differs from a path that walls show, and when."""
+    off_m, at_ns = largest_error(track, path)
+    at_s = (at_ns - track.steps[0].stamp_ns) * NS
+    return (
+        f"it is off by up to {off_m:.2g} m in {WINDOW_S:.0f} s (from {at_s:.1f} s on), while the walls show the "
+        "motion without it; see what the wheels did there"
     )
 
 
@@ -212,8 +222,8 @@ def odometry_warnings(track: Track) -> Iterator[str]:
     """Yield a warning if the odometry of the log is not used, or for a part of the scans alone."""
     if track.log_odometry is None:
         return
-    known = track.motion.odometry_at(track.steps.column("stamp_ns"))
+    known, errs = track.motion.odometry_at(track.steps.column("stamp_ns")), wheels_err(track)
     if track.odometry_contradicts:
         yield f"odometry contradicts the scans and is not used: {contradiction(track)}"
-    elif len(known) and known.mean() < NEARLY_ALL:
+    elif len(known) and known.mean() < NEARLY_ALL and not errs:
         yield _partly_used(track, known)
