@@ -109,6 +109,14 @@ def motions(xyyaw: NDArray[np.float64], start: NDArray[np.intp], end: NDArray[np
     return between(xyyaw[start], xyyaw[end])
 
 
+def nearest_rows(stamps_ns: NDArray[np.int64], wanted_ns: NDArray[np.int64]) -> NDArray[np.intp]:
+    """Return the row of the stamp nearest to each wanted time, of two the earlier; ``stamps_ns`` (n,) ascend."""
+    after = np.clip(np.searchsorted(stamps_ns, wanted_ns), 0, len(stamps_ns) - 1)
+    before = np.maximum(after - 1, 0)
+    nearer = np.abs(wanted_ns - stamps_ns[before]) <= np.abs(wanted_ns - stamps_ns[after])
+    return np.where(nearer, before, after)
+
+
 class Trajectory(Struct, frozen=True):
     """Poses of one moving frame in one fixed frame, over time.
 

@@ -51,13 +51,12 @@ def merge(
     MavnavError
         UsageError, ConfigError, NoScansError or OutputError.
     """
-    from mavnav.pipelines.merge import MergeRequest  # noqa: PLC0415  heavy
-    from mavnav.pipelines.merge import merge as merged  # noqa: PLC0415
+    from mavnav.pipelines import merge as pipeline  # noqa: PLC0415  heavy
 
     paths, target = tuple(paths_of(inputs, "inputs")), path_of(directory, "directory")
     chosen = load_config(config_of(config), sets_of(settings), {})
-    request = MergeRequest(paths, target, chosen, force, report, optional_path(config, "config"))
-    return merged(request, progress or silent)
+    request = pipeline.MergeRequest(paths, target, chosen, force, report, optional_path(config, "config"))
+    return pipeline.merge(request, progress or silent)
 
 
 @with_python_names
@@ -162,12 +161,12 @@ def calibrate(
     MavnavError
         UsageError, ConfigError, TopicError (without odometry, too), NoScansError or OutputError.
     """
-    from mavnav.pipelines.calibrate import CalibrationRequest  # noqa: PLC0415  heavy
-    from mavnav.pipelines.calibrate import calibrate as calibrated  # noqa: PLC0415
+    from mavnav.pipelines import calibrate as pipeline  # noqa: PLC0415  heavy
 
     options = options_of({"topic": topic, "start_s": start_s, "end_s": end_s, "odom": odom, "strict": strict})
     chosen = load_config(config_of(config), sets_of(settings), settings_of(options))
     files = optional_path(document, "document"), optional_path(picture, "picture"), optional_path(report, "report")
     config_file = optional_path(config, "config")
-    request = CalibrationRequest(path_of(log, "log"), chosen, options, *files, force=force, config_file=config_file)
-    return calibrated(request, progress or silent)
+    given = path_of(log, "log"), chosen, options, *files
+    request = pipeline.CalibrationRequest(*given, force=force, config_file=config_file)
+    return pipeline.calibrate(request, progress or silent)

@@ -170,7 +170,7 @@ def _rules(options: BatchOptions, manifest: Manifest, origins: Origins, path: Pa
     texts = [*manifest.gates, *options.gates]
     gated = BASELINE_GATE in texts
     for entry in manifest.logs:  # before any log is read
-        _gates(entry.gates, origins)
+        list(_gates(entry.gates, origins))
         list(_accept(entry.accept, origins))
     needed = gated or options.update_baseline or any(BASELINE_GATE in entry.gates for entry in manifest.logs)
     if path is None and needed:
@@ -194,13 +194,12 @@ def _rules(options: BatchOptions, manifest: Manifest, origins: Origins, path: Pa
     )
 
 
-def _gates(texts: Sequence[str], origins: Origins) -> list[Gate]:
-    return [_gate(text, origins.get(("gates", text.strip()))) for text in texts if text != BASELINE_GATE]
-
-
-def _gate(text: str, where: str | None) -> Gate:
-    with errors_at(where):
-        return parse_gate(text) if where is None else parse_gate(text, "gate", GATE_EXAMPLE)
+def _gates(texts: Sequence[str], origins: Origins) -> Iterator[Gate]:
+    for text in texts:
+        where = origins.get(("gates", text.strip()))
+        with errors_at(where):
+            if text != BASELINE_GATE:
+                yield parse_gate(text) if where is None else parse_gate(text, "gate", GATE_EXAMPLE)
 
 
 def _accept(given: Sequence[int | str], origins: Origins) -> Iterator[int | str]:

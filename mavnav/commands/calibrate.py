@@ -56,12 +56,11 @@ def calibrate(
     with local_log([log]) as source, reporting(quiet=quiet, stages=REPLAY) as report:
         with loading_modules():
             from mavnav.config.loading import load_config
-            from mavnav.pipelines.calibrate import CalibrationRequest
-            from mavnav.pipelines.calibrate import calibrate as calibrated
+            from mavnav.pipelines import calibrate as pipeline
         chosen = load_config(config, sets or [], settings_of(options))
         files, config_file = (output, picture, report_page), Path(config) if config else None
-        request = CalibrationRequest(source.path, chosen, options, *files, force, config_file, source.name)
-        document = calibrated(request, report)
+        request = pipeline.CalibrationRequest(source.path, chosen, options, *files, force, config_file, source.name)
+        document = pipeline.calibrate(request, report)
     if json:
         emit_json(document)
     else:

@@ -47,13 +47,12 @@ def merge(
     with reporting(quiet=quiet) as report:
         with loading_modules():
             from mavnav.config.loading import load_config
-            from mavnav.pipelines.merge import MergeRequest
-            from mavnav.pipelines.merge import merge as merged
+            from mavnav.pipelines import merge as pipeline
         chosen = load_config(config, sets or [], {})
         file = Path(config) if config else None
         target = directory or shared.free_directory(Path("runs/merged"), force=force)
         paths = tuple(shared.without_latest(inputs))
-        document = merged(MergeRequest(paths, target, chosen, force, report_page, file), report)
+        document = pipeline.merge(pipeline.MergeRequest(paths, target, chosen, force, report_page, file), report)
     if directory is None:
         shared.link_latest(target)
     for session in document["sessions"]:

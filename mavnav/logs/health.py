@@ -11,8 +11,8 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from mavnav.logs.false_returns import spread_over
 from mavnav.logs.log import Log
-from mavnav.logs.own_body import spread_over
 from mavnav.scan import LaserSpec, Scan, runs_of
 from mavnav.units import DEG, NS, pluralize
 

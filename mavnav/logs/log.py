@@ -10,14 +10,13 @@ from msgspec import field
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from mavnav.logs.false_returns import without_beams, without_value
 from mavnav.logs.formats import detect
 from mavnav.logs.levelling import RecordedAttitude
 from mavnav.logs.merging import Mounted, virtual_scans
 from mavnav.logs.messages.decode import decoder, scan_topic
 from mavnav.logs.messages.records import DecodeError, LaserMessage
 from mavnav.logs.namespaces import topic_and_frame
-from mavnav.logs.no_return import without_value
-from mavnav.logs.own_body import without_beams
 from mavnav.logs.preprocessing import ScanFilter
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel, Gap, Imu, LogContents, Odometry, RecordedTruth, ScanCounts

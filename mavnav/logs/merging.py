@@ -11,7 +11,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from mavnav.pose import Pose
+from mavnav.pose import Pose, nearest_rows
 from mavnav.scan import LaserSpec, Scan, nearest_returns, on_bearings
 from mavnav.units import NS
 
@@ -38,17 +38,10 @@ def partners(stamps_ns: NDArray[np.int64], others_ns: NDArray[np.int64]) -> NDAr
     Two scans go together if each is nearest to the other, and they are at most half a period apart. Both (n,) and (m,)
     ascend.
     """
-    there, back = _nearest(stamps_ns, others_ns), _nearest(others_ns, stamps_ns)
+    there, back = nearest_rows(others_ns, stamps_ns), nearest_rows(stamps_ns, others_ns)
     half_ns = 0.5 * float(np.median(np.diff(stamps_ns))) if len(stamps_ns) > 1 else np.inf
     mutual = back[there] == np.arange(len(stamps_ns))
     return np.where(mutual & (np.abs(others_ns[there] - stamps_ns) <= half_ns), there, -1)
-
-
-def _nearest(stamps_ns: NDArray[np.int64], others_ns: NDArray[np.int64]) -> NDArray[np.intp]:
-    after = np.searchsorted(others_ns, stamps_ns).clip(1, max(len(others_ns) - 1, 1))
-    later = np.minimum(after, len(others_ns) - 1)
-    nearer = np.abs(others_ns[later] - stamps_ns) < np.abs(others_ns[after - 1] - stamps_ns)
-    return np.where(nearer, later, after - 1)
 
 
 def virtual_laser(lasers: Sequence[Mounted]) -> LaserSpec:

@@ -11,6 +11,7 @@ from msgspec.structs import replace
 
 from mavnav.errors import NoScansError, SeveralTopicsError, TopicError
 from mavnav.logs.attitude import AttitudeTracks, laser_attitude
+from mavnav.logs.false_returns import body_warning, no_return_m, no_return_warning, own_beams, without_value
 from mavnav.logs.imu import laser_rotation
 from mavnav.logs.levelling import ceiling_height_m
 from mavnav.logs.log import Log
@@ -18,8 +19,6 @@ from mavnav.logs.merging import FRAME, partners, virtual_laser
 from mavnav.logs.messages.decode import LASER_TYPES, scan_topics
 from mavnav.logs.messages.other_scans import OTHER_TYPES
 from mavnav.logs.namespaces import topic_and_frame
-from mavnav.logs.no_return import no_return_m, no_return_warning, without_value
-from mavnav.logs.own_body import body_warning, own_beams
 from mavnav.logs.preprocessing import KINDS
 from mavnav.logs.records import LogContents, ScanCounts
 from mavnav.logs.stamps import comes_in_bursts, period_and_gaps

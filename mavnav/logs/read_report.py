@@ -35,7 +35,8 @@ KNOWN_ENCODINGS = ("cdr", "ros1", "ros2", "json", "protobuf", "carmen")
 class ReadReport:
     """Notes of one pass over a log.
 
-    ``done_bytes`` grows from 0 to ``total_bytes``, the bytes that are to be read. ``take_extra`` gets what a log holds
+    ``done_bytes`` grows from 0 to ``total_bytes``, the bytes that are to be read; ``here_bytes`` is the place in the
+    present file. ``take_extra`` gets what a log holds
     besides messages, or why that cannot be used; without it, that is not read.
     """
 
@@ -96,10 +97,6 @@ class ReadReport:
         """What was warned about; the rest in a line."""
         more = (f"{self._more_warnings} more warnings; choose a topic with --topic",) if self._more_warnings else ()
         return (*self._warnings, *more)
-
-    def at(self, offset: int) -> None:
-        """Note the place in the present file."""
-        self.here_bytes = offset
 
     def next_file(self, size_bytes: int) -> None:
         """Note that a file of this size is done."""

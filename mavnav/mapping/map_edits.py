@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, Grid, counts, occupancy
+from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, Grid, counts, occupancy, part_of
 from mavnav.mapping.tiled_arrays import bands
 from mavnav.pose import Pose
 
@@ -74,12 +74,8 @@ def _masked(grid: Grid, mask: Mask) -> Grid:
 
 def _cut_out(grid: Grid, mask: Mask) -> Grid:
     """Return the part of a grid round a mask (rows, cols), unknown outside of that; one cell where it is empty."""
-    kept = _masked(grid, mask)
     rows, cols = (np.flatnonzero(mask.any(axis=axis)) if mask.any() else np.zeros(1, np.int64) for axis in (1, 0))
-    part = slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1)
-    x_cells, y_cells = (round(v / grid.cell_m) for v in grid.origin_xy_m)
-    origin = float((x_cells + cols[0]) * grid.cell_m), float((y_cells + rows[0]) * grid.cell_m)
-    return Grid(grid.cell_m, origin, kept.hits[part], kept.passes[part])
+    return part_of(_masked(grid, mask), *(slice(int(k[0]), int(k[-1]) + 1) for k in (rows, cols)))
 
 
 def largest_area(grid: Grid) -> Mask:

@@ -223,7 +223,7 @@ def known_area(grid: Grid, *, hits_only: bool = False) -> Grid:
     if not any(part.any() for part in counts):
         return Grid(grid.cell_m, grid.origin_xy_m, np.zeros((1, 1), np.uint16), np.zeros((1, 1), np.uint16))
     rows, cols = (_extent(np.flatnonzero(sum(np.any(p, axis=axis) for p in counts))) for axis in (1, 0))
-    return _crop(grid, rows, cols)
+    return part_of(grid, rows, cols)
 
 
 def measured_area(grid: Grid) -> Grid:
@@ -236,7 +236,7 @@ def measured_area(grid: Grid) -> Grid:
         _in_blocks(round((known.origin_xy_m[k] - grid.origin_xy_m[k]) / grid.cell_m), known.hits.shape[1 - k], size, at)
         for k, (size, at) in enumerate(zip(grid.hits.shape[::-1], _corner(grid), strict=True))
     ]
-    return _crop(grid, spans[1], spans[0])
+    return part_of(grid, spans[1], spans[0])
 
 
 def _in_blocks(first: int, count: int, size: int, at: int) -> slice:
@@ -252,7 +252,8 @@ def _corner(grid: Grid | GridBuilder) -> tuple[int, int]:
     return round(x_m / grid.cell_m), round(y_m / grid.cell_m)
 
 
-def _crop(grid: Grid, rows: slice, cols: slice) -> Grid:
+def part_of(grid: Grid, rows: slice, cols: slice) -> Grid:
+    """Return some rows and columns of a grid at their place; the arrays are views of the grid's."""
     col, row = _corner(grid)
     origin = ((col + cols.start) * grid.cell_m, (row + rows.start) * grid.cell_m)
     return Grid(grid.cell_m, origin, grid.hits[rows, cols], grid.passes[rows, cols])

@@ -17,7 +17,7 @@ from msgspec.structs import asdict
 from numpy.typing import NDArray
 
 from mavnav.metrics.fields import OPTIONAL, Measured, number
-from mavnav.pose import MAX_GAP_NS, Trajectory, between, motions, rigid_fit, transform_points
+from mavnav.pose import MAX_GAP_NS, Trajectory, between, motions, nearest_rows, rigid_fit, transform_points
 from mavnav.units import DEG, MM
 
 Array = NDArray[np.float64]
@@ -233,19 +233,11 @@ def relation_errors(relations: Relations, trajectory: Trajectory) -> dict[str, R
     kinds = {"all": np.full(len(loop), fill_value=True), "sequential": ~loop, "loops": loop}
     if not len(trajectory):
         return {name: _errors(np.zeros((0, 3)), int(kind.sum())) for name, kind in kinds.items()}
-    rows, gaps_ns = _nearest(trajectory.stamps_ns, relations.stamps_ns)
+    rows = nearest_rows(trajectory.stamps_ns, relations.stamps_ns)
+    gaps_ns = np.abs(relations.stamps_ns - trajectory.stamps_ns[rows])
     error = between(relations.xyyaw, motions(trajectory.xyyaw, *rows.T))
     scored = (gaps_ns < TOLERANCE_NS).all(axis=1)
     return {name: _errors(error[kind & scored], int(kind.sum())) for name, kind in kinds.items()}
-
-
-def _nearest(stamps_ns: NDArray[np.int64], wanted_ns: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
-    """Return the nearest row to each wanted time, and the time between both, ns."""
-    after = np.clip(np.searchsorted(stamps_ns, wanted_ns), 0, len(stamps_ns) - 1)
-    before = np.maximum(after - 1, 0)
-    nearer = np.abs(wanted_ns - stamps_ns[before]) <= np.abs(wanted_ns - stamps_ns[after])
-    rows = np.where(nearer, before, after)
-    return rows, np.abs(wanted_ns - stamps_ns[rows])
 
 
 def _errors(error: Array, relations: int) -> RelationErrors:

@@ -56,7 +56,7 @@ class WallShapes(Struct, frozen=True):
     arcs_map: NDArray[np.float64]
 
 
-class Truth(Struct, frozen=True):
+class Truth(WallShapes, frozen=True, kw_only=True):
     """What only a simulation knows, in the map frame: the true first pose of the laser.
 
     ``map_T_laser`` are the true poses; ``segments_map`` (n, 4) the straight walls, x1, y1, x2, y2 in m;
@@ -66,8 +66,6 @@ class Truth(Struct, frozen=True):
     """
 
     map_T_laser: Trajectory
-    segments_map: NDArray[np.float64]
-    arcs_map: NDArray[np.float64]
     goal_xy_map_m: tuple[float, float]
     measured_by_hand: WallShapes | None = None
     slice_m: tuple[float, float] | None = None

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from mavnav.logs import log as logs_log
 from mavnav.logs import open_log, topic_scans
-from mavnav.logs.no_return import LEAST_SCANS, no_return_m
-from mavnav.logs.own_body import ScanSample
+from mavnav.logs.false_returns import LEAST_NONE_SCANS, ScanSample, no_return_m
 from mavnav.logs.writing.recorder import Recording
 from mavnav.logs.writing.recorder import record as write
 from mavnav.pose import Trajectory
@@ -86,5 +85,5 @@ def test_that_a_log_leaves_the_value_out(kept_bytes: int, tmp_path: Path, monkey
 def test_that_a_few_scans_show_no_habit_of_a_driver() -> None:
     """One scan of 1, 2, 2 and 2 m lost three of its beams."""
     scan_m = np.array([1.0, 2.0, 2.0, 2.0])
-    assert no_return_m(sample_of([scan_m] * (LEAST_SCANS - 1))) is None
-    assert no_return_m(sample_of([scan_m] * LEAST_SCANS)) == 2.0
+    assert no_return_m(sample_of([scan_m] * (LEAST_NONE_SCANS - 1))) is None
+    assert no_return_m(sample_of([scan_m] * LEAST_NONE_SCANS)) == 2.0

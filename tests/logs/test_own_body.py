@@ -10,8 +10,8 @@ import pytest
 from mavnav.config.loading import load_config
 from mavnav.config.models import Config
 from mavnav.logs import open_log
+from mavnav.logs.false_returns import MOST_SCANS, ScanSample, own_beams, spread_over, without_beams
 from mavnav.logs.health import sensor_health
-from mavnav.logs.own_body import MOST_SCANS, ScanSample, own_beams, spread_over, without_beams
 from mavnav.logs.writing.recorder import Recording
 from mavnav.logs.writing.recorder import record as write
 from mavnav.pipelines.replay import ReplayRequest, replay_log

@@ -81,7 +81,7 @@ def read_carmen(path: Path, report: ReadReport) -> Iterator[RawMessage]:
             report.warn("the poses in the log are those of a SLAM and no odometry; --truth auto compares with them")
         file.seek(0)
         for number, line in enumerate(_lines(file), start=1):
-            report.at(report.here_bytes + len(line))
+            report.here_bytes += len(line)
             try:
                 yield from _messages(line, state)
             except (ValueError, IndexError, OverflowError, UnicodeDecodeError):

@@ -40,7 +40,7 @@ def read_mcap(path: Path, report: ReadReport) -> Iterator[RawMessage]:
         state = McapState(report, Allowance(source.size))
         mcap_content.read_summary(source, state)
         for record in _records(source, _begin(source, state), state):
-            report.at(record.start)
+            report.here_bytes = record.start
             if record.opcode == Op.CHUNK:
                 yield from _chunk_messages(source, record, state)
             elif record.opcode in _READ:

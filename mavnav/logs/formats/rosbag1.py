@@ -88,7 +88,7 @@ def read_rosbag1(path: Path, report: ReadReport) -> Iterator[RawMessage]:
         state.spare = _connections(source, _index_records(source))
         state.search = partial(_connections, source, _sound_records(source, begin, ReadReport()))
         for record in _sound_records(source, begin, report):
-            report.at(record.start)
+            report.here_bytes = record.start
             if record.opcode != _BagOp.MESSAGE:
                 _check_numbers(record, report)
             if record.opcode == _BagOp.CHUNK and not _is_flat(record):

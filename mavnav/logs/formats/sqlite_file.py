@@ -130,7 +130,7 @@ def _message(topic_id: object, log_ns: object, data: object, state: _DatabaseSta
     if suspect or not isinstance(log_ns, int) or not isinstance(data, bytes):
         state.report.damage("a message row is broken, or of an undeclared topic", state.path.name)
     if channel is not None and isinstance(log_ns, int) and isinstance(data, bytes):
-        state.report.at(state.report.here_bytes + len(data))
+        state.report.here_bytes += len(data)
         yield RawMessage(channel, log_ns, data, suspect)
 
 

@@ -10,6 +10,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from google.protobuf.message import DecodeError as ProtobufError
 from numpy.typing import NDArray
 
 from mavnav.logs.messages.records import DecodeError, LaserMessage
@@ -60,8 +62,6 @@ def _is_identity_json(pose: dict[str, Any]) -> bool:
 
 def protobuf_decoder(channel: Channel) -> Callable[[bytes], LaserMessage]:
     """Return the decoder of a protobuf channel, built from the descriptor in the log; both raise DecodeError."""
-    from google.protobuf.message import DecodeError as ProtobufError  # noqa: PLC0415
-
     message_class = _message_class(channel)
 
     def decode(data: bytes) -> LaserMessage:
@@ -79,9 +79,6 @@ def protobuf_decoder(channel: Channel) -> Callable[[bytes], LaserMessage]:
 
 
 def _message_class(channel: Channel) -> Any:  # noqa: ANN401  (generated at run time)
-    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory  # noqa: PLC0415
-    from google.protobuf.message import DecodeError as ProtobufError  # noqa: PLC0415
-
     pool, data = descriptor_pool.DescriptorPool(), channel.schema.data
     if len(data) > _MAX_DESCRIPTOR_BYTES:
         raise DecodeError(f"the protobuf schema of {channel.topic} has more than {_MAX_DESCRIPTOR_BYTES} bytes")
@@ -108,8 +105,6 @@ def _check_fields(descriptor: Any, wanted: _Kinds, above: str) -> None:  # noqa:
 
 def _kind(descriptor: Any, name: str) -> str:  # noqa: ANN401
     """Return the type of a field as it is written in a .proto file."""
-    from google.protobuf import descriptor_pb2  # noqa: PLC0415
-
     proto, kinds = descriptor_pb2.DescriptorProto(), descriptor_pb2.FieldDescriptorProto
     descriptor.CopyToProto(proto)
     field = next((field for field in proto.field if field.name == name), None)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import cache
 from typing import Any
 
@@ -10,12 +9,14 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mavnav.logs.messages.definitions import TF
 
-_OLDER = ("iron", "humble", "galactic", "foxy", "eloquent", "dashing")
+OLDER = ("iron", "humble", "galactic", "foxy", "eloquent", "dashing")
+"""The distributions of ROS 2 before the newest, the newest of them first."""
 
 
-def types_ros2() -> Any:  # noqa: ANN401  rosbags' types are made at run time
-    """Return the type store of ROS 2."""
-    return _types_of("jazzy")
+@cache
+def types_ros2(distribution: str = "jazzy") -> Any:  # noqa: ANN401  rosbags' types are made at run time
+    """Return the type store of a distribution of ROS 2, by default of the newest."""
+    return get_typestore(Stores(f"ros2_{distribution}"))
 
 
 @cache
@@ -24,16 +25,6 @@ def types_ros1() -> Any:  # noqa: ANN401
     store = get_typestore(Stores.ROS1_NOETIC)
     store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
     return store
-
-
-def all_types_ros2() -> Iterator[Any]:
-    """Yield the type stores of ROS 2: that of ``types_ros2``, then those of older distributions, the newest first."""
-    return map(_types_of, ("jazzy", *_OLDER))
-
-
-@cache
-def _types_of(distribution: str) -> Any:  # noqa: ANN401
-    return get_typestore(Stores(f"ros2_{distribution}"))
 
 
 def definition(msgtype: str, types: Any = None) -> str:  # noqa: ANN401

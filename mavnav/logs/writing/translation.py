@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache, partial
+from itertools import chain
 from typing import Any, Final, NamedTuple
 
 from msgspec import Struct, field
@@ -105,7 +106,7 @@ def _with_definition(channel: Channel, name: str, check: Callable[[bytes], Any] 
         yield _Translation(_ros2(channel, name), check)
         return
     texts = set()
-    for types in ros.all_types_ros2():
+    for types in chain([ros.types_ros2()], map(ros.types_ros2, ros.OLDER)):
         text = ros.definition(name, types) if name in types.types else ""
         if text and text not in texts:
             texts.add(text)

@@ -182,7 +182,7 @@ def _input(run: RunResult) -> model.LogInput:
         frame_id=log.frame_id,
         stamp_source=log.stamp_source,
         first_stamp_s=log.first_ns * NS,
-        duration_s=(log.last_ns - log.first_ns) * NS,
+        duration_s=log.duration_s,
         base_frame=log.base_frame,
         base_T_laser=None if mounting is None else model.LaserPose(*mounting),
         mounting_source=log.mounting_source,
@@ -314,7 +314,6 @@ def _spread(values: NDArray[Any]) -> model.Spread:
 
 def _timing(run: RunResult) -> model.TimingReport:
     t, scans = run.timing, len(run.slam.steps)
-    duration_s = (run.log.last_ns - run.log.first_ns) * NS
     work_s = max(t.wall_s, 1e-9)
     return model.TimingReport(
         wall_s=t.wall_s,
@@ -322,7 +321,7 @@ def _timing(run: RunResult) -> model.TimingReport:
         compile_s=t.compile_s,
         stages=dict(t.stages),
         scans_per_s=scans / work_s,
-        realtime_factor=duration_s / work_s,
+        realtime_factor=run.log.duration_s / work_s,
         scan=_scan_time(t.scans_s, run.log.period_s) if t.scans_s else ABSENT,
         peak_memory_mb=peak_memory_mb(),
     )

@@ -147,20 +147,14 @@ def write_graph(run: RunResult, path: Path) -> None:
 
     A vertex is numbered as its scan in trajectory.csv, at its final pose. Raises ValueError if no loops were searched.
     """
-    path.write_text("".join(_graph_lines(run)), encoding="ascii")
-
-
-def _graph_lines(run: RunResult) -> Iterator[str]:
-    graph = run.slam.loops.graph
-    if graph is None:
+    if (graph := run.slam.loops.graph) is None:
         raise ValueError("no loops were looked for")
-    numbers = run.slam.steps.column("index")[run.slam.steps.column("tracked")]
-    names = numbers[list(graph.rows)].tolist()
-    for name, (x, y, yaw) in zip(names, run.slam.trajectory.xyyaw[list(graph.rows)].tolist(), strict=True):
-        yield f"VERTEX_SE2 {name} {x:z.9f} {y:z.9f} {yaw:z.9f}\n"
-    yield f"FIX {names[0]}\n"
-    for edge in graph.edges:
-        yield f"EDGE_SE2 {names[edge.start]} {names[edge.end]} {_edge_values(edge)}\n"
+    numbers, rows = run.slam.steps.column("index")[run.slam.steps.column("tracked")], list(graph.rows)
+    names, poses = numbers[rows].tolist(), run.slam.trajectory.xyyaw[rows].tolist()
+    lines = [f"VERTEX_SE2 {k} {x:z.9f} {y:z.9f} {yaw:z.9f}\n" for k, (x, y, yaw) in zip(names, poses, strict=True)]
+    lines.append(f"FIX {names[0]}\n")
+    lines += [f"EDGE_SE2 {names[edge.start]} {names[edge.end]} {_edge_values(edge)}\n" for edge in graph.edges]
+    path.write_text("".join(lines), encoding="ascii")
 
 
 def _edge_values(edge: Edge) -> str:

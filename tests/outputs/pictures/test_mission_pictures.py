@@ -29,7 +29,8 @@ def mission(run):
     segments = np.hstack([transform_points(first, walls[:, :2]), transform_points(first, walls[:, 2:])])
     stamps = [s.stamp_ns for s in run.slam.steps]
     poses = [s.match.map_T_laser @ Pose(0.0, 0.05, 0.0) for s in run.slam.steps]
-    truth = Truth(Trajectory.of(stamps, poses), segments, np.array([[1.0, 1.0, 0.5, 0.0, pi]]), (3.5, 4.4))
+    arcs = np.array([[1.0, 1.0, 0.5, 0.0, pi]])
+    truth = Truth(segments, arcs, map_T_laser=Trajectory.of(stamps, poses), goal_xy_map_m=(3.5, 4.4))
     return replace(run, truth=truth)
 
 
@@ -64,7 +65,7 @@ def test_without_a_truth_there_is_nothing_to_write(run, write, tmp_path):
 
 def test_arcs_are_drawn_where_they_are():
     arc = np.array([[2.0, 3.0, 0.5, pi / 2, -pi]])
-    truth = Truth(Trajectory.of([], []), np.array([[0.0, 1.0, 2.0, 3.0]]), arc, (0.0, 0.0))
+    truth = Truth(np.array([[0.0, 1.0, 2.0, 3.0]]), arc, map_T_laser=Trajectory.of([], []), goal_xy_map_m=(0.0, 0.0))
     straight, curved = viewport.wall_lines(truth)
     assert straight.tolist() == [[0.0, 1.0], [2.0, 3.0]]
     np.testing.assert_allclose(np.hypot(*(curved - (2.0, 3.0)).T), 0.5)

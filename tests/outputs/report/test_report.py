@@ -332,9 +332,8 @@ def test_a_run_without_the_profile_is_judged_by_its_scans(entries):
 
 def test_one_run_has_a_page_with_its_true_walls(run, base, tmp_path):
     cell = leave(run, base / "one")
-    truth = Truth(
-        Trajectory.of([], []), np.array([[0.0, 1.0, 3.0, 1.0]]), np.array([[1.0, 1.0, 0.5, 0.0, 1.0]]), (1, 1)
-    )
+    walls = np.array([[0.0, 1.0, 3.0, 1.0]]), np.array([[1.0, 1.0, 0.5, 0.0, 1.0]])
+    truth = Truth(*walls, map_T_laser=Trajectory.of([], []), goal_xy_map_m=(1, 1))
     write_true_walls(replace(run, truth=truth), base / "one" / "true_walls.json")
     entry = load(cell, base)
     assert not len(entry.goal_xy_m)  # the walls alone are no mission
