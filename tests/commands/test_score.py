@@ -282,3 +282,27 @@ def test_what_cannot_stand_beside_a_run_is_refused(
     assert compare(folder, *(word.format(folder=folder) for word in words), out="refused") == 2
     assert why in capsys.readouterr().err
     assert not (folder / "refused" / "cells").exists()
+
+
+def test_a_directory_of_something_else_is_kept(
+    folder: Path, scores: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def scored(directory: Path, *words: str) -> tuple[int, str]:
+        wanted = ["--trajectory", f"short={folder}/truth.tum@first", "--end", "1", "-q", "-o", str(directory)]
+        return run(["score", str(folder / "log.mcap"), *wanted, *words]), capsys.readouterr().err
+
+    other, page = tmp_path / "other", tmp_path / "foreign" / "report.html"
+    page.parent.mkdir()
+    page.write_text("of somebody else")
+    other.mkdir()
+    kept = (scores / "comparison.json").read_text().replace("log.mcap", "another.mcap")
+    (other / "comparison.json").write_text(kept)
+    for words in ((), ("--force",)):
+        for directory in (page.parent, folder / "own"):
+            code, err = scored(directory, *words)
+            assert (code, "holds other files" in err) == (6, True)
+    code, err = scored(other)
+    assert (code, "of other runs; choose another directory with -o, or --force" in err) == (6, True)
+    assert ((other / "comparison.json").read_text(), page.read_text()) == (kept, "of somebody else")
+    assert scored(other, "--force")[0] == scored(tmp_path / "new")[0] == 0
+    assert scored(tmp_path / "new", "--trajectory", f"late={folder}/late.tum@first")[0] == 6  # the run is there

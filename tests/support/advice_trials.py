@@ -395,7 +395,7 @@ TRIALS = [
         "no trajectory; name one with --trajectory, or a program with --external",
         "score log.mcap",
         "score log.mcap --trajectory run -o new -q",
-        "score log.mcap --external 'copy=cp run/trajectory.tum {out}' -o new2 -q",
+        "score log.mcap --external 'copy=cp run/trajectory.tum {out}' -o programs -q",
     ),
     (
         "names no directory; write NAME=FILE with a plain name",
@@ -406,6 +406,11 @@ TRIALS = [
         "the log has no mounting of the laser; give it with --extrinsic x,y,yaw",
         "score bare.mcap --trajectory run/trajectory.tum,base",
         "score bare.mcap --trajectory run/trajectory.tum,base --extrinsic 0,0,0 -o new -q",
+    ),
+    (
+        "of other runs; choose another directory with -o, or --force to replace it",
+        "score log.mcap --trajectory run -o versions",
+        "score log.mcap --trajectory run -o versions --force -q",
     ),
     (
         "cannot be split into words",
