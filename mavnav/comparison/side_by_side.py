@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Final
 
 from mavnav.batch.cases import Case, CaseResult
-from mavnav.batch.document import without_search
 from mavnav.batch.request import Setting
 from mavnav.batch.runner import BatchPlan
 from mavnav.comparison.document import COMPARISON_FILE, write_comparison
@@ -21,6 +20,7 @@ from mavnav.jobs.run_cache import PlannedRun, check_cache_directory
 from mavnav.jobs.worker import Outcome, Status
 from mavnav.metrics.gates import Gate, check_known
 from mavnav.outputs.directory import RUN_FILE, check_files, file_sha256
+from mavnav.outputs.documents.quantities import without_search
 from mavnav.outputs.files.finished_run import FinishedRun, RunRecord, finished_run
 from mavnav.pipelines.replay import ReplayRequest
 from mavnav.pipelines.score import Scored, ScoreRequest, check_names, score_log, scored_options
