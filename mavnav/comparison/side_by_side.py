@@ -139,7 +139,8 @@ def _own_poses(own: Sequence[CaseResult]) -> list[TrajectorySource]:
 def compare_finished(paths: Sequence[Path], directory: Path, gates: Sequence[Gate] = ()) -> dict[str, Any]:
     """Write the documents of a comparison of finished runs, each known by its directory; return comparison.json.
 
-    Raises UsageError for what is no run, a merge, and gates on unknown names; OutputError where nothing can be written.
+    Raises UsageError for what is no run, a merge, an edited run, and gates on unknown names; OutputError where nothing
+    can be written.
     """
     if len(paths) < 2:
         raise UsageError(f"{paths[0]} is a finished run; name another to compare it with, or a log")
@@ -161,6 +162,8 @@ def _read(path: Path) -> FinishedRun:
     run = finished_run(path)
     if not isinstance(run.record, RunRecord):
         raise UsageError(f"{path} is a merge; compare its map with another by mavnav diff")
+    if run.record.provenance and run.document["provenance"].get("edits"):
+        raise UsageError(f"{path} was edited, and its numbers are of the map before; measure it with mavnav metrics")
     check_files(path, run.document["outputs"])
     return run
 

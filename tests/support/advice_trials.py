@@ -413,6 +413,11 @@ TRIALS = [
         "score log.mcap --trajectory run -o versions --force -q",
     ),
     (
+        "edited was edited, and its numbers are of the map before; measure it with mavnav metrics",
+        "compare run edited",
+        "metrics run edited -q",
+    ),
+    (
         "cannot be split into words",
         'score log.mcap --external "a=cp \'x {log} {out}"',
         "score log.mcap --external 'a=cp run/trajectory.tum {out}' -o new -q",
