@@ -22,6 +22,8 @@ RUN_FILE: Final = "run.json"
 MERGE_FILE: Final = "merge.json"
 """The file that makes a directory a merge of ours."""
 
+WHOLE_AGAIN: Final = "repeat its command with --force, without --outputs"
+"""What to do where a file of a run is missing."""
 
 MOST_HOLES_BYTES: Final = 4 << 30
 """Bytes of a file that the disk may not keep: they take no space, but would be hashed."""
@@ -41,7 +43,7 @@ def checked_file(directory: Path, name: str, digests: Mapping[str, str]) -> Path
     """
     path = directory / name
     if not path.is_file():
-        raise UsageError(f"{directory} is no whole run: it has no {name}; repeat its command with --force")
+        raise UsageError(f"{directory} is no whole run: it has no {name}; {WHOLE_AGAIN}")
     status = path.stat()
     if status.st_size - 512 * getattr(status, "st_blocks", status.st_size) > MOST_HOLES_BYTES:
         raise UsageError(f"{directory} is no whole run: {name} is mostly holes; get a whole copy")

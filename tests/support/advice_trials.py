@@ -218,6 +218,12 @@ TRIALS = [
         "metrics small",
     ),
     (
+        "bare is no whole run: it has no result.mcap; repeat its command with --force, without --outputs",
+        "merge bare next.mcap",
+        "replay log.mcap -o whole -q",
+        "merge whole next.mcap -o joined -q",
+    ),
+    (
         "the run has no map; repeat its command with --force, without --outputs",
         "check bare --gate map.cells>=1",
         "replay log.mcap -o bare --force -q",
