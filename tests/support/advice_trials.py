@@ -419,6 +419,11 @@ TRIALS = [
         "score log.mcap --trajectory run -o versions --force -q",
     ),
     (
+        "paper.cell_mm has no effect with the method robust; leave it out, or choose --method paper",
+        "compare log.mcap --set paper.cell_mm=20,30",
+        "compare log.mcap --method paper --set paper.cell_mm=20,30 --end 0.6 --grid 5x5 -o new -q",
+    ),
+    (
         "edited was edited, and its numbers are of the map before; measure it with mavnav metrics",
         "compare run edited",
         "metrics run edited -q",
