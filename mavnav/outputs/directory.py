@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from mavnav.atomic_files import beside, is_stream, replacing, writing
-from mavnav.config.named_files import read_json
+from mavnav.config.named_files import read_json, what_is_wrong
 from mavnav.errors import OutputError, UsageError
 
 RUN_FILE: Final = "run.json"
@@ -70,7 +70,8 @@ def digests_of(directory: Path) -> dict[str, str]:
     except OSError as error:
         raise UsageError(f"{file} cannot be read: {error.strerror}; name a run directory") from error
     except (ValueError, LookupError, TypeError) as error:
-        raise UsageError(f"{file} is not one of mavnav's; name the directory of a finished run") from error
+        reason = what_is_wrong(error, "is not one of mavnav's")
+        raise UsageError(f"{file} {reason}; name the directory of a finished run") from error
 
 
 def check_files(directory: Path, outputs: object) -> None:
