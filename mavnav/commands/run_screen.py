@@ -105,6 +105,8 @@ def _without_pose(intervals: list[dict[str, Any]]) -> str:
 def _odometry_text(document: dict[str, Any]) -> str:
     """Describe what was corrected of the odometry, and its errors."""
     odometry = document["tracking"].get("odometry")
+    if odometry is None and document["config"]["method"] == "paper":
+        return "the method uses no odometry"
     if odometry is None:
         return "odometry switched off" if document["config"]["odom"] == "off" else "no odometry"
     name = f"odometry {document['input']['odometry']['topic']}"
