@@ -68,11 +68,15 @@ def lacks_memory(error: BaseException) -> bool:
 
 
 def missing(path: Path, advice: str) -> str:
-    """Say that there is no such file, and which one beside it has nearly its name, else what to do."""
+    """Say that there is no such file, and which one beside it has nearly its name, else what to do.
+
+    A name that a message cannot show is none to write, nor that of a link that leads nowhere.
+    """
     from difflib import get_close_matches  # noqa: PLC0415  only where a name is wrong
 
     with suppress(OSError):
-        if near := get_close_matches(path.name, sorted(each.name for each in path.parent.iterdir()), n=1, cutoff=0.75):
+        names = sorted(each.name for each in path.parent.iterdir() if each.name.isprintable() and each.exists())
+        if near := get_close_matches(path.name, names, n=1, cutoff=0.75):
             return f"{path}: no such file; did you mean {path.parent / near[0]}?"
     return f"{path}: no such file; {advice}"
 

@@ -82,7 +82,7 @@ def test_a_run_has_what_its_files_say(run: mavnav.Run, tmp_path: Path) -> None:
     kept = run.save(tmp_path / "kept")
     again = mavnav.load_run(tmp_path / "kept")
     np.testing.assert_array_equal(again.trajectory.xyyaw, run.trajectory.xyyaw)
-    with pytest.raises(mavnav.MavnavError, match="exists"):
+    with pytest.raises(mavnav.OutputError, match=r"exists; .* or force=True to replace"):
         run.save(kept.directory)
     assert run.save(kept.directory, force=True).metrics == run.metrics
 

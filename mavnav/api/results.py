@@ -17,7 +17,7 @@ from typing import Any, Final, TypeVar
 import numpy as np
 from PIL import Image
 
-from mavnav.api.arguments import path_of
+from mavnav.api.arguments import path_of, with_python_names
 from mavnav.atomic_files import naming_full_disk
 from mavnav.config.named_files import read_json
 from mavnav.config.options import File
@@ -156,6 +156,7 @@ class Run:
         data = b64encode(self.file("map.png").read_bytes()).decode("ascii")
         return f'{text}<img alt="map" style="max-width: 100%" src="data:image/png;base64,{data}">'
 
+    @with_python_names
     def save(self, directory: File, *, force: bool = False) -> Run:
         """Copy the run to a directory, and return the run there.
 

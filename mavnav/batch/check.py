@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from mavnav.config.named_files import read_json
+from mavnav.config.named_files import read_json, what_is_wrong
 from mavnav.errors import ExitCode, UsageError, worst
 from mavnav.metrics.gates import Gate, accepts_code, check_known, judge_some, judge_verdict, stored_verdict
 from mavnav.outputs.directory import RUN_FILE, check_files
@@ -103,7 +103,8 @@ def _reading(file: Path) -> Iterator[None]:
     except OSError as error:
         raise UsageError(f"{file.parent}: no {file.name} ({error.strerror}); {advice}") from error
     except (ValueError, LookupError, TypeError, AttributeError) as error:
-        raise UsageError(f"{file} is not one of mavnav's; {advice}") from error
+        reason = what_is_wrong(error, "is not one of mavnav's")
+        raise UsageError(f"{file} {reason}; {advice}") from error
 
 
 def _judge(run: _CheckedRun, bounds: list[Gate], given: frozenset[int | str]) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from mavnav.batch.request import BatchRequest, Rules
 from mavnav.errors import SEVERITY, ExitCode, worst
 from mavnav.metrics.gates import VERDICTS, accepts_code, failure_text, judge_some, judge_verdict
 from mavnav.outputs.directory import digests_of
-from mavnav.outputs.documents.quantities import NAMED, TIME, verdict_texts
+from mavnav.outputs.documents.quantities import NAMED, TIME, verdict_texts, without_search
 from mavnav.outputs.documents.verdict import EXTERNAL
 from mavnav.version import DOCUMENT_HEAD
 
@@ -86,11 +86,6 @@ def run_row(result: CaseResult, directory: Path) -> dict[str, Any]:
         "directory": Path(relpath(planned.directory, directory)).as_posix() if planned and run else None,
         "run": {name: run[name] for name in SECTIONS if name in run} if run else None,
     } | given
-
-
-def without_search(document: dict[str, Any]) -> dict[str, Any]:
-    """Return run.json of a run at given poses without what is mavnav's own: no search, and the time of drawing."""
-    return {section: value for section, value in document.items() if section not in {"search", "timing"}}
 
 
 def of_program(document: dict[str, Any]) -> dict[str, Any]:

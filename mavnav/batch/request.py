@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import combinations, product, zip_longest
 from pathlib import Path
@@ -20,6 +21,9 @@ from mavnav.errors import ConfigError, UsageError
 from mavnav.metrics.gates import Gate
 from mavnav.outputs.documents.provenance import Typed
 from mavnav.pipelines.trajectory_source import Program
+
+METHODS: Final = {"paper", "robust"}
+"""Methods, and the sections of their values."""
 
 SEARCH: Final = {("grid",), ("azimuth",)}
 """Keys by which the runs of a comparison are named anyhow, besides the method."""
@@ -79,9 +83,17 @@ def yaw_samples(grids: Sequence[object], azimuths: Sequence[int]) -> list[int | 
 
 
 def named_settings(configs: Iterable[Config]) -> list[Setting]:
-    """Return configurations with their names and what differs, without duplicates."""
+    """Return configurations with their names and what differs, without duplicates.
+
+    Raises ConfigError where they differ in what their method does not use.
+    """
     several = list(configs)
-    pairs = zip(several, differences(several), strict=True)
+    pairs = list(zip(several, differences(several), strict=True))
+    for config, differs in pairs:
+        for key, other in re.findall(r"(?:^| )(([a-z]+)\.[a-z_.]+)=", differs):
+            if other in METHODS - {config.method}:
+                advice = f"leave it out, or choose --method {other}"
+                raise ConfigError(f"{key} has no effect with the method {config.method}; {advice}")
     return unique(Setting(setting_name(config), config, differs) for config, differs in pairs)
 
 
@@ -144,7 +156,7 @@ def setting_name(config: Config) -> str:
     others = [
         f"{'.'.join(key)}={format_value(value)}"
         for key, value in mine.items()
-        if value != theirs[key] and key[-1] != "grid" and key[0] not in {"paper", "robust"} - {config.method}
+        if value != theirs[key] and key[-1] != "grid" and key[0] not in METHODS - {config.method}
     ]
     return " ".join([config.method, f"{config.azimuth}/{config.grid}", *others])
 

@@ -25,7 +25,7 @@ from mavnav.batch.manifest import GATE_EXAMPLE, errors_at
 from mavnav.batch.remote import download
 from mavnav.batch.request import BatchRequest, RunLimits
 from mavnav.config.options import absolute_options
-from mavnav.errors import ExitCode, MavnavError, UsageError
+from mavnav.errors import ExitCode, MavnavError, NoScansError, UsageError
 from mavnav.jobs.dask import Cluster
 from mavnav.jobs.pool import Listener, run_jobs, run_with_retries
 from mavnav.jobs.run_cache import RUNS_FOLDER, PlannedRun, check_cache_directory, finished_document, is_finished
@@ -71,7 +71,7 @@ def plan_batch(request: BatchRequest, progress: Progress) -> BatchPlan:
 
     Raises, before any run: UsageError if there are no logs, for gates and tolerances on unknown numbers, for folders
     that cannot be read, and for files to write that the batch reads or writes otherwise; OutputError if the directory
-    cannot be used. A log that cannot be read only fails its own cases.
+    cannot be used. A log that cannot be read only fails its own cases; where none can, an earlier batch is not lost.
     """
     if not request.entries:
         raise UsageError("no logs; name a manifest, or logs, patterns or folders")
@@ -79,6 +79,9 @@ def plan_batch(request: BatchRequest, progress: Progress) -> BatchPlan:
         check_files(request.files, (*request.inputs, *read_paths(request)), request.directory)
     check_cache_directory(request.directory, _OWN_FILES)
     cases = make_cases(request, progress)
+    if not any(case.run for case in cases) and (request.directory / BATCH_FILE).exists():
+        kind = NoScansError if cases[0].exit_code == ExitCode.NO_SCANS else UsageError
+        raise kind(cases[0].error)
     check_gates(request, cases)
     part = request.part
     return plan_cases(request, cases[part.number - 1 :: part.of] if part else cases)

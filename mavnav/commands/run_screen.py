@@ -6,12 +6,13 @@ Rows on the quality of a map are those of other commands, too; a number that is 
 
 from __future__ import annotations
 
+import os
 import re
+import shlex
 import sys
 from collections.abc import Iterable
 from itertools import chain
 from pathlib import Path
-from shlex import quote
 from typing import Any, Final
 
 from mavnav.commands import shared
@@ -104,6 +105,8 @@ def _without_pose(intervals: list[dict[str, Any]]) -> str:
 def _odometry_text(document: dict[str, Any]) -> str:
     """Describe what was corrected of the odometry, and its errors."""
     odometry = document["tracking"].get("odometry")
+    if odometry is None and document["config"]["method"] == "paper":
+        return "the method uses no odometry"
     if odometry is None:
         return "odometry switched off" if document["config"]["odom"] == "off" else "no odometry"
     name = f"odometry {document['input']['odometry']['topic']}"
@@ -153,12 +156,15 @@ def scan_time_text(timing: dict[str, Any]) -> str:
 
 def _closing_rows(directory: Path, document: dict[str, Any]) -> Rows:
     """Yield the rows that end a screen: what to open, and the next command."""
-    here, outputs = quote(str(directory)), document["outputs"]
+    here, outputs = shlex.quote(str(directory)), document["outputs"]
     page = ["report.html"] if (directory / "report.html").exists() else []
     names = [*page, *(name for name in ("map.png", "true_map.png", "map_3d.png") if name in outputs)]
     yield "open", ", ".join(str(directory / name) for name in names) or str(directory)
-    measurable = outputs.keys() >= {"trajectory.tum", "hits.npz", "result.mcap"}
-    yield "next", f"mavnav metrics {here}" if measurable else f"mavnav check {here}"
+    posed, log = document["scans"]["accepted"], [document["input"]["path"], *document["input"].get("parts", ())]
+    measurable = posed and outputs.keys() >= {"trajectory.tum", "hits.npz", "result.mcap"}
+    explained = not posed and not document.get("mission") and all(map(os.path.exists, log))
+    check = shlex.join(["mavnav", "info", *log]) if explained else f"mavnav check {here}"
+    yield "next", f"mavnav metrics {here}" if measurable else check
 
 
 def note_run(document: dict[str, Any], *, verdict: bool, all_: bool = False) -> None:

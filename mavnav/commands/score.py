@@ -53,7 +53,7 @@ def score(
     shared.check_gates(bounds, *(["reference"] if {*REFERENCES} & options.keys() else []))
     with local_log(logs) as source, reporting(quiet=quiet) as report:
         with loading_modules():
-            from mavnav.comparison.side_by_side import write_scores
+            from mavnav.comparison.side_by_side import check_score_directory, write_scores
             from mavnav.config.loading import load_config
             from mavnav.logs.formats.detect import log_name
             from mavnav.outputs.documents.provenance import Typed
@@ -75,6 +75,7 @@ def score(
             programs=tuple(map(read_program, programs or ())),
             limit_s=program_s,
         )
+        check_score_directory(request, source.name)
         scored = score_log(request, report)
         document = write_scores(source.name, scored, target)
         report("drawing the report", 0, None)

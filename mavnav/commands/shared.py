@@ -216,8 +216,8 @@ def link_latest(directory: Path) -> None:
 
 def without_latest(paths: Sequence[Path]) -> list[Path]:
     """Return paths, as of ``runs/*``, without the link ``latest`` to another of them."""
-    others = {path.resolve() for path in paths if path.name != LATEST}
-    return [path for path in paths if path.name != LATEST or path.resolve() not in others]
+    others = {os.path.realpath(path) for path in paths if path.name != LATEST}
+    return [path for path in paths if path.name != LATEST or os.path.realpath(path) not in others]
 
 
 def run_to_repeat(

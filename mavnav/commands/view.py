@@ -9,6 +9,7 @@ mavnav view runs/compare --serve
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,6 +18,7 @@ import typer
 from mavnav.commands import shared, signals
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.terminal import emit, note
+from mavnav.errors import OutputError
 
 if TYPE_CHECKING:
     from http.server import ThreadingHTTPServer
@@ -56,8 +58,13 @@ def view(
         _serve(page)
         return
     path = output or directory / name
-    check_file(path, ".html", force=True)
-    write_file(path, lambda partial: partial.write_bytes(page), force=True)
+    if output is None and not os.access(directory, os.W_OK | os.X_OK):
+        if not path.is_file():
+            raise OutputError(f"{directory} is not writable; name another place for the page with -o")
+        note(f"mavnav: {directory} is not writable; {path} is shown as it is")
+    else:
+        check_file(path, ".html", force=True)
+        write_file(path, lambda partial: partial.write_bytes(page), force=True)
     emit(str(path))
     if not no_browser:
         import webbrowser

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
 from mavnav.batch.cases import Case, CaseResult
-from mavnav.batch.document import without_search
 from mavnav.batch.request import Setting
 from mavnav.batch.runner import BatchPlan
-from mavnav.comparison.document import write_comparison
+from mavnav.comparison.document import COMPARISON_FILE, write_comparison
 from mavnav.comparison.pipeline import check_comparison_directory, short_names
 from mavnav.config.loading import load_config
-from mavnav.errors import ExitCode, UsageError
+from mavnav.config.named_files import read_json
+from mavnav.errors import ExitCode, OutputError, UsageError
 from mavnav.ground_truth.tables import read_trajectory
-from mavnav.jobs.run_cache import PlannedRun
+from mavnav.jobs.run_cache import PlannedRun, check_cache_directory
 from mavnav.jobs.worker import Outcome, Status
 from mavnav.metrics.gates import Gate, check_known
 from mavnav.outputs.directory import RUN_FILE, check_files, file_sha256
+from mavnav.outputs.documents.quantities import without_search
 from mavnav.outputs.files.finished_run import FinishedRun, RunRecord, finished_run
 from mavnav.pipelines.replay import ReplayRequest
 from mavnav.pipelines.score import Scored, ScoreRequest, check_names, score_log, scored_options
@@ -39,6 +41,31 @@ def write_scores(
         *(external_result(log, each.name, folder / each.name, each.document, each.error) for each in scored),
     ]
     return write_comparison(results, directory, gates)
+
+
+def check_score_directory(request: ScoreRequest, log: str) -> None:
+    """Raise OutputError for a directory that holds other files than scores of this log, of another log without force.
+
+    ``log`` is the log as `write_scores` names it.
+    """
+    directory = request.directory
+    if not os.path.lexists(directory):
+        return
+    check_cache_directory(directory, (*check_names(request.sources, request.programs), COMPARISON_FILE))
+    if not request.force and (file := directory / COMPARISON_FILE).exists() and not _scores(file, log):
+        advice = "choose another directory with -o, or --force to replace it"
+        raise OutputError(f"{file} exists, of other runs; {advice}")
+
+
+def _scores(file: Path, log: str) -> bool:
+    """Return whether a document compares nothing but given poses of a log, drawn in its own folders."""
+    try:
+        return all(
+            (cell["log"], cell["trajectory"]) == (log, cell["directory"] or cell["name"])
+            for cell in read_json(file)["cells"]
+        )
+    except (OSError, ValueError, LookupError, TypeError):
+        return False
 
 
 POSES = "poses"
@@ -112,7 +139,8 @@ def _own_poses(own: Sequence[CaseResult]) -> list[TrajectorySource]:
 def compare_finished(paths: Sequence[Path], directory: Path, gates: Sequence[Gate] = ()) -> dict[str, Any]:
     """Write the documents of a comparison of finished runs, each known by its directory; return comparison.json.
 
-    Raises UsageError for what is no run, a merge, and gates on unknown names; OutputError where nothing can be written.
+    Raises UsageError for what is no run, a merge, an edited run, and gates on unknown names; OutputError where nothing
+    can be written.
     """
     if len(paths) < 2:
         raise UsageError(f"{paths[0]} is a finished run; name another to compare it with, or a log")
@@ -134,6 +162,8 @@ def _read(path: Path) -> FinishedRun:
     run = finished_run(path)
     if not isinstance(run.record, RunRecord):
         raise UsageError(f"{path} is a merge; compare its map with another by mavnav diff")
+    if run.record.provenance and run.document["provenance"].get("edits"):
+        raise UsageError(f"{path} was edited, and its numbers are of the map before; measure it with mavnav metrics")
     check_files(path, run.document["outputs"])
     return run
 

@@ -247,13 +247,16 @@ def _problem(text: str, annotation: object) -> str:
 def _nearest(key: Key, keys: list[Key], given: Key) -> str:
     """Return a hint at the nearest known key anywhere in the configuration; empty if none is similar.
 
-    It has the indices of ``given``, which is ``key`` with them.
+    It has the indices of ``given``, which is ``key`` with them, and is no section that the key is in.
     """
+    keys = [path for path in keys if path != key[: len(path)]]
     known = [".".join(path) for path in keys]
     by_last_name = {path[-1]: ".".join(path) for path in keys}
     proposal = [by_last_name[key[-1]]] if key[-1] in by_last_name else []
-    proposal = proposal or difflib.get_close_matches(".".join(key), known, n=1)
-    proposal = proposal or [by_last_name[name] for name in difflib.get_close_matches(key[-1], by_last_name, n=1)]
+    proposal = proposal or difflib.get_close_matches(".".join(key), known, n=1, cutoff=0.8)
+    proposal = proposal or [
+        by_last_name[name] for name in difflib.get_close_matches(key[-1], by_last_name, n=1, cutoff=0.75)
+    ]
     return f"did you mean {_add_indices(proposal[0].split('.'), given)}?" if proposal else ""
 
 

@@ -36,3 +36,10 @@ def read_json(path: Path) -> Any:  # noqa: ANN401  any document
         return loads(read_named(path, MAX_JSON_BYTES))
     except RecursionError:
         raise ValueError("it is nested too deep") from None
+
+
+def what_is_wrong(error: Exception, otherwise: str) -> str:
+    """Say of a document that it is no JSON, if that was the error of `read_json`, else the other text."""
+    from json import JSONDecodeError  # noqa: PLC0415  not every command reads JSON
+
+    return "is no JSON, or cut off" if isinstance(error, JSONDecodeError | UnicodeDecodeError) else otherwise

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from mavnav.atomic_files import beside, is_stream, replacing, writing
-from mavnav.config.named_files import read_json
+from mavnav.config.named_files import read_json, what_is_wrong
 from mavnav.errors import OutputError, UsageError
 
 RUN_FILE: Final = "run.json"
@@ -22,6 +22,8 @@ RUN_FILE: Final = "run.json"
 MERGE_FILE: Final = "merge.json"
 """The file that makes a directory a merge of ours."""
 
+WHOLE_AGAIN: Final = "repeat its command with --force, without --outputs"
+"""What to do where a file of a run is missing."""
 
 MOST_HOLES_BYTES: Final = 4 << 30
 """Bytes of a file that the disk may not keep: they take no space, but would be hashed."""
@@ -41,7 +43,7 @@ def checked_file(directory: Path, name: str, digests: Mapping[str, str]) -> Path
     """
     path = directory / name
     if not path.is_file():
-        raise UsageError(f"{directory} is no whole run: it has no {name}; repeat its command with --force")
+        raise UsageError(f"{directory} is no whole run: it has no {name}; {WHOLE_AGAIN}")
     status = path.stat()
     if status.st_size - 512 * getattr(status, "st_blocks", status.st_size) > MOST_HOLES_BYTES:
         raise UsageError(f"{directory} is no whole run: {name} is mostly holes; get a whole copy")
@@ -68,7 +70,8 @@ def digests_of(directory: Path) -> dict[str, str]:
     except OSError as error:
         raise UsageError(f"{file} cannot be read: {error.strerror}; name a run directory") from error
     except (ValueError, LookupError, TypeError) as error:
-        raise UsageError(f"{file} is not one of mavnav's; name the directory of a finished run") from error
+        reason = what_is_wrong(error, "is not one of mavnav's")
+        raise UsageError(f"{file} {reason}; name the directory of a finished run") from error
 
 
 def check_files(directory: Path, outputs: object) -> None:

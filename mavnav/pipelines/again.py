@@ -14,7 +14,7 @@ from msgspec import Struct, ValidationError, convert
 from mavnav.config.layers import Layer, by_dotted_key
 from mavnav.config.loading import key_now, load_config, read_model, to_scalar
 from mavnav.config.models import Config
-from mavnav.config.named_files import read_json
+from mavnav.config.named_files import read_json, what_is_wrong
 from mavnav.config.options import ReplayOptions, restore_options, words_of
 from mavnav.errors import ConfigError, UsageError
 from mavnav.logs import content_sha256
@@ -72,8 +72,9 @@ def earlier_run(directory: Path, *, simulated: bool) -> EarlierRun:
     except OSError as error:
         raise UsageError(f"{directory} holds no run ({RUN_FILE}: {error.strerror}); name a run directory") from error
     except (ValueError, ValidationError, LookupError, TypeError, AttributeError) as error:
-        reason = "an earlier version may have written it; repeat it by its configuration, with --config"
-        raise UsageError(f"{directory / RUN_FILE} does not record how the run was made; {reason}") from error
+        reason = what_is_wrong(error, "does not record how the run was made; an earlier version may have written it")
+        advice = "repeat it by its configuration, with --config"
+        raise UsageError(f"{directory / RUN_FILE} {reason}; {advice}") from error
     if edits := document["provenance"].get("edits"):
         raise UsageError(f"{directory} is of another command; write {edits[-1]} -o NEW")
     if "external" in document:

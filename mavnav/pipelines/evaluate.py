@@ -25,7 +25,7 @@ from mavnav.metrics.journey import Journey, one_after_another
 from mavnav.metrics.map_quality import MapQuality, measure_map
 from mavnav.metrics.wall_spread import wall_report
 from mavnav.metrics.walls import StraightWall, half_turn
-from mavnav.outputs.directory import MERGE_FILE, RUN_FILE
+from mavnav.outputs.directory import MERGE_FILE, RUN_FILE, WHOLE_AGAIN
 from mavnav.outputs.files.document import plain
 from mavnav.outputs.files.finished_run import FinishedRun, RunRecord, finished_run
 from mavnav.outputs.files.gridmap import HITS_FILE, read_npz
@@ -111,8 +111,7 @@ def _run(directory: Path) -> Subject:
     if (directory / MERGE_FILE).is_file():
         return _merge(finished_run(directory))
     if missing_files := [name for name in NEEDED_FILES if not (directory / name).exists()]:
-        advice = "repeat its command with --force, without --outputs"
-        raise UsageError(f"{directory} is no whole run: it has no {', '.join(missing_files)}; {advice}")
+        raise UsageError(f"{directory} is no whole run: it has no {', '.join(missing_files)}; {WHOLE_AGAIN}")
     run = finished_run(directory)
     if not isinstance(run.record, RunRecord):
         raise UsageError(f"{directory} is no whole run: its {RUN_FILE} is of a merge; make it again")

@@ -57,7 +57,7 @@ def test_the_bytes_that_differ(tmp_path: Path) -> None:
 
 
 def test_a_log_that_cannot_be_read_is_not_repeated(home: Path) -> None:
-    document, _ = batch(sources=("gone.bag",), repeat=3)
+    document, _ = batch(sources=("gone.bag",), directory=Path("new"), repeat=3)
     assert len(document["cells"]) == 1
 
 

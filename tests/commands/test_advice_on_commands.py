@@ -72,6 +72,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, repo_root: Path) -> Path:
             f"replay log.mcap -o bare --outputs trajectory {SHORT}",
             "simulate short.yaml -o mission -q",
             "merge run next.mcap -o merged -q",
+            "edit run --keep-largest -o edited -q",
             f"batch log.mcap --baseline kept.json --update-baseline {SHORT} -o first -j 1",
             "compare run merged/../run -o versions -q",
         ):

@@ -62,9 +62,6 @@ TRIED = {
         "[bold]Documentation[/bold]  mavnav docs": "test_the_page_that_ends_the_help_of_a_command_is_there",
     },
     "commands/test_view.py": {"no browser could be started; open": "test_a_browser_that_does_not_start_is_named"},
-    "commands/test_strange_runs.py": {
-        "; repeat its command with --force": "test_a_file_that_is_a_pipe_or_mostly_holes_is_not_read"
-    },
     "logs/test_other_scans.py": {
         "choose the messages to take scans from with --topic": "test_two_such_topics_need_a_choice"
     },

@@ -42,6 +42,17 @@ def test_a_line_of_json_a_run_and_a_last_one(mavnav: Callable, empty: Path) -> N
     assert "cells" not in events[-1]
 
 
+@pytest.mark.parametrize(("source", "code"), [("sample_lgos", 2), ("logs", 4), ("*.mcapp", 2)])
+def test_an_earlier_batch_is_kept_where_no_log_can_be_read(
+    mavnav: Callable, empty: Path, source: str, code: int
+) -> None:
+    earlier = Path("runs/batch/batch.json")
+    earlier.parent.mkdir(parents=True)
+    earlier.write_text("kept")
+    assert mavnav("batch", source)[0] == code
+    assert [(path.name, path.read_text()) for path in earlier.parent.iterdir()] == [("batch.json", "kept")]
+
+
 @pytest.mark.parametrize(("workers", "text"), [(1, "1 worker;"), (2, "2 workers;")])
 def test_a_cluster_is_reported_with_its_workers(
     mavnav: Callable, empty: Path, monkeypatch: pytest.MonkeyPatch, workers: int, text: str

@@ -150,7 +150,8 @@ def test_the_end_of_a_run_is_told_beside_its_gates(mavnav: Callable, home: Path)
 def test_what_is_not_ours(mavnav: Callable, home: Path, name: str, text: str) -> None:
     Path("odd").mkdir()
     (Path("odd") / name).write_text(text)
-    said = f"mavnav: error: odd/{name} is not one of mavnav's; name the directory of a finished run\n"
+    wrong = "is not one of mavnav's" if text.endswith(("}", "[]")) else "is no JSON, or cut off"
+    said = f"mavnav: error: odd/{name} {wrong}; name the directory of a finished run\n"
     assert mavnav("check", "odd") == (ExitCode.USAGE, "", said)
 
 

@@ -154,7 +154,7 @@ def test_what_cannot_be_continued(mavnav, parts, first, tmp_path) -> None:
         ([changed("odd", continued={"joined": 1})], "is no whole run: run.json lacks what is needed"),
         ([tmp_path], "holds no run (run.json: No such file or directory)"),
         ([parts[0]], "holds no run"),
-        ([gone], "is no whole run: run.json lacks what is needed"),
+        ([gone], "is no whole run: run.json is no JSON, or cut off"),
         ([changed("early", outputs=None)], "is no whole run: run.json lacks what is needed, as of an earlier version"),
         ([mission], "is a mission of mavnav simulate"),
         ([changed("located", localisation={"map": "map.yaml"})], "has the map of another run"),

@@ -73,6 +73,22 @@ def test_a_wrong_name_is_answered_in_a_line(
     assert len(error.splitlines()) == 1
 
 
+def test_no_name_is_suggested_that_would_not_help(
+    mavnav: Mavnav, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("drive\nlong", "drive\udcfflong"):
+        Path(name).mkdir()
+    Path("loop").symlink_to("loop")
+    for command in ("metrics", "replay"):
+        for wrong in ("drive\\nlong", "drive\\udcfflong", "loop"):
+            code, _, err = mavnav(command, wrong)
+            assert (code, "did you mean" in err) == (2, False), err
+    for key in ("vehicle.bogus", "slam.robust.expert.bogus"):
+        err = mavnav("simulate", "corner", "--set", f"{key}=2")[2]
+        assert (f"unknown key {key}; " in err, f"mean {key.rpartition('.')[0]}?" in err) == (True, False), err
+
+
 @pytest.mark.parametrize("method", ["robust", "paper"])
 def test_the_resolution_is_the_cell_of_the_method_in_use(method: str) -> None:
     sets = [f"method={method}", "robust.cell_mm=11", "paper.cell_mm=11"]

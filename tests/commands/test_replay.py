@@ -566,6 +566,7 @@ def test_a_laser_that_is_nowhere_in_the_map_is_told(
     code, out, err = mavnav("replay", log, "-o", tmp_path / "r", "--end", 0.6, "-q", "--odom", "off", "--map", finished)
     assert code == ExitCode.TRACKING_LOST
     assert "nowhere" in out
+    assert out.split()[-3:] == ["mavnav", "info", str(log)]
     assert "--start-pose" in err
     assert json.loads((tmp_path / "r" / "run.json").read_text())["localisation"]["found"] is None
     assert (tmp_path / "r" / "trajectory.tum").read_text() == ""

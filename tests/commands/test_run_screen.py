@@ -100,7 +100,7 @@ def test_one_length_and_share_of_the_straight_walls_is_on_a_screen() -> None:
     assert not any("23.8" in text for text in rows.values())
 
 
-def tracked(*intervals: tuple[float, float, int], odom: str = "auto", **tracking: Any) -> str:
+def tracked(*intervals: tuple[float, float, int], odom: str = "auto", method: str = "robust", **tracking: Any) -> str:
     """Return the row on what was used of a log with stretches without a pose."""
     keys = ("start_s", "end_s", "scans")
     listed = [dict(zip(keys, each, strict=True)) for each in intervals]
@@ -109,7 +109,7 @@ def tracked(*intervals: tuple[float, float, int], odom: str = "auto", **tracking
         "scans": {"total": 940, "processed": 936, "accepted": 900},
         "tracking": {"intervals": listed, **tracking},
         "loop_closure": {"closures": [{}] * 3},
-        "config": {"odom": odom},
+        "config": {"odom": odom, "method": method},
     }
     rows = dict(log_rows(document))
     assert rows["log"] == "drive.bag, 93.8 s, 940 scans, 936 of them used"
@@ -120,6 +120,7 @@ def test_a_jump_is_no_stretch_without_a_pose() -> None:
     """A screen said "lost 0 scans in 1 stretch"."""
     assert tracked((21.4, 21.6, 0)) == "96.2 % of the scans have a pose; no odometry; 3 loops closed"
     assert "; odometry switched off; " in tracked(odom="off")
+    assert "; the method uses no odometry; " in tracked(odom="off", method="paper")
     assert ", none from 3.0 to 4.5 s; " in tracked((3.0, 4.5, 15), (21.4, 21.6, 0))
     many = tracked((3.0, 4.5, 15), (5.0, 6.0, 10), (7.0, 8.0, 10))
     assert ", none from 3.0 to 4.5 s, 5.0 to 6.0 s and 1 other stretch; " in many

@@ -65,7 +65,9 @@ def test_the_page_has_them_side_by_side(scores: Path) -> None:
     assert [cell["trajectory"] for cell in page["cells"]] == ["truth", "own", "too late"]
     assert page["headline"].startswith("No run stands out: truth and own")
     assert "evaluations" not in page["headline"]  # nothing is searched
-    assert "too late" in (scores / "report.html").read_text()
+    text = (scores / "report.html").read_text()
+    assert "too late" in text
+    assert not any(word in text for word in ("relative cost", "Costs are relative", "<dt>cpu", "<dt>evaluations"))
     error_m = {cell["name"]: cell["run"]["reference"]["ate"]["rmse_m"] for cell in page["cells"]}
     assert error_m["truth"] < 0.001
     assert error_m["own"] < 0.02
@@ -282,3 +284,27 @@ def test_what_cannot_stand_beside_a_run_is_refused(
     assert compare(folder, *(word.format(folder=folder) for word in words), out="refused") == 2
     assert why in capsys.readouterr().err
     assert not (folder / "refused" / "cells").exists()
+
+
+def test_a_directory_of_something_else_is_kept(
+    folder: Path, scores: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def scored(directory: Path, *words: str) -> tuple[int, str]:
+        wanted = ["--trajectory", f"short={folder}/truth.tum@first", "--end", "1", "-q", "-o", str(directory)]
+        return run(["score", str(folder / "log.mcap"), *wanted, *words]), capsys.readouterr().err
+
+    other, page = tmp_path / "other", tmp_path / "foreign" / "report.html"
+    page.parent.mkdir()
+    page.write_text("of somebody else")
+    other.mkdir()
+    kept = (scores / "comparison.json").read_text().replace("log.mcap", "another.mcap")
+    (other / "comparison.json").write_text(kept)
+    for words in ((), ("--force",)):
+        for directory in (page.parent, folder / "own"):
+            code, err = scored(directory, *words)
+            assert (code, "holds other files" in err) == (6, True)
+    code, err = scored(other)
+    assert (code, "of other runs; choose another directory with -o, or --force" in err) == (6, True)
+    assert ((other / "comparison.json").read_text(), page.read_text()) == (kept, "of somebody else")
+    assert scored(other, "--force")[0] == scored(tmp_path / "new")[0] == 0
+    assert scored(tmp_path / "new", "--trajectory", f"late={folder}/late.tum@first")[0] == 6  # the run is there

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import signal
 import urllib.error
@@ -40,6 +41,19 @@ def test_a_browser_that_does_not_start_is_named(mavnav, finished_run, tmp_path, 
     monkeypatch.setattr(webbrowser, "open", lambda _: False)
     code, _, err = mavnav("view", finished_run, "-q", "-o", tmp_path / "page.html")
     assert code == 0 and "no browser could be started" in err and "--serve" in err
+
+
+def test_a_run_that_cannot_be_written_is_shown_by_the_page_it_has(mavnav, finished_run, tmp_path, monkeypatch):
+    run, (page, other) = tmp_path / "run", (tmp_path / name for name in ("run/report.html", "other.html"))
+    shutil.copytree(finished_run, run)
+    monkeypatch.setattr(os, "access", lambda path, _: path != run)
+    page.unlink(missing_ok=True)
+    code, _, err = mavnav("view", run, "-q", "--no-browser")
+    assert (code, "run is not writable; name another place for the page with -o" in err) == (6, True)
+    assert mavnav("view", run, "-q", "--no-browser", "-o", other)[0] == 0
+    page.write_text("as it is")
+    assert mavnav("view", run, "-q", "--no-browser")[:2] == (0, f"{page}\n")
+    assert page.read_text() == "as it is"
 
 
 def test_what_holds_no_result_is_refused(mavnav, tmp_path):

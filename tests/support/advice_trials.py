@@ -218,6 +218,12 @@ TRIALS = [
         "metrics small",
     ),
     (
+        "bare is no whole run: it has no result.mcap; repeat its command with --force, without --outputs",
+        "merge bare next.mcap",
+        "replay log.mcap -o whole -q",
+        "merge whole next.mcap -o joined -q",
+    ),
+    (
         "the run has no map; repeat its command with --force, without --outputs",
         "check bare --gate map.cells>=1",
         "replay log.mcap -o bare --force -q",
@@ -395,7 +401,7 @@ TRIALS = [
         "no trajectory; name one with --trajectory, or a program with --external",
         "score log.mcap",
         "score log.mcap --trajectory run -o new -q",
-        "score log.mcap --external 'copy=cp run/trajectory.tum {out}' -o new2 -q",
+        "score log.mcap --external 'copy=cp run/trajectory.tum {out}' -o programs -q",
     ),
     (
         "names no directory; write NAME=FILE with a plain name",
@@ -406,6 +412,21 @@ TRIALS = [
         "the log has no mounting of the laser; give it with --extrinsic x,y,yaw",
         "score bare.mcap --trajectory run/trajectory.tum,base",
         "score bare.mcap --trajectory run/trajectory.tum,base --extrinsic 0,0,0 -o new -q",
+    ),
+    (
+        "of other runs; choose another directory with -o, or --force to replace it",
+        "score log.mcap --trajectory run -o versions",
+        "score log.mcap --trajectory run -o versions --force -q",
+    ),
+    (
+        "paper.cell_mm has no effect with the method robust; leave it out, or choose --method paper",
+        "compare log.mcap --set paper.cell_mm=20,30",
+        "compare log.mcap --method paper --set paper.cell_mm=20,30 --end 0.6 --grid 5x5 -o new -q",
+    ),
+    (
+        "edited was edited, and its numbers are of the map before; measure it with mavnav metrics",
+        "compare run edited",
+        "metrics run edited -q",
     ),
     (
         "cannot be split into words",

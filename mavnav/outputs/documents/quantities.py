@@ -115,6 +115,11 @@ TIME: Final = Quantity("timing.wall_s", 1, cost=True)
 NAMED: Final = {quantity.name: quantity for quantity in QUANTITIES}
 
 
+def without_search(document: dict[str, Any]) -> dict[str, Any]:
+    """Return run.json of a run at given poses without what is mavnav's own: no search, and the time of drawing."""
+    return {section: value for section, value in document.items() if section not in {"search", "timing"}}
+
+
 def number(run: Run | None, name: str) -> float | None:
     """Return a number of run.json, None where there is no such number."""
     return None if run is None else gates.number(run, name)

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Final, Literal
 
 from msgspec import Meta, Struct, convert
 
-from mavnav.config.named_files import read_json
+from mavnav.config.named_files import read_json, what_is_wrong
 from mavnav.errors import UsageError
 from mavnav.logs.formats.detect import log_name
 from mavnav.outputs.directory import MERGE_FILE, RUN_FILE, checked_file, plain_digests
@@ -203,5 +203,5 @@ def finished_run(directory: Path) -> FinishedRun:
     except OSError as error:
         raise UsageError(f"{directory} holds no run ({file}: {error.strerror}); name a run directory") from error
     except ValueError as error:  # msgspec's are such, too
-        reason = f"{file} lacks what is needed, as of an earlier version or altered"
+        reason = f"{file} {what_is_wrong(error, 'lacks what is needed, as of an earlier version or altered')}"
         raise UsageError(f"{directory} is no whole run: {reason}; make it again with mavnav replay") from error

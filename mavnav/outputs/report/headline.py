@@ -106,7 +106,7 @@ def _ranking(sound: Sequence[NamedRun], quality: Sequence[Quantity], measure: st
     all_ = "the one measure that differs" if len(won) == 1 else f"all {len(won)} measures that differ"
     of = all_ if max(score) == len(won) else f"{max(score)} of the {len(won)} measures that differ"
     best = min((sound[k] for k in leaders), key=tables.fineness)
-    measures = "; ".join(_differs(q, sound, best) for q in won if leaders[0] in won[q])
+    measures = "; ".join(_differs(q, sound, best, won[q]) for q in won if leaders[0] in won[q])
     if len(leaders) > 1:
         equal = f"{_list([sound[k].name for k in leaders])} are each best by {of} ({measures})"
         prefix = _finer(sound, best) or "No run stands out: "
@@ -116,11 +116,11 @@ def _ranking(sound: Sequence[NamedRun], quality: Sequence[Quantity], measure: st
     )
 
 
-def _differs(quantity: Quantity, sound: Sequence[NamedRun], best: NamedRun) -> str:
-    """Return the best value of a measure and the worst, and by how much such values are uncertain."""
-    values = [v for e in sound if (v := quantity.of(e.document)) is not None]
-    worst = (max if quantity.better < 0 else min)(values)
-    text = f"{quantity.title} {quantity.text_of(best.document)} against {worst:.{quantity.digits}f} {quantity.unit}"
+def _differs(quantity: Quantity, sound: Sequence[NamedRun], best: NamedRun, won: Sequence[int]) -> str:
+    """Return the best value of a measure and the next one, and by how much such values are uncertain."""
+    values = [v for k, e in enumerate(sound) if k not in won and (v := quantity.of(e.document)) is not None]
+    second = (min if quantity.better < 0 else max)(values)
+    text = f"{quantity.title} {quantity.text_of(best.document)} against {second:.{quantity.digits}f} {quantity.unit}"
     return f"{text.rstrip()}{_uncertain(quantity)}"
 
 

@@ -16,10 +16,10 @@ from typing import Any, Final
 from msgspec import Struct
 
 from mavnav.atomic_files import beside, writing
-from mavnav.config.named_files import read_json
+from mavnav.config.named_files import read_json, what_is_wrong
 from mavnav.errors import UsageError
 from mavnav.outputs.directory import MERGE_FILE, RUN_FILE
-from mavnav.outputs.documents.quantities import verdict_texts
+from mavnav.outputs.documents.quantities import verdict_texts, without_search
 from mavnav.outputs.report import panels, tables
 from mavnav.outputs.report.entry import Entry, Failure, load, load_merge
 from mavnav.outputs.report.headline import headline
@@ -84,7 +84,8 @@ def _sections(comparison: dict[str, Any], directory: Path, run: RunResult | None
 
 def _section(log: str, loaded: list[Entry | Failure]) -> LogSection:
     entries, failures = _by_kind(loaded)
-    runs = [tables.NamedRun(entry.name, entry.document) for entry in entries]
+    shown = (without_search(e.document) if "external" in e.document else e.document for e in entries)
+    runs = [tables.NamedRun(entry.name, document) for entry, document in zip(entries, shown, strict=True)]
     return LogSection(
         log=log,
         headline=headline(runs),
@@ -171,7 +172,7 @@ def finished_page(directory: Path) -> tuple[str, str]:
             try:
                 return file, page(read_json(directory / name), directory)
             except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
-                reason = f"{name} lacks what is needed, as of an earlier version or altered"
+                reason = f"{name} {what_is_wrong(error, 'lacks what is needed, as of an earlier version or altered')}"
                 raise UsageError(f"{directory} cannot be shown: {reason}; make it again") from error
     raise UsageError(f"{directory} holds no run, comparison, batch or merge; name the directory of a finished one")
 

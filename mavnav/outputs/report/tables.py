@@ -61,6 +61,11 @@ class RunTable(Struct, frozen=True):
     rows: tuple[RunRow, ...]
     not_compared: str
 
+    @property
+    def has_costs(self) -> bool:
+        """Whether there is a cost to be compared; given poses have none."""
+        return len(self.rows) > 1 and any(cost is not None for row in self.rows for cost in row.relative_costs)
+
 
 def table(runs: Sequence[NamedRun]) -> RunTable:
     """Return the table of the runs of one log."""

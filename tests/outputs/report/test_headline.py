@@ -94,6 +94,11 @@ def test_the_measures_that_decide_are_told_with_their_uncertainty():
     assert "best by all 2 measures that differ (wall p95 30 against 40 mm, uncertain by 9 %; cells" in headline(pair)
 
 
+def test_the_best_is_compared_with_the_next_one():
+    three = [entry("robust 10/5x5", p95_mm=90.0), entry(p95_mm=40.0), entry("robust 5/3x3", p95_mm=60.0)]
+    assert "(wall p95 40 against 60 mm, " in headline(three)
+
+
 def test_counts_of_cells_of_two_sizes_are_not_among_the_measures_that_hardly_differ():
     pair = [entry("robust 10/5x5", p95_mm=60.0), entry(p95_mm=60.2, cells_per_m=100.0, cell_mm=40)]
     assert headline(pair).startswith(
