@@ -6,7 +6,7 @@ from mavnav.config.models import RobustConfig
 from mavnav.pose import Pose
 from mavnav.slam.matching.motion_model import GAP_S, LONGEST_S, Motion
 from mavnav.slam.matching.scan_matching import Match, MatchVerdict
-from mavnav.slam.methods.pauses import PAUSE_S
+from mavnav.slam.methods.pauses import CARRIED_S
 
 INNER_SHARE = 0.5
 """Share of the near window within which a match is accepted: nearer to its edge, the pose may be outside of it."""
@@ -18,7 +18,7 @@ EXPECTED = 0.01
 """Largest ``motion_cost`` with which fewer inliers are enough after a gap."""
 
 FOUND_CONFLICTS = 0.05
-"""Largest share of visibility conflicts of a pose after a gap of more than ``PAUSE_S``; odometry shows no lifting.
+"""Largest share of visibility conflicts of a pose after a gap of more than ``CARRIED_S``; odometry shows no lifting.
 
 Measured: 0.11 to 0.25 where the laser was carried into another room, up to 0.01 where it stayed; after shorter gaps of
 urg_exp1 up to 0.1 at the right pose.
@@ -53,7 +53,7 @@ class Acceptance:
 
     def conflicts_after_gap(self, match: Match, motion: Motion, elapsed_s: float) -> bool:
         """Return whether a pose after a long gap has too many visibility conflicts."""
-        return elapsed_s > max(PAUSE_S, motion.period_s) and match.conflicts > self.found_conflicts
+        return elapsed_s > max(CARRIED_S, motion.period_s) and match.conflicts > self.found_conflicts
 
     def verdict(self, match: Match, motion: Motion, elapsed_s: float) -> MatchVerdict:
         """Accept a match with many inliers and few visibility conflicts, at a possible speed.

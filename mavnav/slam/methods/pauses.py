@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavnav.pose import Pose
-from mavnav.slam.matching.motion_model import GAP_S, MOST_ERROR, Motion
+from mavnav.slam.matching.motion_model import GAP_S, LONGEST_S, MOST_ERROR, Motion
 from mavnav.slam.matching.odometry_fit import WINDOW_S
 from mavnav.slam.matching.steps import Step, Steps
 from mavnav.units import NS
 
-PAUSE_S, PAUSE_PERIODS = 2.5, 2.5
-"""Time between two scans from which it is a pause, s and in periods; with odometry it is one from ``GAP_S`` on."""
+CARRIED_S, PAUSE_PERIODS = 2.5, 2.5
+"""Time without a pose from which the laser may have been carried, s, and time between two scans that is a pause, in
+periods; so are ``LONGEST_S`` and, with odometry, ``GAP_S``."""
 
 LEAST_SPEED_M_S, FASTER, SLACK_M = 0.3, 1.2, 0.5
 """Speed that every vehicle reaches, largest ratio of the mean speed in a pause to the highest before, and slack."""
@@ -36,7 +37,7 @@ class Pauses:
 
     def note(self, stamp_ns: int, motion: Motion) -> None:
         """Take note of a scan and of the motion before it."""
-        shortest_s = shortest_pause_s(motion.period_s, PAUSE_S if motion.odometry is None else GAP_S)
+        shortest_s = shortest_pause_s(motion.period_s, LONGEST_S if motion.odometry is None else GAP_S)
         if self._seen_ns is not None and (stamp_ns - self._seen_ns) * NS > shortest_s:
             self._end_ns = stamp_ns
         elif motion.stamp_ns == self._seen_ns:
@@ -71,20 +72,21 @@ def highest_speeds(steps: Sequence[Step]) -> tuple[float, float]:
         for a, k in zip(steps, later, strict=True)
         if k < len(steps)
     ]
-    speeds = [np.divide(a.match.map_T_laser.gap(b.match.map_T_laser), s) for a, b, s in pairs if s <= PAUSE_S]
+    speeds = [np.divide(a.match.map_T_laser.gap(b.match.map_T_laser), s) for a, b, s in pairs if s <= CARRIED_S]
     usual = np.quantile(speeds or [(0.0, 0.0)], 0.99, axis=0)
     fastest_m_s, fastest_rad_s = np.maximum(usual, LEAST_SPEED_M_S).tolist()
     return fastest_m_s, fastest_rad_s
 
 
-def shortest_pause_s(period_s: float, least_s: float = PAUSE_S) -> float:
+def shortest_pause_s(period_s: float, least_s: float) -> float:
     """Return the time between two scans from which it is a pause."""
     return max(least_s, PAUSE_PERIODS * period_s)
 
 
-def pauses(steps: Steps, period_s: float) -> list[int]:
-    """Return the numbers of the scans before the pauses of a log."""
-    before: list[int] = np.flatnonzero(np.diff(steps.column("stamp_ns")) * NS > shortest_pause_s(period_s)).tolist()
+def pauses(steps: Steps, period_s: float, least_s: float = LONGEST_S) -> list[int]:
+    """Return the numbers of the scans before the pauses of a log, of a least time."""
+    shortest_s = shortest_pause_s(period_s, least_s)
+    before: list[int] = np.flatnonzero(np.diff(steps.column("stamp_ns")) * NS > shortest_s).tolist()
     return before
 
 
@@ -105,7 +107,7 @@ def pause_warnings(steps: Steps, motion: Motion) -> Iterator[str]:
     place that looks like an earlier one.
     """
     stamps_ns, tracked = steps.column("stamp_ns"), np.flatnonzero(steps.column("tracked"))
-    before = np.array(pauses(steps, motion.period_s), np.intp)
+    before = np.array(pauses(steps, motion.period_s, CARRIED_S), np.intp)
     earlier = np.searchsorted(tracked, before, side="right")
     between = before[(earlier > 0) & (earlier < len(tracked))]
     if len(between) and motion.odometry is None:
@@ -113,7 +115,7 @@ def pause_warnings(steps: Steps, motion: Motion) -> Iterator[str]:
             f"the scans pause for {_longest_gap(stamps_ns, between, between + 1)}: without odometry, "
             "where the laser is afterwards is known from the scans alone; check the map there"
         )
-    long = np.flatnonzero(np.diff(stamps_ns[tracked]) * NS > shortest_pause_s(motion.period_s))
+    long = np.flatnonzero(np.diff(stamps_ns[tracked]) * NS > shortest_pause_s(motion.period_s, CARRIED_S))
     blind = [k for k in long.tolist() if not ((before >= tracked[k]) & (before < tracked[k + 1])).any()]
     if blind and motion.odometry is None:
         yield (
