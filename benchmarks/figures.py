@@ -126,8 +126,13 @@ def report(name: str, outcome: SlamResult, truth: Trajectory | None = None, scen
 def flown(name: str) -> tuple[Flight, Truth]:
     """Fly a mission; return it, and the true poses, true walls and goal in the world frame."""
     flight = fly(load_scenario(name, [], {"seed": 0, "slam.method": "paper"}))
-    world, way = flight.scenario.world, flight.map_T_laser.seen_from(flight.world_T_map)
-    return flight, Truth(way, world.segments, world.arcs, flight.scenario.goals_xy_m[-1])
+    return flight, truth_of(flight.scenario, flight.map_T_laser.seen_from(flight.world_T_map))
+
+
+def truth_of(scenario: Scenario, world_T_laser: Trajectory) -> Truth:
+    """Return true poses, true walls and goal in the world frame."""
+    walls, goal_xy_m = scenario.world, scenario.goals_xy_m[-1]
+    return Truth(walls.segments, walls.arcs, map_T_laser=world_T_laser, goal_xy_map_m=goal_xy_m)
 
 
 def mission(name: str, scenario: str, titles: tuple[str, str]) -> None:
@@ -211,7 +216,7 @@ def grids(name: str) -> None:
     """Draw Figure 8: close-ups of three search grids, preset ``fig8``, at the longest ghost wall of the first one."""
     scenario = load_scenario("corridor", ["laser.noise_percent=0.2"])
     (scans, way), fig, found = cart(scenario), figure(13.0, 2.9), []
-    truth = Truth(way, scenario.world.segments, scenario.world.arcs, scenario.goals_xy_m[-1])
+    truth = truth_of(scenario, way)
     for ax, (yaws, grid) in zip(fig.subplots(1, 3), ((10, "5x5"), (20, "10x10"), (40, "20x20")), strict=True):
         outcome = run_slam(lambda: iter(scans), load_config("fig8", [], {"grid": grid, "azimuth": yaws}), 0.1)
         draw_walls(ax, truth, color=PATH_GREY, lw=0.8, zorder=-1, label="true wall")
