@@ -44,7 +44,8 @@ class Bridges(Struct, frozen=True):
             from_s = (self.trajectory.stamps_ns[0] - first_ns) * NS
             yield (
                 f"{len(self.numbers)} scans match nowhere, the first after {from_s:.1f} s: their poses are by odometry "
-                f"alone, expected to be off by about {self.errors_m.max():.2f} m farthest from a match"
+                f"alone, expected to be off by about {self.errors_m.max():.2f} m farthest from a match, unless the "
+                "laser was carried"
             )
 
     def grow(self, covariances: NDArray[np.float64]) -> None:
