@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import combinations, product, zip_longest
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 from msgspec import Struct, field
 
@@ -15,14 +14,14 @@ from mavnav.batch.manifest import Origins
 from mavnav.batch.pinned import Pin
 from mavnav.config.layers import Key, Layer, leaves
 from mavnav.config.loading import load_config
-from mavnav.config.models import Config
+from mavnav.config.models import Config, MethodName
 from mavnav.config.options import ReplayOptions
 from mavnav.errors import ConfigError, UsageError
 from mavnav.metrics.gates import Gate
 from mavnav.outputs.documents.provenance import Typed
 from mavnav.pipelines.trajectory_source import Program
 
-METHODS: Final = {"paper", "robust"}
+METHODS: Final = frozenset(get_args(MethodName))
 """Methods, and the sections of their values."""
 
 SEARCH: Final = {("grid",), ("azimuth",)}
@@ -88,26 +87,27 @@ def named_settings(configs: Iterable[Config]) -> list[Setting]:
     Raises ConfigError where they differ in what their method does not use.
     """
     several = list(configs)
-    pairs = list(zip(several, differences(several), strict=True))
-    for config, differs in pairs:
-        for key, other in re.findall(r"(?:^| )(([a-z]+)\.[a-z_.]+)=", differs):
-            if other in METHODS - {config.method}:
-                advice = f"leave it out, or choose --method {other}"
+    changed = differences(several)
+    for config, differs in zip(several, changed, strict=True):
+        for key in config.without_effect(differs):
+            if (method := key.partition(".")[0]) in METHODS:
+                advice = f"leave it out, or choose --method {method}"
                 raise ConfigError(f"{key} has no effect with the method {config.method}; {advice}")
-    return unique(Setting(setting_name(config), config, differs) for config, differs in pairs)
+    texts = (" ".join(f"{key}={format_value(value)}" for key, value in differs.items()) for differs in changed)
+    return unique(Setting(setting_name(config), config, text) for config, text in zip(several, texts, strict=True))
 
 
-def differences(configs: Sequence[Config]) -> list[str]:
-    """Return for each configuration its values that differ between those of its method, besides the search grid."""
+def differences(configs: Sequence[Config]) -> list[dict[str, object]]:
+    """Return for each configuration its values that differ between those of its method, besides the search grid.
+
+    They are by dotted key.
+    """
     values = [leaves(config.document()) for config in configs]
     changed: dict[str, set[Key]] = {}
     for one, other in combinations(values, 2):
         if one["method",] == other["method",]:
             changed.setdefault(str(one["method",]), set()).update(k for k in one.keys() - SEARCH if one[k] != other[k])
-    return [
-        " ".join(f"{'.'.join(key)}={format_value(each[key])}" for key in sorted(changed.get(str(each["method",]), ())))
-        for each in values
-    ]
+    return [{".".join(key): each[key] for key in sorted(changed.get(str(each["method",]), ()))} for each in values]
 
 
 def listed_settings(

@@ -52,12 +52,12 @@ def check_score_directory(request: ScoreRequest, log: str) -> None:
     if not os.path.lexists(directory):
         return
     check_cache_directory(directory, (*check_names(request.sources, request.programs), COMPARISON_FILE))
-    if not request.force and (file := directory / COMPARISON_FILE).exists() and not _scores(file, log):
+    if not request.force and (file := directory / COMPARISON_FILE).exists() and not _is_of_scores(file, log):
         advice = "choose another directory with -o, or --force to replace it"
         raise OutputError(f"{file} exists, of other runs; {advice}")
 
 
-def _scores(file: Path, log: str) -> bool:
+def _is_of_scores(file: Path, log: str) -> bool:
     """Return whether a document compares nothing but given poses of a log, drawn in its own folders."""
     try:
         return all(

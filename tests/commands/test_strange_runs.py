@@ -136,7 +136,7 @@ def test_a_section_of_another_type_is_refused(mavnav, run, sample, tmp_path, sec
             assert "run.json lacks what is needed" in err
 
 
-def test_a_document_that_is_cut_off_is_told(mavnav, run, sample, tmp_path) -> None:
+def test_a_document_that_is_cut_off_is_named(mavnav, run, sample, tmp_path) -> None:
     (run / "run.json").write_bytes((run / "run.json").read_bytes()[:700])
     for args in [*readers(run, sample, tmp_path), ("check", run), ("view", run), ("replay", "--again", run)]:
         code, _, err = mavnav(*args)

@@ -41,14 +41,19 @@ def without_erring_wheels(track: Track) -> Track:
     alone = with_odometry(track, None)
     if len(alone.steps) < len(track.steps):
         return track
-    if is_better(alone, track):
+    erring = differs(alone, track)
+    judged = judge_alone(alone) if erring.any() else None
+    if judged is None:
+        return track.with_attempt(ERRING_WHEELS, kept=False)
+    if is_sure(judged):
         return alone.with_attempt(ERRING_WHEELS, kept=True)
-    spans_ns = erring_spans_ns(alone, track)
-    if len(spans_ns):
-        partly = with_odometry(track, track.log_odometry.without(spans_ns, track.findings.odometry))
-        if is_better(partly, track):
-            return partly.with_warning(without_part(partly, track)).with_attempt(ERRING_WHEELS, kept=True)
-    return track.with_attempt(ERRING_WHEELS, kept=False)
+    erring &= judged.findings.observed >= LEAST_OBSERVABILITY
+    left = track.log_odometry.without(spans_ns(erring, track), track.findings.odometry) if erring.any() else None
+    partly = with_odometry(track, left) if left else track
+    complete = len(partly.steps) == len(track.steps)
+    if not complete or not differs(partly, track).any() or not is_sure(judge_alone(partly)):
+        return track.with_attempt(ERRING_WHEELS, kept=False)
+    return partly.with_warning(without_part(partly, track)).with_attempt(ERRING_WHEELS, kept=True)
 
 
 def with_odometry(track: Track, odometry: LogOdometry | None) -> Track:
@@ -56,11 +61,6 @@ def with_odometry(track: Track, odometry: LogOdometry | None) -> Track:
     motion = track.motion._replace(odometry=odometry.lookup(track.findings.odometry) if odometry else None)
     other = replace(track, motion=motion, log_odometry=odometry or track.log_odometry)
     return other.over(track.log_scans(), "track again", UNTIL_LOST)
-
-
-def is_better(other: Track, track: Track) -> bool:
-    """Return whether another track of all scans differs from one with all wheels clearly, and is sure."""
-    return len(other.steps) == len(track.steps) and bool(differs(other, track).any()) and is_sure(other)
 
 
 def differs(other: Track, track: Track) -> NDArray[np.bool_]:
@@ -74,21 +74,23 @@ def differs(other: Track, track: Track) -> NDArray[np.bool_]:
     return out
 
 
-def is_sure(track: Track) -> bool:
-    """Return whether a track would hardly be doubted if the log had no other odometry than it uses."""
+def judge_alone(track: Track) -> Track | None:
+    """Return a track with its doubt if the log had no other odometry than it uses; None if no map is built."""
     if not isinstance(track.method, Robust):
-        return False
+        return None
     method = deepcopy(track.method)
-    doubt = judge(match_again(replace(track, log_odometry=None), method), method, UNASKED).findings.doubt
+    return judge(match_again(replace(track, log_odometry=None), method), method, UNASKED)
+
+
+def is_sure(judged: Track | None) -> bool:
+    """Return whether a judged track is hardly doubted."""
+    doubt = judged.findings.doubt if judged else None
     return doubt is not None and doubt.probability < SURE
 
 
-def erring_spans_ns(alone: Track, track: Track) -> NDArray[np.int64]:
-    """Return where a track without wheels differs and walls show the motion: first and last stamps (n, 2) of scans."""
-    erring = differs(alone, track)
-    if erring.any() and isinstance(alone.method, Robust):
-        erring &= match_again(alone, deepcopy(alone.method)).findings.observed >= LEAST_OBSERVABILITY
-    edges = np.flatnonzero(np.diff(np.pad(erring, 1).astype(np.int8))).reshape(-1, 2)
+def spans_ns(chosen: NDArray[np.bool_], track: Track) -> NDArray[np.int64]:
+    """Return the runs of the chosen steps (n,), each as the stamps of its first and last scan, (m, 2)."""
+    edges = np.flatnonzero(np.diff(np.pad(chosen, 1).astype(np.int8))).reshape(-1, 2)
     return np.asarray(track.steps.column("stamp_ns")[edges - (0, 1)], np.int64)
 
 

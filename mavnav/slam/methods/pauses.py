@@ -16,8 +16,10 @@ from mavnav.slam.matching.steps import Step, Steps
 from mavnav.units import NS
 
 CARRIED_S, PAUSE_PERIODS = 2.5, 2.5
-"""Time without a pose from which the laser may have been carried, s, and time between two scans that is a pause, in
-periods; so are ``LONGEST_S`` and, with odometry, ``GAP_S``."""
+"""Time without a pose from which the laser may have been carried, s, and least time of a pause in scan periods.
+
+A pause also takes ``LONGEST_S``, from which on the whole map is searched, or ``GAP_S`` with odometry.
+"""
 
 LEAST_SPEED_M_S, FASTER, SLACK_M = 0.3, 1.2, 0.5
 """Speed that every vehicle reaches, largest ratio of the mean speed in a pause to the highest before, and slack."""

@@ -16,7 +16,7 @@ from mavnav.slam.matching.steps import Steps, lost_intervals
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from mavnav.slam.track import Track, Until
+    from mavnav.slam.track import Track
 
 
 class Attempt(Struct, frozen=True):
@@ -24,13 +24,11 @@ class Attempt(Struct, frozen=True):
 
     ``change`` returns the track with its new settings and its warnings, None where the attempt does not apply.
     ``better`` returns whether the new track (first) is better than the old one; without it the new one is kept.
-    ``until`` ends the new track early where it cannot be; the old one is kept then.
     """
 
     name: str
     change: Callable[[Track], Track | None]
     better: Callable[[Track, Track], bool] | None = None
-    until: Until | None = None
 
 
 def try_again(track: Track, attempts: Iterable[Attempt]) -> Track:
@@ -39,7 +37,7 @@ def try_again(track: Track, attempts: Iterable[Attempt]) -> Track:
     for attempt in attempts:
         changed = None if attempt in useless else attempt.change(track)
         useless = [*useless, attempt] if changed is None else []
-        other = changed and changed.over(changed.log_scans(), "track again", attempt.until)
+        other = changed and changed.over(changed.log_scans(), "track again")
         if other is None or len(other.steps) < len(track.steps):
             continue
         kept = attempt.better is None or attempt.better(other, track)
