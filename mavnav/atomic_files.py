@@ -218,6 +218,40 @@ def discard(target: Path, pid: int) -> None:
     shutil.rmtree(_folder(target.resolve(), pid), ignore_errors=True)
 
 
+@contextmanager
+def claim(target: Path) -> Iterator[bool]:
+    """Reserve a name for a folder of this process; yields False where another process that runs has reserved it.
+
+    The mark is a link beside the target. Where none can be made, the name is not reserved.
+    """
+    mark, owner = target.with_name(f".{_label(target)}.claim"), f"{machine()}-{os.getpid()}"
+    missing = [parent for parent in target.parents if not parent.exists()]
+    try:
+        yield _mark(mark, owner)
+    finally:
+        with suppress(OSError):
+            if mark.readlink() == Path(owner):
+                mark.unlink()
+        for parent in missing:
+            with suppress(OSError):  # not empty, or not there
+                parent.rmdir()
+
+
+def _mark(mark: Path, owner: str) -> bool:
+    """Make a link to the name of its owner; returns False where one of a process that may run is there."""
+    with suppress(OSError):
+        mark.parent.mkdir(parents=True, exist_ok=True)
+        if mark.is_symlink():
+            other, _, process = str(mark.readlink()).rpartition("-")
+            if other == machine() and not (process.isdecimal() and _is_alive(int(process))):
+                mark.unlink(missing_ok=True)
+        try:
+            mark.symlink_to(owner)
+        except FileExistsError:
+            return False
+    return True
+
+
 def short_name(name: str) -> str:
     """Return the beginning of a name to which more is added, at most ``LONGEST_NAME`` bytes."""
     while len(os.fsencode(name)) > LONGEST_NAME:

@@ -79,7 +79,8 @@ def compare(
     if any((path / "run.json").is_file() for path in logs or []):
         for flag in shared.typed_flags(context, {"logs", "directory", "json", "quiet", "gates"}):
             raise UsageError(f"{flag} is for logs; finished runs are compared as they are")
-        document = _compare_finished(shared.without_latest(logs or []), directory, bounds, json=json, quiet=quiet)
+        target = directory or shared.free_directory(context, Path("runs/compare"), force=False)
+        document = _compare_finished(shared.without_latest(logs or []), target, bounds, json=json, quiet=quiet)
         raise typer.Exit(document["exit_code"])
     with reporting(quiet=quiet) as report:
         with loading_modules():
@@ -113,15 +114,12 @@ def compare(
     raise typer.Exit(document["exit_code"])
 
 
-def _compare_finished(
-    runs: list[Path], directory: Path | None, gates: list[Gate], *, json: bool, quiet: bool
-) -> dict[str, Any]:
+def _compare_finished(runs: list[Path], target: Path, gates: list[Gate], *, json: bool, quiet: bool) -> dict[str, Any]:
     """Compare finished runs; return comparison.json."""
     with reporting(quiet=quiet) as report:
         with loading_modules():
             from mavnav.comparison.side_by_side import compare_finished
             from mavnav.outputs.writers import REPORT_FILE, write_page
-        target = directory or shared.free_directory(Path("runs/compare"), force=False)
         document = compare_finished(runs, target, gates)
         report("drawing the report", 0, None)
         write_page(document, target)

@@ -23,6 +23,7 @@ from mavnav.units import pluralize
 
 
 def merge(
+    context: typer.Context,
     inputs: Annotated[list[Path], typer.Argument(metavar="RUN|LOG", show_default=False)],
     *,
     directory: Annotated[Path | None, shared.directory_option()] = None,
@@ -50,7 +51,7 @@ def merge(
             from mavnav.pipelines import merge as pipeline
         chosen = load_config(config, sets or [], {})
         file = Path(config) if config else None
-        target = directory or shared.free_directory(Path("runs/merged"), force=force)
+        target = directory or shared.free_directory(context, Path("runs/merged"), force=force)
         paths = tuple(shared.without_latest(inputs))
         document = pipeline.merge(pipeline.MergeRequest(paths, target, chosen, force, report_page, file), report)
     if directory is None:

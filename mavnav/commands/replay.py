@@ -83,7 +83,7 @@ def replay(
                 from mavnav.pipelines.replay import ReplayRequest, replay_directory, replay_log
             compile_s = perf_counter() - started_s
             usual = shared.again_directory(again) if again else replay_directory(path, chosen)
-            target = directory or shared.free_directory(usual, force=force)
+            target = directory or shared.free_directory(context, usual, force=force)
             fields = {"typed": Typed(context.obj, config, tuple(sets or ())), **written, **fields}
             fields |= {"address": source.address} if source else {}
             fields |= {"gated": any(gate.name.startswith(MAP_SECTIONS) for gate in bounds)}

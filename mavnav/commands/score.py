@@ -61,7 +61,7 @@ def score(
             from mavnav.pipelines.score import ScoreRequest, score_log
             from mavnav.pipelines.trajectory_source import read_program, read_source
         usual = Path("runs") / f"score-{log_name(source.path)}"
-        target = directory or shared.free_directory(usual, force=force)
+        target = directory or shared.free_directory(context, usual, force=force)
         chosen = load_config(config, sets or [], settings_of(options))
         request = ScoreRequest(
             source.path,

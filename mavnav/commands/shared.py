@@ -199,10 +199,16 @@ def again_directory(again: Path) -> Path:
     return Path("runs") / f"{again.resolve().name}-again"
 
 
-def free_directory(usual: Path, *, force: bool) -> Path:
-    """Return the first directory that is free, of ``usual``, ``usual-2`` and so on; with ``force`` the first of all."""
+def free_directory(context: typer.Context, usual: Path, *, force: bool) -> Path:
+    """Return the first directory that is free, of ``usual``, ``usual-2`` and so on; with ``force`` the first of all.
+
+    It is reserved until the command ends, so that another process takes the next one.
+    """
+    from mavnav.atomic_files import claim
+
     numbered = (usual.with_name(f"{usual.name}-{number}") for number in count(2))
-    return next(path for path in chain([usual], numbered) if force or not os.path.lexists(path))
+    free = (path for path in chain([usual], numbered) if force or not os.path.lexists(path))
+    return next(path for path in free if force or context.with_resource(claim(path)))
 
 
 def link_latest(directory: Path) -> None:

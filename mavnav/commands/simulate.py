@@ -106,7 +106,7 @@ def simulate(
             from mavnav.simulation.world.scenario_file import scenario_path
         compile_s = perf_counter() - started_s
         usual = shared.again_directory(again) if again else simulation_directory(chosen)
-        target = directory or shared.free_directory(usual, force=force)
+        target = directory or shared.free_directory(context, usual, force=force)
         path = fields.pop("path", None) or scenario_path(str(scenario))
         fields = {"typed": Typed(context.obj, config, tuple(sets or ())), **written, **fields}
         request = SimulationRequest(chosen, path, target, record, animate, force, **fields)
