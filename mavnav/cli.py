@@ -42,7 +42,7 @@ mavnav simulate corner.yaml
 [bold]Exit codes[/bold]  0 done; 1 the mission, a quality gate or the verdict (batch, check) failed, a session did \
 not join (merge), the maps cannot be aligned (diff), or nothing could be estimated (calibrate); 2 usage or \
 configuration; 3 done but the input was damaged; 4 no usable scans; 5 tracking was lost for good; 6 the output cannot \
-be written; 70 a bug; 130 interrupted; 143 terminated.
+be written; 70 a bug, or a run that died or exceeded a limit (batch); 130 interrupted; 143 terminated.
 """
 
 

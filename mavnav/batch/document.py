@@ -258,7 +258,7 @@ ENDS: Final = {
     ExitCode.NO_SCANS: "no usable scans",
     ExitCode.TRACKING_LOST: "tracking was lost for good",
     ExitCode.OUTPUT: "it could not be written",
-    ExitCode.BUG: "a bug, or its process died",
+    ExitCode.BUG: "a bug, or its process died or exceeded a limit",
     ExitCode.INTERRUPTED: "interrupted",
     ExitCode.TERMINATED: "terminated",
 }

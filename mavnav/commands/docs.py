@@ -37,12 +37,15 @@ def docs(
     Parameters
     ----------
     page
-        Page, or PAGE#SECTION (default the first).
+        Page, PAGE#SECTION, or a command (default the first page).
     in_browser
         Show the page in the browser.
     """
+    from mavnav.cli import COMMANDS
     from mavnav.config.loading import package_folder
 
+    if not (package_folder("docs") / f"{page}.md").is_file():
+        page = COMMANDS.get(page, page)
     name, _, anchor = page.partition("#")
     path = package_folder("docs") / f"{name.removesuffix('.md')}.md"
     if not path.is_file():

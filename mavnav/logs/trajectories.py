@@ -88,7 +88,7 @@ class OdometryTracks(Struct):
             track = self._of_tf(leads_to_laser, topic, scan_topics)
         if track is None:
             known = ", ".join([*self.topics, *([TF_TOPIC] if self.transforms else [])])
-            advice = f"name one that the log holds: {known}" if known else "the log holds none, leave --odom out"
+            advice = f"name one that the log holds: {known}, or write --odom off" if known else "the log holds none, leave --odom out"
             raise TopicError(f"no odometry on topic {self.wanted!r}; {advice}")
         return track
 

@@ -323,7 +323,7 @@ def _unknown(name: str, known: Sequence[str], example: str = _EXAMPLE) -> str:
 
     Of several, a headline is preferred. If there is none, the message lists the names beside it.
     """
-    if name.startswith("reference") and not any(k.startswith("reference.") for k in known):
+    if name.startswith(("reference", "ate", "rpe")) and not any(k.startswith("reference.") for k in known):
         return f"no number {name} in run.json; it needs --truth, --truth-map or --relations"
     if name.startswith(MAP_SECTIONS) and not any(k.startswith(MAP_SECTIONS) for k in known):
         return f"no number {name} in run.json; {NO_MAP}"
@@ -332,9 +332,10 @@ def _unknown(name: str, known: Sequence[str], example: str = _EXAMPLE) -> str:
     shown = [*headlines, *(k for k in shown if k not in headlines)]
     near = [k for k in shown if k.startswith(f"{clear_name(name)}.")]
     near = near or difflib.get_close_matches(name, headlines, n=1, cutoff=0.85)
+    near = near or [k for k in headlines if k.startswith(f"{name}_")]
     near = near or difflib.get_close_matches(name, shown, n=1, cutoff=0.75)
     if not near:
-        last = difflib.get_close_matches(name.rpartition(".")[2], {k.rpartition(".")[2] for k in shown}, n=1)
+        last = difflib.get_close_matches(name.rpartition(".")[2], {k.rpartition(".")[2] for k in shown}, 1, cutoff=0.7)
         near = [k for k in shown if last and k.rpartition(".")[2] == last[0]]
     if near:
         return f"no number {name} in run.json; did you mean {near[0]}?"

@@ -42,6 +42,12 @@ def test_what_there_is_not_is_answered_by_what_there_is(mavnav, page, advice):
     assert code == 0 and out.startswith("# ") and "(problems.md" in out + "(problems.md" * (page[:3] == "cli")
 
 
+def test_a_command_without_a_page_of_its_own_has_its_section(mavnav):
+    for command, start in (("plan", "## Floor plan\n"), ("compare", "# "), ("batch", "# ")):
+        code, out, _ = mavnav("docs", command)
+        assert code == 0 and out.startswith(start)
+
+
 def test_the_page_that_ends_the_help_of_a_command_is_there(mavnav):
     for command in ("replay", "plan", "docs"):
         code, out, _ = mavnav(command, "--help")
