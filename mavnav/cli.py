@@ -12,11 +12,11 @@ from importlib import import_module
 from io import TextIOWrapper
 from pathlib import Path
 from types import ModuleType
-from typing import Annotated, Final, NoReturn
+from typing import Annotated, NoReturn
 
 import typer
 
-from mavnav.commands import signals
+from mavnav.commands import COMMANDS, signals
 from mavnav.commands.terminal import emit, note, print_traceback
 from mavnav.commands.values import CommandGroup, PlainCommand, describe
 from mavnav.errors import ExitCode, MavnavError, lacks_memory
@@ -44,29 +44,6 @@ not join (merge), the maps cannot be aligned (diff), or nothing could be estimat
 configuration; 3 done but the input was damaged; 4 no usable scans; 5 tracking was lost for good; 6 the output cannot \
 be written; 70 a bug, or a run that died or exceeded a limit (batch); 130 interrupted; 143 terminated.
 """
-
-
-COMMANDS: Final = {
-    "replay": "cli.md#replay",
-    "compare": "compare.md",
-    "score": "score.md",
-    "batch": "ci.md",
-    "check": "cli.md#quality-gates",
-    "view": "report.md",
-    "metrics": "metrics.md",
-    "diff": "diff.md",
-    "edit": "cli.md#edit-a-map",
-    "merge": "merge.md",
-    "plan": "cli.md#floor-plan",
-    "calibrate": "calibrate.md",
-    "simulate": "scenarios.md",
-    "info": "cli.md#examine-and-convert",
-    "convert": "cli.md#examine-and-convert",
-    "warmup": "ci.md#compiled-kernels",
-    "config": "cli.md#configuration",
-    "docs": "index.md",
-}
-"""Name of a command, which is a function or an app in the module of that name -> its page in docs/."""
 
 
 def _print_version(wanted: bool) -> None:

@@ -13,11 +13,14 @@ import numpy as np
 from mavnav.batch.baseline import Baseline, ChangeKind, changes, lacking, lacking_text
 from mavnav.batch.cases import CaseResult
 from mavnav.batch.request import BatchRequest, Rules
+from mavnav.config.named_files import read_json
 from mavnav.errors import SEVERITY, ExitCode, worst
+from mavnav.jobs.run_cache import RUNS_FOLDER
 from mavnav.metrics.gates import VERDICTS, accepts_code, failure_text, judge_some, judge_verdict
 from mavnav.outputs.directory import digests_of
 from mavnav.outputs.documents.quantities import NAMED, TIME, verdict_texts, without_search
 from mavnav.outputs.documents.verdict import EXTERNAL
+from mavnav.units import pluralize
 from mavnav.version import DOCUMENT_HEAD
 
 BATCH_FILE: Final = "batch.json"
@@ -210,6 +213,16 @@ def remark(row: Mapping[str, Any]) -> str:
     return "; ".join(why(row)) or (f"{word}: {reason}" if word not in ("", VERDICTS[0]) else "")
 
 
+def unlisted_runs(rows: Sequence[Mapping[str, Any]], directory: Path) -> list[str]:
+    """Return the runs in the batch.json of a directory that are of other logs than ``rows``, which replace them."""
+    try:
+        mine = {row[key] for row in rows for key in ("log", "directory")}
+        earlier = read_json(directory / BATCH_FILE)["cells"]
+        return [row["directory"] for row in earlier if row["directory"] and not mine & {row["log"], row["directory"]}]
+    except (OSError, ValueError, LookupError, TypeError):
+        return []
+
+
 def batch_headline(document: Mapping[str, Any]) -> str:
     """Return the result of a batch in one line."""
     rows = document["cells"]
@@ -233,6 +246,9 @@ def missing_lines(document: Mapping[str, Any]) -> list[tuple[str, str]]:
     since = document["baseline"] or {}
     kind = "error" if since.get("gate") else "warning"
     lines = [(kind, f"{name}: in the baseline, not in this batch") for name in absent_runs(document)]
+    if other := document.get("unlisted"):
+        of_others = f"{pluralize(len(other), 'run')} of other logs, listed here before,"
+        lines.append(("warning", f"{of_others} stayed in {RUNS_FOLDER}; list such runs apart, with another -o"))
     absent = [] if since.get("gate") else since.get("lacking", [])
     return lines + [("warning", f"{lacking_text(since['path'], name)}; it is not compared") for name in absent]
 

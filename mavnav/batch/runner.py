@@ -19,7 +19,7 @@ from msgspec.structs import asdict, replace
 from mavnav.atomic_files import discard
 from mavnav.batch.baseline import EXAMPLE, missing, write_baseline
 from mavnav.batch.cases import Case, CaseResult, make_cases, read_paths
-from mavnav.batch.document import BATCH_FILE, batch_document, compare_repeats, judged_row, of_program
+from mavnav.batch.document import BATCH_FILE, batch_document, compare_repeats, judged_row, of_program, unlisted_runs
 from mavnav.batch.files import check_files, write_batch
 from mavnav.batch.manifest import GATE_EXAMPLE, errors_at
 from mavnav.batch.remote import download
@@ -250,6 +250,7 @@ def run_batch(
     wall_s = monotonic() - began_s
     document = batch_document(rows, wall_s, rules, missing_runs)
     if request.part is None:
+        document["unlisted"] = [] if request.only else unlisted_runs(rows, request.directory)
         write_batch(document, request.directory)
     if request.new_baseline:
         write_baseline(rows, request.new_baseline, rules.watched)

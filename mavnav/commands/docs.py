@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mavnav.commands import shared
+from mavnav.commands import COMMANDS, shared
 from mavnav.commands.terminal import console, emit, note
 from mavnav.errors import UsageError, missing
 
@@ -41,7 +41,6 @@ def docs(
     in_browser
         Show the page in the browser.
     """
-    from mavnav.cli import COMMANDS
     from mavnav.config.loading import package_folder
 
     if not (package_folder("docs") / f"{page}.md").is_file():

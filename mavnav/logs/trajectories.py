@@ -88,7 +88,9 @@ class OdometryTracks(Struct):
             track = self._of_tf(leads_to_laser, topic, scan_topics)
         if track is None:
             known = ", ".join([*self.topics, *([TF_TOPIC] if self.transforms else [])])
-            advice = f"name one that the log holds: {known}, or write --odom off" if known else "the log holds none, leave --odom out"
+            advice = f"name one that the log holds: {known}" if known else "the log holds none, leave --odom out"
+            if self.wanted.lower() in ("auto", "off"):
+                advice = f"write it in small letters, --odom {self.wanted.lower()}"
             raise TopicError(f"no odometry on topic {self.wanted!r}; {advice}")
         return track
 

@@ -57,6 +57,16 @@ def test_what_is_there_is_not_run_again(home: Path) -> None:
     assert document["exit_code"] == ExitCode.USAGE
 
 
+def test_runs_of_other_logs_in_the_same_directory_are_kept_and_named(home: Path) -> None:
+    batch(sources=("logs/good.mcap",))
+    other = shutil.copy("logs/good.mcap", "other.mcap")
+    document, _ = batch(sources=(other,), grids=("7x7",))
+    ((kind, line),) = missing_lines(document)
+    assert (kind, line.startswith("1 run of other logs, listed here before, stayed in cells")) == ("warning", True)
+    document, ran = batch(sources=("logs/good.mcap", other))
+    assert (missing_lines(document), len(ran)) == ([], 1)
+
+
 def test_a_page_that_is_asked_for_later_is_drawn(home: Path) -> None:
     asked = {"sources": ("logs/good.mcap",), "report": True}
     document, ran = batch(**asked)

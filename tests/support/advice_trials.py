@@ -272,6 +272,11 @@ TRIALS = [
         "replay lasers.mcap",
         f"replay lasers.mcap --topic /scan,/rear -o new {FAST}",
     ),
+    (
+        "write it in small letters, --odom",
+        "replay long.mcap --topic /scan --odom OFF",
+        f"replay long.mcap --topic /scan --odom off -o new {SHORT}",
+    ),
     ("the log holds none, leave --odom out", "replay bare.mcap --odom /odom", f"replay bare.mcap -o new {SHORT}"),
     (
         "name one of them, or write --attitude off",
