@@ -158,6 +158,12 @@ def writing(path: Path, advice: str = "make room or name another") -> Iterator[N
         raise OutputError(f"{path} cannot be written: {error.strerror or error}; {advice}") from error
 
 
+def check_name(path: Path) -> None:
+    """Raise OutputError for a name that the system refuses, as one that is too long, or in a closed folder."""
+    with writing(path, "choose a shorter name, or another folder"), suppress(FileNotFoundError, NotADirectoryError):
+        path.lstat()
+
+
 @contextmanager
 def replacing(target: Path, *, force: bool, another: str, room: str) -> Iterator[Path]:
     """Yield a path as `beside` does; raises OutputError that says what to choose if ``target`` is there, or no room."""

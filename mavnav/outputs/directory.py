@@ -12,7 +12,7 @@ from hashlib import file_digest, sha256
 from pathlib import Path
 from typing import Final
 
-from mavnav.atomic_files import beside, is_stream, replacing, writing
+from mavnav.atomic_files import beside, check_name, is_stream, replacing, writing
 from mavnav.config.named_files import read_json, what_is_wrong
 from mavnav.errors import OutputError, UsageError
 
@@ -114,7 +114,8 @@ def check_directory(
 
 
 def check_no_file(directory: Path) -> None:
-    """Raise OutputError for a file, and for a link to nothing, or to itself."""
+    """Raise OutputError for a file, for a link to nothing, or to itself, and for a name that no file can have."""
+    check_name(directory)
     if directory.is_symlink() and not directory.exists():
         raise OutputError(f"{directory} is a link that leads nowhere; remove it, or choose another directory with -o")
     if os.path.lexists(directory) and not directory.is_dir():
@@ -142,6 +143,7 @@ def check_parent(path: Path) -> None:
 
 def check_target(path: Path) -> None:
     """Raise OutputError for a path that no file can be written to; devices, FIFOs and open streams are written into."""
+    check_name(path)
     if path.is_dir():
         raise OutputError(f"{path} is a directory; name a file")
     if is_stream(path):

@@ -10,7 +10,7 @@ from typing import Any
 
 from msgspec import Struct, field
 
-from mavnav.atomic_files import replacing
+from mavnav.atomic_files import check_name, replacing
 from mavnav.errors import NoScansError, OutputError, UsageError
 from mavnav.logs.content import check_file, reading
 from mavnav.logs.formats import detect
@@ -81,6 +81,7 @@ def _check(source: Path, target: Path, *, force: bool) -> None:
     check_file(source)
     if target.suffix != ".mcap":
         raise UsageError(f"{target}: a log is written as MCAP; let the name end in .mcap")
+    check_name(target)
     if source.resolve() in target.resolve().parents:
         raise UsageError(f"{target} is in the folder of the log; choose another place for the output")
     if target.exists() and target.samefile(source):

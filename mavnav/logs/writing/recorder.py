@@ -32,7 +32,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Bag2Writer
 from rosbags.rosbag2.metadata import parse_qos
 
-from mavnav.atomic_files import is_stream, replacing
+from mavnav.atomic_files import check_name, is_stream, replacing
 from mavnav.errors import OutputError, UsageError
 from mavnav.logs.formats.rosbag2 import METADATA
 from mavnav.logs.messages import cdr, definitions, ros
@@ -117,6 +117,7 @@ def check_recording(path: Path, *, force: bool) -> None:
     if path.suffix not in CONTAINERS:
         advice = "end it in .mcap or .bag (ROS 1), or leave the ending out for the folder of a ROS 2 bag"
         raise UsageError(f"{path}: no format of this name can be recorded; {advice}")
+    check_name(path)
     if path.suffix and is_stream(path):
         return
     if path.is_dir():
