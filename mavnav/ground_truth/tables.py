@@ -85,6 +85,8 @@ def _of_table(path: Path, rows: list[list[str]]) -> list[_Row]:
         where = f"{path}, row {number}"
         if row[0].startswith("#") or (number == 1 and not _is_number(row[0])):
             continue
+        if not euroc and wanted[3] not in names and len(row) != len(wanted):
+            raise UsageError(f"{where}: {len(row)} columns, of which none is named yaw; name a file of {TRAJECTORIES}")
         if len(row) < (EUROC_COLUMNS if euroc else 1 + max(columns)):
             raise UsageError(f"{where}: {len(row)} columns are too few; name a file of {TRAJECTORIES}")
         if euroc:
@@ -155,7 +157,7 @@ def _rows(path: Path, what: str) -> Iterator[tuple[str, list[str]]]:
 
 def _text(path: Path, what: str) -> str:
     try:
-        return read_named(path, MAX_BYTES).decode("utf-8")
+        return read_named(path, MAX_BYTES).decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not text"
         raise UsageError(f"{path} cannot be read, {reason}; name a file of {what}") from error

@@ -168,10 +168,12 @@ def scattered_warnings(steps: Steps, lost: Sequence[LostInterval]) -> Iterator[s
     """Yield a warning if many scans without a pose are spread over the log."""
     missing, in_lost = int(np.count_nonzero(~steps.column("tracked"))), sum(interval.scans for interval in lost)
     if missing - in_lost > MOST_SCATTERED * len(steps):
-        yield (
-            f"{missing - in_lost} of {len(steps)} scans, spread over the log, match nowhere: two lasers on one topic, "
-            "or scans that are cut or spoilt? See them with 'mavnav info'"
-        )
+        scans = f"{missing - in_lost} of {len(steps)} scans, spread over the log,"
+        if not steps.column("evaluations").any():  # at given poses
+            yield f"{scans} have no pose with their stamp; give a pose for every scan"
+        else:
+            causes = "two lasers on one topic, or scans that are cut or spoilt? See them with 'mavnav info'"
+            yield f"{scans} match nowhere: {causes}"
 
 
 def few_beams_warnings(steps: Steps, advice: str) -> Iterator[str]:

@@ -218,6 +218,7 @@ QUARTER = 0.5**0.5
 
 FORMATS = {
     "tum": f"# t x y z qx qy qz qw\n7.5 1 2 0 0 0 {QUARTER} {QUARTER}\n7 0 0 0 0 0 0 1\n",
+    "begins with a mark": "\ufeff7 0 0 0 0 0 0 1\n7.5 1 2 0 0 0 0.7071067812 0.7071067812\n",
     "plain": "7,0,0,0\n7.5,1,2,1.5707963267948966\n",
     "headed": "# t, x, y, yaw\n7,0,0,0\n7.5,1,2,1.5707963267948966\n",
     "other order": "yaw,t,x,y\n0,7,0,0\n1.5707963267948966,7.5,1,2\n",
@@ -241,7 +242,8 @@ def test_trajectories_are_read_by_their_content(tmp_path, name) -> None:
     ("text", "why"),
     [
         ("1 0 0 4 0 1 0 5 0 0 1 6\n", "without times"),
-        ("t,x,y\n1,2,3\n", "3 columns are too few"),
+        ("t,x,y,yaw\n1,2,3\n", "3 columns are too few"),
+        ("1,2,3,0,0,0,0,1\n", "row 1: 8 columns, of which none is named yaw"),
         ("1,2,3,north\n", "'north' is no number"),
         ("t,x,y,yaw\n", "has no pose"),
         ("#timestamp [ns],x,y,z,qw,qx,qy,qz\n7,0,0,0,2,0,0,0\n", "not of length 1"),

@@ -162,6 +162,8 @@ def test_scans_between_poses_have_none_where_most_scans_have_their_own(log: Log,
     config = load_config(None, [], {})
     outcome, *_ = draw_at_poses(log.scans, config, log.period_s, path, log.stamps_ns)
     assert outcome.tracked_share == pytest.approx(placed, abs=0.03)
+    lacking = [text for text in outcome.warnings if "spread over the log, have no pose with their stamp" in text]
+    assert len(lacking) == (placed < 1.0)
 
 
 def test_poses_of_another_time_give_no_map(log: Log) -> None:

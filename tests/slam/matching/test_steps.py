@@ -95,7 +95,7 @@ def test_five_scans_without_a_pose_are_lost_and_found_again_if_one_follows(
 
 def test_scans_that_match_nowhere_all_over_the_log_are_reported() -> None:
     def warnings(is_tracked: Callable[[int], bool]) -> list[str]:
-        steps = Steps(Step(k, k, first_match(100), is_tracked(k)) for k in range(100))
+        steps = Steps(Step(k, k, first_match(100)._replace(evaluations=9), is_tracked(k)) for k in range(100))
         return list(scattered_warnings(steps, list(lost_intervals(steps))))
 
     (text,) = warnings(lambda k: k % 2 == 0)
