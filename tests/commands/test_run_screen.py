@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from mavnav.commands import run_screen, terminal
-from mavnav.commands.run_screen import log_rows, map_rows, note_run, note_warnings, refusal_rows
+from mavnav.commands.run_screen import log_rows, map_rows, note_run, note_warnings, reference_rows, refusal_rows
 from mavnav.commands.terminal import verdict_rows
 from support.marks import slow
 
@@ -219,3 +219,18 @@ def test_the_screen_says_which_rule_refused_how_many_scans() -> None:
     )
     assert not list(refusal_rows({"scans": {"refused": []}}))
     assert not list(refusal_rows({"scans": {}}))
+
+
+def test_errors_of_few_poses_or_none_are_named_so() -> None:
+    ate = {"rmse_m": 0.0186, "max_m": 0.0354, "share": 0.06}
+    rpe = {"delta_m": 1.0, "distance_rmse_m": None}
+    assert list(reference_rows({"ate": ate, "rpe": rpe})) == [
+        ("ATE, aligned", "18.6 mm rmse, 35.4 mm max, of 6 % of the poses")
+    ]
+    assert list(reference_rows({"ate": ate | {"share": 1.0}, "rpe": rpe})) == [
+        ("ATE, aligned", "18.6 mm rmse, 35.4 mm max")
+    ]
+    ((_, text),) = reference_rows({"ate": None, "rpe": None})
+    assert text.startswith("unknown: too few poses")
+    assert list(reference_rows({"relations": {"all": {"scored": 0, "relations": 7}}})) == [("relations", "0 of 7")]
+    assert list(reference_rows(None)) == []
