@@ -213,14 +213,20 @@ def remark(row: Mapping[str, Any]) -> str:
     return "; ".join(why(row)) or (f"{word}: {reason}" if word not in ("", VERDICTS[0]) else "")
 
 
-def unlisted_runs(rows: Sequence[Mapping[str, Any]], directory: Path) -> list[str]:
-    """Return the runs in the batch.json of a directory that are of other logs than ``rows``, which replace them."""
+def unlisted_runs(rows: Sequence[Mapping[str, Any]], file: Path) -> list[str]:
+    """Return the runs in a batch.json or comparison.json that are of other logs than ``rows``, which replace them."""
     try:
         mine = {row[key] for row in rows for key in ("log", "directory")}
-        earlier = read_json(directory / BATCH_FILE)["cells"]
+        earlier = read_json(file)["cells"]
         return [row["directory"] for row in earlier if row["directory"] and not mine & {row["log"], row["directory"]}]
     except (OSError, ValueError, LookupError, TypeError):
         return []
+
+
+def unlisted_text(runs: Sequence[str]) -> str:
+    """Say that runs are listed no more."""
+    of_others = f"{pluralize(len(runs), 'run')} of other logs, listed here before,"
+    return f"{of_others} stayed in {RUNS_FOLDER}; list such runs apart, with another -o"
 
 
 def batch_headline(document: Mapping[str, Any]) -> str:
@@ -247,8 +253,7 @@ def missing_lines(document: Mapping[str, Any]) -> list[tuple[str, str]]:
     kind = "error" if since.get("gate") else "warning"
     lines = [(kind, f"{name}: in the baseline, not in this batch") for name in absent_runs(document)]
     if other := document.get("unlisted"):
-        of_others = f"{pluralize(len(other), 'run')} of other logs, listed here before,"
-        lines.append(("warning", f"{of_others} stayed in {RUNS_FOLDER}; list such runs apart, with another -o"))
+        lines.append(("warning", unlisted_text(other)))
     absent = [] if since.get("gate") else since.get("lacking", [])
     return lines + [("warning", f"{lacking_text(since['path'], name)}; it is not compared") for name in absent]
 

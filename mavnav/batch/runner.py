@@ -250,7 +250,7 @@ def run_batch(
     wall_s = monotonic() - began_s
     document = batch_document(rows, wall_s, rules, missing_runs)
     if request.part is None:
-        document["unlisted"] = [] if request.only else unlisted_runs(rows, request.directory)
+        document["unlisted"] = [] if request.only else unlisted_runs(rows, request.directory / BATCH_FILE)
         write_batch(document, request.directory)
     if request.new_baseline:
         write_baseline(rows, request.new_baseline, rules.watched)

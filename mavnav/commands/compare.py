@@ -22,6 +22,7 @@ import typer
 from mavnav.commands import shared
 from mavnav.commands.comparison_table import print_result_of
 from mavnav.commands.progress import loading_modules, reporting, watching
+from mavnav.commands.terminal import note
 from mavnav.config.options import READING, REFERENCES, read_options, settings_of
 from mavnav.errors import UsageError
 from mavnav.profiling import Progress
@@ -139,12 +140,17 @@ def _sample(directory: Path, report: Progress) -> tuple[list[Path], Path]:
 
 def _run_and_draw(plan: BatchPlan, given_poses: GivenPoses | None, *, quiet: bool) -> tuple[dict[str, Any], Path]:
     """Run what is missing, and draw the report unless it shows these results; return comparison.json and its path."""
+    from mavnav.batch.document import unlisted_runs, unlisted_text
     from mavnav.batch.runner import run_cases
+    from mavnav.comparison.document import COMPARISON_FILE
     from mavnav.comparison.pipeline import is_report_current, write_results
     from mavnav.comparison.side_by_side import compare_with_poses
     from mavnav.outputs.writers import REPORT_FILE, write_page
 
     directory, drawn = plan.request.directory, is_report_current(plan)  # before comparison.json is written again
+    mine = [{"log": str(c.run.request.log), "directory": f"cells/{c.run.directory.name}"} for c in plan.cases if c.run]
+    if other := unlisted_runs(mine, directory / COMPARISON_FILE):
+        note(f"mavnav: warning: {unlisted_text(other)}")
     with watching([case.name for case in plan.missing], quiet=quiet) as listen:
         own = run_cases(plan, listen, lambda result: result)
     with reporting(quiet=quiet) as report:

@@ -188,7 +188,7 @@ def _no_scans(survey: Survey) -> str:
     lasers = {topic.name for topic in survey.topics if topic.type in LASER_TYPES and topic.count}
     reason = next((d for d in survey.damage if d.where in lasers or not any(t.count for t in survey.topics)), None)
     if reason is not None:
-        return f"{survey.path}: no usable scans; {reason.what} ({reason.where})"
+        return f"{survey.path}: no usable scans; {reason.what}{f' ({reason.where})' if reason.where else ''}"
     others = [t.name for t in survey.topics if t.type in OTHER_TYPES and t.count]
     if others:
         advice = f"choose the messages to take scans from with --topic: {_some(others)}"

@@ -47,6 +47,15 @@ def test_a_line_for_every_run(again: Callable, directory: Path) -> None:
     assert max(map(len, lines)) <= 200
 
 
+def test_runs_of_another_log_in_the_same_directory_are_named(
+    mavnav: Callable, directory: Path, tmp_path: Path, sample: Path
+) -> None:
+    other = shutil.copy(sample, tmp_path / "other.mcap")
+    code, _, err = mavnav("compare", other, "-o", directory, *SHORT_COMPARISON)
+    assert code == 0 and err.startswith("mavnav: warning: 2 runs of other logs, listed here before, stayed in cells")
+    assert len(list((directory / "cells").iterdir())) == 4
+
+
 @pytest.mark.slow
 def test_the_report_is_drawn_once(again: Callable, directory: Path) -> None:
     report = directory / "report.html"
