@@ -205,18 +205,23 @@ def _score(
     """Draw, judge, measure and write one trajectory; return its run.json."""
     wall_s, cpu_s, stages = perf_counter(), process_time(), new_profile(loading=0.0, starting=0.0)
     source, config = poses.source, request.config
-    outcome, world_T_map, misfit_m = draw_at_poses(
+    instant = SWEEPS.get(source.pose_at, 0.0)
+    draw = partial(
+        draw_at_poses,
         log.scans,
         config,
         log.period_s,
         poses.world_T_laser,
         log.stamps_ns,
-        round(SWEEPS.get(source.pose_at, 0.0) * log.mid_sweep_s / NS),
         whole=source.pose_at == WHOLE,
         of_run=source.in_log is None and Path(source.text).is_dir(),
         on_step=lambda _, done: progress(source.name, done, log.counts.usable),
     )
-    held = in_time_of_truth(outcome.trajectory, half_sweep_s(log, outcome), config.truth_at)
+    outcome, world_T_map, misfit_m = draw(holds_ns=round(instant * log.mid_sweep_s / NS))
+    half_s = half_sweep_s(log, outcome)
+    if instant and half_s != log.mid_sweep_s:  # the scans show a sweep that the log does not state
+        outcome, world_T_map, misfit_m = draw(holds_ns=round(instant * half_s / NS))
+    held = in_time_of_truth(outcome.trajectory, half_s, config.truth_at)
     references, warnings = references_in_map(references, log, int(held.stamps_ns[0]) if len(held) else None)
     outcome = replace(outcome, warnings=(*outcome.warnings, *poses.warnings, *warnings))
     comparison = comparison_fields(references, held, outcome, config)

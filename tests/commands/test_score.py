@@ -243,6 +243,16 @@ def test_mistakes_are_found_before_the_work(
     assert not (folder / "none").exists()
 
 
+def test_an_instant_holds_for_a_sweep_that_the_scans_show_and_the_log_lacks(tmp_path: Path) -> None:
+    turning = along([(3.4, 0.8), (4.9, 0.8), (4.6, 2.9), (4.6, 1.2)], 0.02, 0.6, 2.0, START_S * 10**9)
+    write_mcap(tmp_path / "log.mcap", drive_log(path=turning, beams=120, time_increment_s=0.0))
+    write_poses(turning, tmp_path / "t.tum")
+    given = (f"{tmp_path}/t.tum@first", f"late={tmp_path}/t.tum@last")
+    score(tmp_path, *given, more=("--truth", str(tmp_path / "t.tum")))
+    first, last = (document(tmp_path / "scores" / name)["external"] for name in ("t", "late"))
+    assert first["misfit_mm"] < 5 < last["misfit_mm"]
+
+
 def compare(folder: Path, *words: str, out: str) -> int:
     fixed = ("--end", "1", "--online", "-q", "-o", str(folder / out))
     return run(["compare", str(folder / "log.mcap"), *words, *fixed])
