@@ -86,6 +86,7 @@ def test_log_whose_scans_are_all_unusable_says_why(tmp_path: Path) -> None:
         (gzip.compress(b"\x00CObservation2DRangeScan", mtime=0), "rawlog of MRPT"),
         (b"ULog\x01\x12\x35\x01", "PX4"),
         (b"# .PCD v0.7 - Point Cloud Data", "cloud of points"),
+        (b"rosbag2_bagfile_information:\n  version: 5\n", "name its folder"),
         (b"\x89HDF\r\n\x1a\n\0", "HDF5"),
         (b"\xd4\xc3\xb2\xa1\x02\0\x04\0", "pcap"),
         (b"RRF2\0\0", "Rerun"),

@@ -230,6 +230,7 @@ OTHERS: dict[bytes, str] = {
     rb"\ARRF[0-9]": "a Rerun recording (.rrd), which is not read; replay the log that it was made of",
     rb"\AULog\x01\x12\x35": f"a flight log of PX4 (ULog), which has no laser scans; {_RECORD}",
     rb"\A(?:# )?\.PCD |\Aply\r?\n|\ALASF": f"a single cloud of points (PCD, PLY or LAS), not a log of scans; {_RECORD}",
+    rb"\Arosbag2_bagfile_information:": "the description of a ROS 2 bag; name its folder",
     rb"\A\x89HDF\r\n\x1a\n": f"an HDF5 file, which is not read; {_RECORD}",
     rb"CObservation2DRangeScan|CSensoryFrame|CActionCollection": (
         "a rawlog of MRPT, which is not read; export it as CARMEN log with `rawlog-edit --export-2d-scans-txt`"
