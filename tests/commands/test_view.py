@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
@@ -54,6 +55,14 @@ def test_a_run_that_cannot_be_written_is_shown_by_the_page_it_has(mavnav, finish
     page.write_text("as it is")
     assert mavnav("view", run, "-q", "--no-browser")[:2] == (0, f"{page}\n")
     assert page.read_text() == "as it is"
+
+
+def test_a_run_of_an_earlier_version_without_a_verdict_is_shown(mavnav, finished_run, tmp_path):
+    run = shutil.copytree(finished_run, tmp_path / "run")
+    document = json.loads((run / "run.json").read_text())
+    del document["verdict"]
+    (run / "run.json").write_text(json.dumps(document))
+    assert mavnav("view", run, "-q", "--no-browser")[0] == 0
 
 
 def test_what_holds_no_result_is_refused(mavnav, tmp_path):
