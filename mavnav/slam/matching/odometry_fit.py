@@ -6,7 +6,7 @@ the motions that fits worst does not count: slips, wrong matches, the laser carr
 
 from __future__ import annotations
 
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -50,6 +50,9 @@ COARSE_S, FINE_S = 0.1 * np.arange(-10, 11), STEP_S * np.arange(-4, 5)
 OTHER_S, DISTINCT = 0.25, 1.1
 """Offsets that are farther away than that are others; their least error must be so many times that of the best."""
 
+REMEMBERED: Final = 1 << 14
+"""Number of poses that a lookup remembers: a scan asks nine times for two of them, and every further track again."""
+
 SURE: Final = 2.0
 """Standard deviations by which a scale differs from 1, else it is 1."""
 
@@ -87,9 +90,9 @@ class LogOdometry(Struct, frozen=True):
         odom_T_base = correct_path(self.odom_T_base, round(fit.offset_s / NS), fit.distance_scale, fit.turn_scale)
         pose_at = partial(odom_T_base.compose(self.base_T_laser).at, max_gap_ns=round(GAP_S / NS))
         if not fit.mean_stamps or self.scans_ns is None:
-            return pose_at
+            return lru_cache(REMEMBERED)(pose_at)
         averaged_ns = partial(np.interp, xp=self.scans_ns, fp=average_stamps(self.scans_ns))
-        return lambda stamp_ns: pose_at(round(float(averaged_ns(stamp_ns))))
+        return lru_cache(REMEMBERED)(lambda stamp_ns: pose_at(round(float(averaged_ns(stamp_ns)))))
 
     def without(self, spans_ns: NDArray[np.int64], fit: OdometryFit) -> LogOdometry:
         """Return odometry without its poses in some spans of time (n, 2), first and last stamp of scans, ascending."""

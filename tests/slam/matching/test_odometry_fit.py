@@ -188,6 +188,15 @@ def test_corrected_odometry_leads_where_the_laser_was() -> None:
         assert now.between(later).gap(path[k].between(path[k + 10]))[0] < 1e-6
 
 
+@pytest.mark.parametrize("mean_stamps", [False, True])
+def test_a_pose_of_odometry_is_interpolated_once(mean_stamps: bool) -> None:
+    """Every scan asks several times for its own and the one before."""
+    path = swerving()
+    odometry = replace(wheels(path, 0.0), scans_ns=path.stamps_ns)
+    pose_at = odometry.lookup(OdometryFit(mean_stamps=mean_stamps))
+    assert pose_at(int(path.stamps_ns[50]) + MS) is pose_at(int(path.stamps_ns[50]) + MS)
+
+
 def test_odometry_is_unknown_outside_and_in_a_gap() -> None:
     path = swerving()
     kept = np.r_[0:100, 107:301]
