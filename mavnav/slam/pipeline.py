@@ -12,6 +12,7 @@ from mavnav.config.models import Config
 from mavnav.pose import Pose, Rotation, Trajectory
 from mavnav.slam.doubt.judge import judge_flown, judge_redrawn, judge_track
 from mavnav.slam.doubt.without_wheels import without_erring_wheels
+from mavnav.slam.floor_line import without_floor
 from mavnav.slam.loop_closure.detection import close_loops
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, LogOdometry, in_meters
@@ -113,6 +114,7 @@ def run_slam(
     start = Track(log_scans, config, motion, method, prior_map=prior_map, on_step=on_step, log_odometry=given)
     start = replace(start.with_findings(odometry=fit), placement=placement, start_s=start_s)
     start = start if recorded_ns is None else replace(start, recorded_ns=recorded_ns)
+    start = without_floor(start)
     unlevelled = (as_recorded(recorded),) if recorded else ()
     track = try_again(track_from_good_beginning(start), (*FITTING_ODOMETRY, *unlevelled))  # steps 1 to 8 first
     track = without_erring_wheels(with_scaled_wheels(track))
