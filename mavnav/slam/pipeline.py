@@ -12,7 +12,6 @@ from mavnav.config.models import Config
 from mavnav.pose import Pose, Rotation, Trajectory
 from mavnav.slam.doubt.judge import judge_flown, judge_redrawn, judge_track
 from mavnav.slam.doubt.without_wheels import without_erring_wheels
-from mavnav.slam.floor_line import without_floor
 from mavnav.slam.loop_closure.detection import close_loops
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, LogOdometry, in_meters
@@ -28,6 +27,7 @@ from mavnav.slam.result import SlamResult, summarize
 from mavnav.slam.retries.attempt import COARSER_VOXELS, try_again
 from mavnav.slam.retries.beam_order import REVERSED_BEAMS
 from mavnav.slam.retries.beginning import track_from_good_beginning
+from mavnav.slam.retries.floor_line import without_floor
 from mavnav.slam.retries.levelling import as_recorded
 from mavnav.slam.retries.odometry import FITTING_ODOMETRY
 from mavnav.slam.retries.sweep_time import TIMED_SWEEPS
