@@ -27,6 +27,7 @@ from mavnav.slam.result import SlamResult, summarize
 from mavnav.slam.retries.attempt import COARSER_VOXELS, try_again
 from mavnav.slam.retries.beam_order import REVERSED_BEAMS
 from mavnav.slam.retries.beginning import track_from_good_beginning
+from mavnav.slam.retries.floor_line import without_floor
 from mavnav.slam.retries.levelling import as_recorded
 from mavnav.slam.retries.odometry import FITTING_ODOMETRY
 from mavnav.slam.retries.sweep_time import TIMED_SWEEPS
@@ -113,6 +114,7 @@ def run_slam(
     start = Track(log_scans, config, motion, method, prior_map=prior_map, on_step=on_step, log_odometry=given)
     start = replace(start.with_findings(odometry=fit), placement=placement, start_s=start_s)
     start = start if recorded_ns is None else replace(start, recorded_ns=recorded_ns)
+    start = without_floor(start)
     unlevelled = (as_recorded(recorded),) if recorded else ()
     track = try_again(track_from_good_beginning(start), (*FITTING_ODOMETRY, *unlevelled))  # steps 1 to 8 first
     track = without_erring_wheels(with_scaled_wheels(track))

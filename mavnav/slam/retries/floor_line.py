@@ -1,0 +1,126 @@
+"""The floor ahead of a laser that is pitched down: returns of it move along with the vehicle, and are left out.
+
+A beam 3 deg down meets the floor a few meters ahead. Along a corridor these returns are a line across the one direction
+that walls leave open: a track that takes it for a wall stands still, every scan fits, and right odometry seems to err.
+No wall stays at its distance while the vehicle drives straight on, and no laser sees anything past the floor.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from msgspec.structs import replace
+
+from mavnav.pose import motions
+from mavnav.slam.matching.odometry_fit import LEAST_WINDOWS, WINDOW_S
+from mavnav.slam.retries.odometry import by_wheels
+from mavnav.units import DEG, NS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from mavnav.scan import Scan
+    from mavnav.slam.track import LogScans, Track
+
+    Floats = NDArray[np.float64]
+
+LEAST_MOVED_M: Final = 0.1
+"""Motion in a second, m, by which the distance to a wall ahead clearly changes."""
+
+STRAIGHT_RAD: Final = 5 * DEG
+"""Largest turn in a second of a vehicle that drives straight on, as a curved wall stays along a curve, and angle to the
+driving direction of the beams that look straight ahead, as others meet the sides of a corridor."""
+
+MOST_OBLIQUE_RAD: Final = 45 * DEG
+"""Largest angle by which the line is oblique: the laser rolls as much as it pitches, or is turned on the vehicle."""
+
+STAYS, NEAR = 0.5, 0.1
+"""Share of the motion, across the line, by which its distance may change, and share of that distance within which it
+stays: that to the floor changes by 7 % where a laser 3 deg down pitches by another 0.2 deg."""
+
+FARTHEST: Final = 5
+"""Number of points past the floor that show that it is none; fewer may be stray returns."""
+
+LEAST_SHARE, MOST_PAST = 0.3, 0.05
+"""Share of the straight motions in which the floor must be ahead, and in which anything may be seen past it."""
+
+
+def without_floor(track: Track) -> Track:
+    """Return a track of scans without the floor, if odometry shows that they see it; not in causal mode."""
+    line_m = floor_line(track) if track.refiner and track.motion.odometry else None
+    if line_m is None:
+        return track
+    cut = replace(track, log_scans=partial(scans_before, track.log_scans, line_m))
+    return cut.with_warning(
+        f"what the laser sees {np.hypot(*line_m):.2g} m ahead moves along with the vehicle, as the floor does if the "
+        "laser is pitched down: returns from there on are left out; mount the laser level"
+    )
+
+
+def scans_before(log_scans: LogScans, line_m: Floats) -> Iterator[Scan]:
+    """Yield all scans of a log without the returns at a line and past it; ``line_m`` (2,) is its nearest point, m."""
+    limit_m2 = (1.0 - NEAR) * float(line_m @ line_m)
+    for scan in log_scans():
+        past = scan.ranges_m * (scan.spec.directions @ line_m) > limit_m2
+        heights_m = None if scan.heights_m is None else np.where(past, np.nan, scan.heights_m)
+        yield replace(scan, ranges_m=np.where(past, np.nan, scan.ranges_m), heights_m=heights_m)
+
+
+def floor_line(track: Track) -> Floats | None:
+    """Return the nearest point (2,) of the line in which the laser sees the floor, m, laser frame; None if it does not.
+
+    The line is ahead or behind.
+    """
+    scans = list(track.log_scans())
+    stamps_ns = np.array([scan.stamp_ns for scan in scans], np.int64)
+    ends = np.searchsorted(stamps_ns, stamps_ns + round(WINDOW_S / NS))
+    begins = np.flatnonzero(ends < len(stamps_ns))
+    begins = begins[(stamps_ns[ends[begins]] - stamps_ns[begins]) * NS < 2.0 * WINDOW_S]
+    moved = motions(by_wheels(track, stamps_ns), begins, ends[begins])
+    moved_m = moved[:, :2] @ (1.0, 1j)
+    driving = (np.abs(moved_m) >= LEAST_MOVED_M) & (np.abs(moved[:, 2]) < STRAIGHT_RAD)
+    begins, moved_m = begins[driving], moved_m[driving]
+    if len(begins) < LEAST_WINDOWS:
+        return None
+    axis = np.exp(0.5j * np.angle(np.square(moved_m).sum()))  # of motions forward and backward
+    for ahead in (np.array((axis.real, axis.imag)), -np.array((axis.real, axis.imag))):
+        line_m = line_ahead([scans[row] for row in begins], ahead)
+        distance_m = np.hypot(*line_m)
+        oblique = float(ahead @ line_m) / max(distance_m, 1e-9)
+        seen_m, farthest_m = np.array([reach_m(scan, ahead, line_m / max(distance_m, 1e-9)) for scan in scans]).T
+        past = farthest_m[begins] > (1.0 + NEAR) * distance_m
+        near = np.abs(seen_m[begins] - distance_m) < NEAR * distance_m
+        stays = np.abs(seen_m[ends[begins]] - seen_m[begins]) < STAYS * oblique * np.abs(moved_m)
+        shown = (near & stays & ~past).mean() >= LEAST_SHARE and past.mean() <= MOST_PAST
+        if shown and oblique >= np.cos(MOST_OBLIQUE_RAD):
+            return line_m
+    return None
+
+
+def line_ahead(scans: list[Scan], ahead: Floats) -> Floats:
+    """Return the nearest point (2,) of the line through what beams straight ahead see, m; (0, 0) if they see nothing.
+
+    ``ahead`` (2,) is a direction in the laser frame. The upper quartile over the scans counts: walls are before it.
+    """
+    directions = scans[0].spec.directions
+    straight = directions @ ahead > np.cos(STRAIGHT_RAD)
+    ranges_m = [np.nan_to_num(scan.ranges_m[straight]) for scan in scans if len(scan.ranges_m) == len(straight)]
+    at_m = np.quantile(ranges_m, 0.75, axis=0, method="lower")
+    seen = at_m > 0.0
+    inverse = np.linalg.lstsq(directions[straight][seen] * at_m[seen, None], np.ones(seen.sum()), rcond=None)[0]
+    return np.asarray(inverse / max(float(inverse @ inverse), 1e-9))
+
+
+def reach_m(scan: Scan, ahead: Floats, across: Floats) -> tuple[float, float]:
+    """Return how far most beams straight ahead see, 0 if they see nothing, and how far the farthest points lie, m.
+
+    Both are in the direction ``across`` (2,) of a line, of the beams about ``ahead`` (2,), laser frame.
+    """
+    along_m = np.nan_to_num(scan.ranges_m * (scan.spec.directions @ across))
+    straight_m = along_m[scan.spec.directions @ ahead > np.cos(STRAIGHT_RAD)]
+    few = min(FARTHEST, len(along_m))
+    return float(np.median(straight_m)) if len(straight_m) else 0.0, float(np.partition(along_m, -few)[-few])

@@ -1,0 +1,52 @@
+"""The floor ahead of a laser that is pitched down, which moves along with the vehicle."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mavnav.config.models import Config
+from mavnav.slam.pipeline import run_slam
+from mavnav.slam.result import SlamResult
+from support.synthetic import DEG, NOTHING, SHORT, Recording, Segments, along, box, polyline, record
+
+CORRIDOR = np.vstack(
+    (
+        polyline((0.0, -1.2), (30.0, -1.2), (30.0, 1.2), (0.0, 1.2), closed=True),
+        *(box(x_m, side * 1.2, 0.9, 0.24) for x_m, side in ((5.0, -1), (7.7, 1), (13.0, -1), (17.5, 1), (22.0, -1))),
+    )
+)
+OUT_AND_BACK = [(4.0, 0.0), (22.0, 0.1), (4.0, 0.0)]
+FLOOR = polyline((4.0, -9.0), (4.0, 9.0))
+"""Where a laser 0.25 m high that is 3.6 deg down meets the floor, laser frame: it sees nothing past that line."""
+
+
+def with_right_wheels(recording: Recording) -> SlamResult:
+    """Return the run beside odometry without error."""
+    return run_slam(lambda: recording.scans, Config(), 0.1, recording.map_T_laser)
+
+
+@pytest.mark.parametrize("floor", [FLOOR, polyline((7.0, -6.0), (1.0, 6.0))], ids=["pitched", "rolled, too"])
+def test_floor_ahead_does_not_hold_the_track(floor: Segments) -> None:
+    """The track stood still with it for most of the way, and was hardly doubted."""
+    recording = record(CORRIDOR, along(OUT_AND_BACK, speed_m_s=0.8), SHORT, 0.003, carried=floor)
+    result = with_right_wheels(recording)
+    off_m = np.hypot(*(result.trajectory.xyyaw - recording.map_T_laser.xyyaw)[:, :2].T)
+    assert off_m.max() < 0.2
+    assert "moves along with the vehicle, as the floor does" in result.warnings[0]
+
+
+@pytest.mark.parametrize("carried", [NOTHING, box(0.5, 0.0, 0.1, 0.2)], ids=["nothing", "a post"])
+def test_walls_and_posts_are_no_floor(carried: Segments) -> None:
+    """Beams that see past what stays ahead do not meet the floor there."""
+    recording = record(CORRIDOR, along(OUT_AND_BACK[:2], speed_m_s=0.8), SHORT, 0.003, carried=carried)
+    assert not any("as the floor" in line for line in with_right_wheels(recording).warnings)
+
+
+def test_round_wall_is_no_floor() -> None:
+    """Along a circle the wall of a round room stays at its distance ahead."""
+    angles_rad = np.arange(0, 361, 6) * DEG
+    wall, path = (list(zip(r * np.cos(angles_rad), r * np.sin(angles_rad), strict=True)) for r in (5.0, 3.5))
+    room = np.vstack((polyline(*wall), box(0.0, 0.0, 0.6, 0.6), box(1.0, 4.8, 0.5, 0.4)))
+    recording = record(room, along(path[:40], speed_m_s=0.8), SHORT, 0.003)
+    assert not any("as the floor" in line for line in with_right_wheels(recording).warnings)
