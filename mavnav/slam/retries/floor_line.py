@@ -14,7 +14,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from mavnav.pose import motions
-from mavnav.slam.matching.odometry_fit import LEAST_WINDOWS, WINDOW_S
+from mavnav.slam.matching.odometry_fit import LEAST_WINDOWS, MOST_WINDOWS, WINDOW_S
 from mavnav.slam.retries.odometry import by_wheels
 from mavnav.units import DEG, NS
 
@@ -75,17 +75,15 @@ def floor_line(track: Track) -> Floats | None:
 
     The line is ahead or behind.
     """
-    scans = list(track.log_scans())
-    stamps_ns = np.array([scan.stamp_ns for scan in scans], np.int64)
-    ends = np.searchsorted(stamps_ns, stamps_ns + round(WINDOW_S / NS))
-    begins = np.flatnonzero(ends < len(stamps_ns))
-    begins = begins[(stamps_ns[ends[begins]] - stamps_ns[begins]) * NS < 2.0 * WINDOW_S]
-    moved = motions(by_wheels(track, stamps_ns), begins, ends[begins])
-    moved_m = moved[:, :2] @ (1.0, 1j)
-    driving = (np.abs(moved_m) >= LEAST_MOVED_M) & (np.abs(moved[:, 2]) < STRAIGHT_RAD)
-    begins, moved_m = begins[driving], moved_m[driving]
+    begins, ends, moved_m = straight_motions(track)
     if len(begins) < LEAST_WINDOWS:
         return None
+    rows = np.unique((begins, ends))
+    some = set(rows.tolist())
+    scans = [scan for row, scan in enumerate(track.log_scans()) if row in some]
+    if len(scans) < len(rows):  # the run is stopped
+        return None
+    begins, ends = np.searchsorted(rows, begins), np.searchsorted(rows, ends)
     axis = np.exp(0.5j * np.angle(np.square(moved_m).sum()))  # of motions forward and backward
     for ahead in (np.array((axis.real, axis.imag)), -np.array((axis.real, axis.imag))):
         line_m = line_ahead([scans[row] for row in begins], ahead)
@@ -94,11 +92,27 @@ def floor_line(track: Track) -> Floats | None:
         seen_m, farthest_m = np.array([reach_m(scan, ahead, line_m / max(distance_m, 1e-9)) for scan in scans]).T
         past = farthest_m[begins] > (1.0 + NEAR) * distance_m
         near = np.abs(seen_m[begins] - distance_m) < NEAR * distance_m
-        stays = np.abs(seen_m[ends[begins]] - seen_m[begins]) < STAYS * oblique * np.abs(moved_m)
+        stays = np.abs(seen_m[ends] - seen_m[begins]) < STAYS * oblique * np.abs(moved_m)
         shown = (near & stays & ~past).mean() >= LEAST_SHARE and past.mean() <= MOST_PAST
         if shown and oblique >= np.cos(MOST_OBLIQUE_RAD):
             return line_m
     return None
+
+
+def straight_motions(track: Track) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.complex128]]:
+    """Return between which scans (n,) and (n,) odometry drives straight on, and how far, m, as complex numbers (n,).
+
+    They are a second apart or a little more, and ``MOST_WINDOWS`` at most, spread over the log.
+    """
+    stamps_ns = np.array([scan.stamp_ns for scan in track.log_scans()], np.int64)
+    ends = np.searchsorted(stamps_ns, stamps_ns + round(WINDOW_S / NS))
+    begins = np.flatnonzero(ends < len(stamps_ns))
+    begins = begins[(stamps_ns[ends[begins]] - stamps_ns[begins]) * NS < 2.0 * WINDOW_S]
+    moved = motions(by_wheels(track, stamps_ns), begins, ends[begins])
+    moved_m: NDArray[np.complex128] = moved[:, :2] @ np.array((1.0, 1j))
+    driving = np.flatnonzero((np.abs(moved_m) >= LEAST_MOVED_M) & (np.abs(moved[:, 2]) < STRAIGHT_RAD))
+    driving = driving[:: 1 + len(driving) // MOST_WINDOWS]
+    return begins[driving], ends[begins[driving]], moved_m[driving]
 
 
 def line_ahead(scans: list[Scan], ahead: Floats) -> Floats:
