@@ -66,7 +66,8 @@ def second_motion(track: Track, refiner: Refiner, conflicts: Floats) -> Floats:
     ``conflicts`` (n,) are the visibility conflicts of the tracked scans.
     """
     path, out = tracked_trajectory(track.steps), np.zeros(len(conflicts))
-    if track.motion.odometry is not None or np.mean(conflicts >= LEAST_CONFLICTS) < WORTH_A_SEARCH:
+    mostly_by_wheels = track.motion.odometry_at(path.stamps_ns).mean() >= 0.5
+    if mostly_by_wheels or np.mean(conflicts >= LEAST_CONFLICTS) < WORTH_A_SEARCH:
         return out
     wanted = examined_rows(path.stamps_ns, track.motion.period_s)
     points = points_of_rows(track, refiner, {row for some in wanted for row in some})

@@ -57,7 +57,7 @@ def without_erring_wheels(track: Track) -> Track:
         return alone.with_attempt(ERRING_WHEELS, kept=True)
     erring &= judged.findings.observed >= LEAST_OBSERVABILITY
     left = track.log_odometry.without(spans_ns(erring, track), track.findings.odometry) if erring.any() else None
-    partly = with_odometry(track, left) if count_without(left, track) else track
+    partly = with_odometry(track, left) if 0 < count_without(left, track) < len(track.steps) else track
     complete = len(partly.steps) == len(track.steps)
     if not complete or not differs(partly, track).any() or not is_sure(judge_alone(partly)):
         return track.with_attempt(ERRING_WHEELS, kept=False)
