@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -24,7 +25,7 @@ from mavnav.slam.refinement.contradicted import drop_contradicted
 from mavnav.slam.refinement.place import place_map
 from mavnav.slam.refinement.refine import draw_map, match_deskewed, refine_poses, remove_dynamic_cells, smooth_jitter
 from mavnav.slam.result import SlamResult, summarize
-from mavnav.slam.retries.attempt import COARSER_VOXELS, try_again
+from mavnav.slam.retries.attempt import COARSER_VOXELS, Attempt, try_again
 from mavnav.slam.retries.beam_order import REVERSED_BEAMS
 from mavnav.slam.retries.beginning import track_from_good_beginning
 from mavnav.slam.retries.floor_line import without_floor
@@ -114,12 +115,25 @@ def run_slam(
     start = Track(log_scans, config, motion, method, prior_map=prior_map, on_step=on_step, log_odometry=given)
     start = replace(start.with_findings(odometry=fit), placement=placement, start_s=start_s)
     start = start if recorded_ns is None else replace(start, recorded_ns=recorded_ns)
-    start = without_floor(start)
     unlevelled = (as_recorded(recorded),) if recorded else ()
-    track = try_again(track_from_good_beginning(start), (*FITTING_ODOMETRY, *unlevelled))  # steps 1 to 8 first
-    track = without_erring_wheels(with_scaled_wheels(track))
+    start, track = track_without_floor(start, (*FITTING_ODOMETRY, *unlevelled))  # steps 1 to 8 first
     track = try_again(or_with_own_map(track, start), ATTEMPTS)
     return summarize(after(track, (*RECOVERING, *CHECKING, *last)))
+
+
+def track_without_floor(start: Track, attempts: Sequence[Attempt]) -> tuple[Track, Track]:
+    """Track a log without the floor that its laser sees; also return what the track begins with, first.
+
+    Odometry that is not used shows no floor.
+    """
+    cut = without_floor(start)
+    track = track_with_odometry(cut, attempts)
+    return (cut, track) if cut is start or track.motion.odometry else (start, track_with_odometry(start, attempts))
+
+
+def track_with_odometry(start: Track, attempts: Sequence[Attempt]) -> Track:
+    """Track a log with its odometry, corrected or in part as it fits, or without."""
+    return without_erring_wheels(with_scaled_wheels(try_again(track_from_good_beginning(start), attempts)))
 
 
 def finish(track: Track) -> SlamResult:

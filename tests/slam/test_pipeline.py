@@ -272,7 +272,7 @@ def test_a_run_that_is_stopped_keeps_the_longest_track(
     monkeypatch.setattr(odometry, "FIRST_CHECK", first)
     scans, odom = tour.scans[75:145], tour.map_T_laser
     wrong = Trajectory(odom.stamps_ns, odom.xyyaw * [-1.0, -1.0, -1.0])
-    given = -len(scans)  # all are read once before, for the floor
+    given = -2 * len(scans)  # all are read before, for the floor
 
     def log_scans() -> Iterator[Scan]:
         nonlocal given

@@ -40,9 +40,11 @@ SAMPLE_S, SAMPLE_M, SAMPLE_RAD = 0.8, 0.15, 10 * DEG
 def without_erring_wheels(track: Track) -> Track:
     """Return a track without the odometry that is used, or without the part of it that errs; else the given one.
 
-    The given one is kept if no odometry is used, if the map is given, and if the run is stopped.
+    The given one is kept if no odometry is used, nothing is tracked, the map is given, or the run is stopped.
     """
     if track.log_odometry is None or track.motion.odometry is None or not track.builds_map:
+        return track
+    if not track.steps.column("tracked").any():
         return track
     if walls_agree(track):
         return track.with_attempt(ERRING_WHEELS, kept=False)
