@@ -42,8 +42,12 @@ STAYS, NEAR = 0.5, 0.1
 """Share of the motion, across the line, by which its distance may change, and share of that distance within which it
 stays: that to the floor changes by 7 % where a laser 3 deg down pitches by another 0.2 deg."""
 
-FARTHEST: Final = 5
-"""Number of points past the floor that show that it is none; fewer may be stray returns."""
+APPROACHES: Final = 0.2
+"""Share of the motion by which a wall comes nearer in the median where odometry counts too far; the floor does not."""
+
+FEWEST_AHEAD, FARTHEST = 4, 5
+"""Number of beams straight ahead that show a line, as three may meet two walls alike, and of points past the floor that
+show that it is none; fewer may be stray returns."""
 
 LEAST_SHARE, MOST_PAST = 0.3, 0.05
 """Share of the straight motions in which the floor must be ahead, and in which anything may be seen past it."""
@@ -75,7 +79,7 @@ def floor_line(track: Track) -> Floats | None:
 
     The line is ahead or behind.
     """
-    begins, ends, moved_m = straight_motions(track)
+    begins, ends, moved_m, turned_rad = straight_motions(track)
     if len(begins) < LEAST_WINDOWS:
         return None
     rows = np.unique((begins, ends))
@@ -88,20 +92,25 @@ def floor_line(track: Track) -> Floats | None:
     for ahead in (np.array((axis.real, axis.imag)), -np.array((axis.real, axis.imag))):
         line_m = line_ahead([scans[row] for row in begins], ahead)
         distance_m = np.hypot(*line_m)
-        oblique = float(ahead @ line_m) / max(distance_m, 1e-9)
-        seen_m, farthest_m = np.array([reach_m(scan, ahead, line_m / max(distance_m, 1e-9)) for scan in scans]).T
+        across = line_m / max(distance_m, 1e-9)
+        seen_m, farthest_m = np.array([reach_m(scan, ahead, across) for scan in scans]).T
+        toward_m = moved_m.real * across[0] + moved_m.imag * across[1]  # not sideways
         past = farthest_m[begins] > (1.0 + NEAR) * distance_m
         near = np.abs(seen_m[begins] - distance_m) < NEAR * distance_m
-        stays = np.abs(seen_m[ends] - seen_m[begins]) < STAYS * oblique * np.abs(moved_m)
-        shown = (near & stays & ~past).mean() >= LEAST_SHARE and past.mean() <= MOST_PAST
-        if shown and oblique >= np.cos(MOST_OBLIQUE_RAD):
+        nearer_m = (seen_m[begins] - seen_m[ends]) * np.sign(toward_m)
+        straight = np.abs(turned_rad) * distance_m < STAYS * np.abs(toward_m)  # along a curve walls may stay
+        shown = near & straight & ~past & (np.abs(nearer_m) < STAYS * np.abs(toward_m))
+        if shown.mean() < LEAST_SHARE or past.mean() > MOST_PAST or ahead @ across < np.cos(MOST_OBLIQUE_RAD):
+            continue
+        if np.median(nearer_m[shown] / np.abs(toward_m[shown])) < APPROACHES:
             return line_m
     return None
 
 
-def straight_motions(track: Track) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.complex128]]:
-    """Return between which scans (n,) and (n,) odometry drives straight on, and how far, m, as complex numbers (n,).
+def straight_motions(track: Track) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.complex128], Floats]:
+    """Return between which scans (n,) and (n,) odometry drives straight on, how far, and the turns (n,), rad.
 
+    How far is in m, as complex numbers (n,).
     They are a second apart or a little more, and ``MOST_WINDOWS`` at most, spread over the log.
     """
     stamps_ns = np.array([scan.stamp_ns for scan in track.log_scans()], np.int64)
@@ -112,7 +121,7 @@ def straight_motions(track: Track) -> tuple[NDArray[np.intp], NDArray[np.intp], 
     moved_m: NDArray[np.complex128] = moved[:, :2] @ np.array((1.0, 1j))
     driving = np.flatnonzero((np.abs(moved_m) >= LEAST_MOVED_M) & (np.abs(moved[:, 2]) < STRAIGHT_RAD))
     driving = driving[:: 1 + len(driving) // MOST_WINDOWS]
-    return begins[driving], ends[begins[driving]], moved_m[driving]
+    return begins[driving], ends[begins[driving]], moved_m[driving], moved[driving, 2]
 
 
 def line_ahead(scans: list[Scan], ahead: Floats) -> Floats:
@@ -130,11 +139,12 @@ def line_ahead(scans: list[Scan], ahead: Floats) -> Floats:
 
 
 def reach_m(scan: Scan, ahead: Floats, across: Floats) -> tuple[float, float]:
-    """Return how far most beams straight ahead see, 0 if they see nothing, and how far the farthest points lie, m.
+    """Return how far most beams straight ahead see, 0 if nothing or too few, and how far the farthest points lie, m.
 
     Both are in the direction ``across`` (2,) of a line, of the beams about ``ahead`` (2,), laser frame.
     """
     along_m = np.nan_to_num(scan.ranges_m * (scan.spec.directions @ across))
     straight_m = along_m[scan.spec.directions @ ahead > np.cos(STRAIGHT_RAD)]
     few = min(FARTHEST, len(along_m))
-    return float(np.median(straight_m)) if len(straight_m) else 0.0, float(np.partition(along_m, -few)[-few])
+    seen_m = float(np.median(straight_m)) if len(straight_m) >= FEWEST_AHEAD else 0.0
+    return seen_m, float(np.partition(along_m, -few)[-few]) if few else 0.0

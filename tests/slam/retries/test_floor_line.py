@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from mavnav.config.models import Config
 from mavnav.pose import Trajectory
+from mavnav.scan import LaserSpec
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.result import SlamResult
 from support.synthetic import DEG, NOTHING, SHORT, Recording, Segments, along, box, polyline, record
@@ -44,12 +46,45 @@ def test_walls_and_posts_are_no_floor(carried: Segments) -> None:
     assert not any("as the floor" in line for line in with_right_wheels(recording).warnings)
 
 
-def test_round_wall_is_no_floor() -> None:
-    """Along a circle the wall of a round room stays at its distance ahead."""
-    angles_rad = np.arange(0, 361, 6) * DEG
-    wall, path = (list(zip(r * np.cos(angles_rad), r * np.sin(angles_rad), strict=True)) for r in (5.0, 3.5))
+HALL = np.vstack((polyline((0, 0), (20, 0), (20, 12), (0, 12), closed=True), box(5, 1, 1, 1), box(9, 11, 1, 1)))
+FAR = replace(SHORT, range_max_m=25.0)
+
+
+def test_odometry_that_counts_too_far_shows_no_floor() -> None:
+    """The wall ahead comes nearer by less than half of what it counts."""
+    recording = record(HALL, along([(2.0, 5.0), (7.0, 5.2)], speed_m_s=0.2), FAR, 0.01)
+    too_far = Trajectory(recording.map_T_laser.stamps_ns, recording.map_T_laser.xyyaw * (2.2, 2.2, 1.0))
+    result = run_slam(lambda: recording.scans, Config(), 0.1, too_far)
+    assert result.odometry is not None
+    assert not any("as the floor" in line for line in result.warnings)
+
+
+def test_wall_ahead_of_sideways_motion_is_no_floor() -> None:
+    """A vehicle that drives faster to and from it than along it moves ahead on the whole."""
+    x_m = np.concatenate((np.zeros(120), 0.1 * np.arange(40), 0.1 * np.arange(40, 0, -1)))
+    y_m = np.append(0.03 * np.arange(120), np.full(80, 3.6))
+    there = np.column_stack((12.0 + x_m, 3.0 + y_m, np.zeros(200)))
+    xyyaw = np.vstack((there, there * (1, -1, 1) + (0, 9.6, 0)))
+    stamps_ns = 1_700_000_000_000_000_000 + 100_000_000 * np.arange(len(xyyaw))
+    recording = record(HALL, Trajectory(stamps_ns, xyyaw), FAR, 0.005)
+    assert not any("as the floor" in line for line in with_right_wheels(recording).warnings)
+
+
+def test_few_beams_that_meet_both_walls_of_an_aisle_see_no_floor() -> None:
+    """Of beams 4 deg apart, those beside the one straight ahead see as far at any place."""
+    aisle = np.vstack((polyline((0, -0.75), (60, -0.75), (60, 0.75), (0, 0.75), closed=True), box(9, 0.75, 0.9, 0.2)))
+    sparse = LaserSpec(-180 * DEG, 4 * DEG, 90, 0.05, 12.0, 0.0, 0.1)
+    recording = record(aisle, along([(3.0, 0.0), (30.0, 0.0)], speed_m_s=0.8), sparse, 0.005)
+    assert not any("as the floor" in line for line in with_right_wheels(recording).warnings)
+
+
+@pytest.mark.parametrize("speed_m_s", [0.8, 0.25], ids=["fast", "slow"])
+def test_round_wall_is_no_floor(speed_m_s: float) -> None:
+    """Along a circle the wall of a round room stays at its distance ahead; a slow vehicle hardly turns in a second."""
+    angles_rad = np.arange(0, 361, 3) * DEG
+    wall, path = (list(zip(r * np.cos(angles_rad), r * np.sin(angles_rad), strict=True)) for r in (5.0, 3.4))
     room = np.vstack((polyline(*wall), box(0.0, 0.0, 0.6, 0.6), box(1.0, 4.8, 0.5, 0.4)))
-    recording = record(room, along(path[:40], speed_m_s=0.8), SHORT, 0.003)
+    recording = record(room, along(path[:80], speed_m_s=speed_m_s), SHORT, 0.003)
     assert not any("as the floor" in line for line in with_right_wheels(recording).warnings)
 
 
