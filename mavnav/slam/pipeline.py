@@ -28,7 +28,7 @@ from mavnav.slam.result import SlamResult, summarize
 from mavnav.slam.retries.attempt import COARSER_VOXELS, Attempt, try_again
 from mavnav.slam.retries.beam_order import REVERSED_BEAMS
 from mavnav.slam.retries.beginning import track_from_good_beginning
-from mavnav.slam.retries.floor_line import without_floor
+from mavnav.slam.retries.floor_line import drives_along, without_floor
 from mavnav.slam.retries.levelling import as_recorded
 from mavnav.slam.retries.odometry import FITTING_ODOMETRY
 from mavnav.slam.retries.sweep_time import TIMED_SWEEPS
@@ -122,13 +122,10 @@ def run_slam(
 
 
 def track_without_floor(start: Track, attempts: Sequence[Attempt]) -> tuple[Track, Track]:
-    """Track a log without the floor that its laser sees; also return what the track begins with, first.
-
-    Odometry that is not used shows no floor.
-    """
+    """Track a log without the floor that its laser sees; also return what the track begins with, first."""
     cut = without_floor(start)
     track = track_with_odometry(cut, attempts)
-    return (cut, track) if cut is start or track.motion.odometry else (start, track_with_odometry(start, attempts))
+    return (cut, track) if cut is start or drives_along(track) else (start, track_with_odometry(start, attempts))
 
 
 def track_with_odometry(start: Track, attempts: Sequence[Attempt]) -> Track:

@@ -15,6 +15,7 @@ from msgspec.structs import replace
 
 from mavnav.pose import motions
 from mavnav.slam.matching.odometry_fit import LEAST_WINDOWS, MOST_WINDOWS, WINDOW_S
+from mavnav.slam.matching.steps import tracked_trajectory
 from mavnav.slam.retries.odometry import by_wheels
 from mavnav.units import DEG, NS
 
@@ -61,8 +62,17 @@ def without_floor(track: Track) -> Track:
     cut = replace(track, log_scans=partial(scans_before, track.log_scans, line_m))
     return cut.with_warning(
         f"what the laser sees {np.hypot(*line_m):.2g} m ahead moves along with the vehicle, as the floor does if the "
-        "laser is pitched down: returns from there on are left out; mount the laser level"
+        "laser is pitched down, or what is carried: returns from there on are left out; mount the laser level"
     )
+
+
+def drives_along(track: Track) -> bool:
+    """Return whether a track drives where its odometry does: wheels on a stand show no floor."""
+    if track.motion.odometry is not None:
+        return True
+    path = tracked_trajectory(track.steps)
+    by_wheels_m = np.hypot(*np.diff(by_wheels(track, path.stamps_ns)[:, :2], axis=0).T)
+    return bool(path.length_m > STAYS * np.nansum(by_wheels_m))
 
 
 def scans_before(log_scans: LogScans, line_m: Floats) -> Iterator[Scan]:
