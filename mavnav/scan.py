@@ -12,6 +12,8 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Line = tuple[float, float]
+"""The nearest point of a line, x and y, m, laser frame."""
 
 SAME_RAD: Final = 1e-5
 """Bearings no farther apart are one: angles are stored with 24 bits."""
@@ -184,6 +186,13 @@ class Scan(Struct, frozen=True):
         """Return the end points of the valid beams in the laser's frame, (n, 2) in metres."""
         good = np.isfinite(self.ranges_m)
         return self.ranges_m[good, None] * self.spec.directions[good]
+
+
+def scan_before(scan: Scan, line_m: Line) -> Scan:
+    """Return a scan without the returns at a line and past it; ``line_m`` is its nearest point, m, laser frame."""
+    past = scan.ranges_m * (scan.spec.directions @ line_m) >= float(np.dot(line_m, line_m))
+    heights_m = None if scan.heights_m is None else np.where(past, np.nan, scan.heights_m)
+    return replace(scan, ranges_m=np.where(past, np.nan, scan.ranges_m), heights_m=heights_m)
 
 
 def level_scan(

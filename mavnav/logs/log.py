@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Final, Literal
 
 import numpy as np
@@ -25,7 +26,7 @@ from mavnav.logs.stamps import Clock, StampSource
 from mavnav.logs.topic_scans import KEPT_BYTES
 from mavnav.pose import Pose
 from mavnav.profiling import Stage, each
-from mavnav.scan import LONGEST_SWEEP, LaserSpec, Scan
+from mavnav.scan import LONGEST_SWEEP, LaserSpec, Line, Scan, scan_before
 from mavnav.units import NS
 
 _MOST_WAITING: Final = 64
@@ -91,6 +92,8 @@ class Log(LogContents, frozen=True, eq=False, kw_only=True):
         Whether the laser is mounted upside down; the beams of `scans` are turned over then.
     none_m
         Range in m that stands for no return, and is left out of `scans`; None if none does.
+    floor_m
+        Nearest point of a line, m, laser frame, from which on returns are left out of `scans`; None if none are.
     own_beams
         Which beams (n,) see the robot itself, and are left out of `scans`; None if none do.
     odometry
@@ -122,6 +125,7 @@ class Log(LogContents, frozen=True, eq=False, kw_only=True):
     base_frame: str | None = None
     upside_down: bool = False
     none_m: float | None = None
+    floor_m: Line | None = None
     own_beams: NDArray[np.bool_] | None = None
     odometry: Odometry | None = None
     imu: Imu | None = None
@@ -182,8 +186,13 @@ class Log(LogContents, frozen=True, eq=False, kw_only=True):
         """Return the log with scans that are not levelled."""
         return replace(self, attitude=None, _kept=[])
 
+    def without_floor(self, floor_m: Line) -> Log:
+        """Return the log without returns at a line and past it (`scan_before`)."""
+        return replace(self, floor_m=floor_m, _kept=[])
+
     def _level_scans(self) -> Iterator[Scan]:
-        return self._scans() if self.attitude is None else map(self.attitude.level, self._scans())
+        scans = self._scans() if self.attitude is None else map(self.attitude.level, self._scans())
+        return scans if self.floor_m is None else map(partial(scan_before, line_m=self.floor_m), scans)
 
     def _scans(self) -> Iterator[Scan]:
         """Read the usable scans again from the file, as ``scans`` gives them.

@@ -216,6 +216,7 @@ def _track_and_write(
     outcome = _track(request, log, config, given.known, progress, stop)
     outcome = changed(outcome, warnings=(*warnings, *outcome.warnings))
     log = log.as_recorded() if TrackedAgain(AS_RECORDED, kept=True) in outcome.attempts else log
+    log = log.without_floor(outcome.floor_m) if outcome.floor_m else log
     stopped = stop()
     if stopped is not None and not len(outcome.trajectory):
         raise StoppedError(f"{request.log}: stopped before the first pose; nothing is written", stopped)

@@ -10,6 +10,7 @@ from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from mavnav.pose import Pose, Trajectory
+from mavnav.scan import Line
 from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, OdometryFit
 from mavnav.slam.matching.steps import Step, Steps
 
@@ -123,7 +124,7 @@ class Findings(Struct, frozen=True):
     (n, 6) their Hessians, from which covariances are computed; empty before the final pass. ``doubt`` is None where it
     was not judged. ``map_T_begin`` is the pose at which the scan that begins the map was put in the map frame, if it
     was. ``odometry`` is what corrects the odometry; ``sweep_s`` the time of a sweep where it is another than stated,
-    None where it is not.
+    None where it is not. ``floor_m`` is the line from which on returns are left out (`scan_before`), if any are.
     """
 
     warnings: tuple[str, ...] = ()
@@ -139,3 +140,4 @@ class Findings(Struct, frozen=True):
     map_T_begin: Pose | None = None
     sweep_s: float | None = None
     odometry: OdometryFit = GOOD_ODOMETRY
+    floor_m: Line | None = None

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.mapping.occupancy_grid import Grid
+    from mavnav.scan import Line
     from mavnav.slam.track import Track
 
 MOST_SCATTERED = 0.2
@@ -45,7 +46,8 @@ class SlamResult(Struct, frozen=True):
     was not judged. ``begin_ns`` is the stamp of the scan that begins the map and defines the map frame; None where
     nothing was tracked. It is put at ``map_T_begin``, else at the origin. ``odometry`` is what corrects the odometry
     that is used; None if none is. ``sweep_s`` is the time of a sweep where it is another than stated, else None.
-    ``bridges`` are poses of lost scans by odometry.
+    ``bridges`` are poses of lost scans by odometry. ``floor_m`` is the line from which on returns are left out
+    (`scan_before`), if any are.
     """
 
     steps: Steps
@@ -63,6 +65,7 @@ class SlamResult(Struct, frozen=True):
     sweep_s: float | None = None
     bridges: Bridges = field(default_factory=Bridges)
     map_T_begin: Pose | None = None
+    floor_m: Line | None = None
 
     @property
     def path(self) -> Trajectory:
@@ -122,6 +125,7 @@ def summarize(track: Track) -> SlamResult:
         findings.sweep_s,
         bridges,
         findings.map_T_begin,
+        findings.floor_m,
     )
 
 

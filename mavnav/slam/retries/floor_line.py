@@ -7,25 +7,23 @@ No wall stays at its distance while the vehicle drives straight on, and no laser
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from msgspec.structs import replace
 
 from mavnav.pose import motions
+from mavnav.scan import scan_before
 from mavnav.slam.matching.odometry_fit import LEAST_WINDOWS, MOST_WINDOWS, WINDOW_S
 from mavnav.slam.matching.steps import tracked_trajectory
 from mavnav.slam.retries.odometry import by_wheels
 from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from numpy.typing import NDArray
 
     from mavnav.scan import Scan
-    from mavnav.slam.track import LogScans, Track
+    from mavnav.slam.track import Track
 
     Floats = NDArray[np.float64]
 
@@ -59,8 +57,9 @@ def without_floor(track: Track) -> Track:
     line_m = floor_line(track) if track.refiner and track.motion.odometry else None
     if line_m is None:
         return track
-    cut = replace(track, log_scans=partial(scans_before, track.log_scans, line_m))
-    return cut.with_warning(
+    x_m, y_m = ((1.0 - NEAR) * line_m).tolist()
+    cut = replace(track, log_scans=lambda: (scan_before(scan, (x_m, y_m)) for scan in track.log_scans()))
+    return cut.with_findings(floor_m=(x_m, y_m)).with_warning(
         f"what the laser sees {np.hypot(*line_m):.2g} m ahead moves along with the vehicle, as the floor does if the "
         "laser is pitched down, or what is carried: returns from there on are left out; mount the laser level"
     )
@@ -73,15 +72,6 @@ def drives_along(track: Track) -> bool:
     path = tracked_trajectory(track.steps)
     by_wheels_m = np.hypot(*np.diff(by_wheels(track, path.stamps_ns)[:, :2], axis=0).T)
     return bool(path.length_m > STAYS * np.nansum(by_wheels_m))
-
-
-def scans_before(log_scans: LogScans, line_m: Floats) -> Iterator[Scan]:
-    """Yield all scans of a log without the returns at a line and past it; ``line_m`` (2,) is its nearest point, m."""
-    limit_m2 = (1.0 - NEAR) * float(line_m @ line_m)
-    for scan in log_scans():
-        past = scan.ranges_m * (scan.spec.directions @ line_m) > limit_m2
-        heights_m = None if scan.heights_m is None else np.where(past, np.nan, scan.heights_m)
-        yield replace(scan, ranges_m=np.where(past, np.nan, scan.ranges_m), heights_m=heights_m)
 
 
 def floor_line(track: Track) -> Floats | None:

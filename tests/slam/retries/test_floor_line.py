@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
 from mavnav.config.models import Config
+from mavnav.logs import open_log
+from mavnav.logs.writing.recorder import Recording as Recorded
+from mavnav.logs.writing.recorder import record as write
+from mavnav.pipelines.replay import ReplayRequest, replay_log
 from mavnav.pose import Trajectory
 from mavnav.scan import LaserSpec
 from mavnav.slam.pipeline import run_slam
@@ -37,6 +43,18 @@ def test_floor_ahead_does_not_hold_the_track(floor: Segments) -> None:
     off_m = np.hypot(*(result.trajectory.xyyaw - recording.map_T_laser.xyyaw)[:, :2].T)
     assert off_m.max() < 0.2
     assert "moves along with the vehicle, as the floor does" in result.warnings[0]
+
+
+def test_floor_is_no_wall_that_the_map_lacks(tmp_path: Path) -> None:
+    """It counted among the walls that the laser saw: 25 % of them could be measured, and the right map was suspect."""
+    drive = record(CORRIDOR, along(OUT_AND_BACK[:2], speed_m_s=0.8), SHORT, 0.003, carried=FLOOR)
+    write(Recorded(drive.scans, drive.map_T_laser, Trajectory.of([], [])), tmp_path / "pitched.mcap")
+    request = ReplayRequest(tmp_path / "pitched.mcap", tmp_path / "run", Config())
+    _, document = replay_log(request, lambda *_: None, 0.0)
+    assert document["verdict"]["word"] == "good"
+    kept = list(open_log(tmp_path / "run" / "result.mcap").scans())
+    assert len(kept) == len(drive.scans)
+    assert all((scan.points()[:, 0] < 3.7).all() for scan in kept)
 
 
 @pytest.mark.parametrize("carried", [NOTHING, box(0.5, 0.0, 0.1, 0.2)], ids=["nothing", "a post"])
