@@ -176,10 +176,10 @@ class Log(LogContents, frozen=True, eq=False, kw_only=True):
         They are levelled by the attitude, if there is one.
         """
         if 8 * self.sensor.beams * len(self._order) > KEPT_BYTES:
-            return each("reading", self._level_scans())
+            return each("reading", self._prepared_scans())
         if not self._kept:
             with Stage("reading"):
-                self._kept.extend(self._level_scans())
+                self._kept.extend(self._prepared_scans())
         return iter(self._kept)
 
     def as_recorded(self) -> Log:
@@ -190,7 +190,7 @@ class Log(LogContents, frozen=True, eq=False, kw_only=True):
         """Return the log without returns at a line and past it (`scan_before`)."""
         return replace(self, floor_m=floor_m, _kept=[])
 
-    def _level_scans(self) -> Iterator[Scan]:
+    def _prepared_scans(self) -> Iterator[Scan]:
         scans = self._scans() if self.attitude is None else map(self.attitude.level, self._scans())
         return scans if self.floor_m is None else map(partial(scan_before, line_m=self.floor_m), scans)
 

@@ -22,8 +22,8 @@ from mavnav.units import DEG, NS
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.scan import Scan
-    from mavnav.slam.track import Track
+    from mavnav.scan import Line, Scan
+    from mavnav.slam.track import LogScans, Track
 
     Floats = NDArray[np.float64]
 
@@ -58,11 +58,16 @@ def without_floor(track: Track) -> Track:
     if line_m is None:
         return track
     x_m, y_m = ((1.0 - NEAR) * line_m).tolist()
-    cut = replace(track, log_scans=lambda: (scan_before(scan, (x_m, y_m)) for scan in track.log_scans()))
+    cut = replace(track, log_scans=scans_before(track.log_scans, (x_m, y_m)))
     return cut.with_findings(floor_m=(x_m, y_m)).with_warning(
         f"what the laser sees {np.hypot(*line_m):.2g} m ahead moves along with the vehicle, as the floor does if the "
         "laser is pitched down, or what is carried: returns from there on are left out; mount the laser level"
     )
+
+
+def scans_before(log_scans: LogScans, floor_m: Line | None) -> LogScans:
+    """Return the scans of a log without the returns at a line and past it, all returns without a line."""
+    return log_scans if floor_m is None else lambda: (scan_before(scan, floor_m) for scan in log_scans())
 
 
 def drives_along(track: Track) -> bool:
@@ -79,7 +84,7 @@ def floor_line(track: Track) -> Floats | None:
 
     The line is ahead or behind.
     """
-    begins, ends, moved_m, turned_rad = straight_motions(track)
+    begins, ends, moved = straight_motions(track)
     if len(begins) < LEAST_WINDOWS:
         return None
     rows = np.unique((begins, ends))
@@ -88,17 +93,17 @@ def floor_line(track: Track) -> Floats | None:
     if len(scans) < len(rows):  # the run is stopped
         return None
     begins, ends = np.searchsorted(rows, begins), np.searchsorted(rows, ends)
-    axis = np.exp(0.5j * np.angle(np.square(moved_m).sum()))  # of motions forward and backward
+    axis = np.exp(0.5j * np.angle(np.square(moved[:, :2] @ (1.0, 1j)).sum()))  # of motions forward and backward
     for ahead in (np.array((axis.real, axis.imag)), -np.array((axis.real, axis.imag))):
         line_m = line_ahead([scans[row] for row in begins], ahead)
         distance_m = np.hypot(*line_m)
         across = line_m / max(distance_m, 1e-9)
         seen_m, farthest_m = np.array([reach_m(scan, ahead, across) for scan in scans]).T
-        toward_m = moved_m.real * across[0] + moved_m.imag * across[1]  # not sideways
+        toward_m = moved[:, :2] @ across  # not sideways
         past = farthest_m[begins] > (1.0 + NEAR) * distance_m
         near = np.abs(seen_m[begins] - distance_m) < NEAR * distance_m
         nearer_m = (seen_m[begins] - seen_m[ends]) * np.sign(toward_m)
-        straight = np.abs(turned_rad) * distance_m < STAYS * np.abs(toward_m)  # along a curve walls may stay
+        straight = np.abs(moved[:, 2]) * distance_m < STAYS * np.abs(toward_m)  # along a curve walls may stay
         shown = near & straight & ~past & (np.abs(nearer_m) < STAYS * np.abs(toward_m))
         if shown.mean() < LEAST_SHARE or past.mean() > MOST_PAST or ahead @ across < np.cos(MOST_OBLIQUE_RAD):
             continue
@@ -107,21 +112,19 @@ def floor_line(track: Track) -> Floats | None:
     return None
 
 
-def straight_motions(track: Track) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.complex128], Floats]:
-    """Return between which scans (n,) and (n,) odometry drives straight on, how far, and the turns (n,), rad.
+def straight_motions(track: Track) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats]:
+    """Return between which scans (n,) and (n,) odometry drives straight on, and the motions (n, 3), m and rad.
 
-    How far is in m, as complex numbers (n,).
-    They are a second apart or a little more, and ``MOST_WINDOWS`` at most, spread over the log.
+    They take a second or a little more, and are ``MOST_WINDOWS`` at most, spread over the log.
     """
     stamps_ns = np.array([scan.stamp_ns for scan in track.log_scans()], np.int64)
     ends = np.searchsorted(stamps_ns, stamps_ns + round(WINDOW_S / NS))
     begins = np.flatnonzero(ends < len(stamps_ns))
     begins = begins[(stamps_ns[ends[begins]] - stamps_ns[begins]) * NS < 2.0 * WINDOW_S]
     moved = motions(by_wheels(track, stamps_ns), begins, ends[begins])
-    moved_m: NDArray[np.complex128] = moved[:, :2] @ np.array((1.0, 1j))
-    driving = np.flatnonzero((np.abs(moved_m) >= LEAST_MOVED_M) & (np.abs(moved[:, 2]) < STRAIGHT_RAD))
+    driving = np.flatnonzero((np.hypot(*moved[:, :2].T) >= LEAST_MOVED_M) & (np.abs(moved[:, 2]) < STRAIGHT_RAD))
     driving = driving[:: 1 + len(driving) // MOST_WINDOWS]
-    return begins[driving], ends[begins[driving]], moved_m[driving], moved[driving, 2]
+    return begins[driving], ends[begins[driving]], moved[driving]
 
 
 def line_ahead(scans: list[Scan], ahead: Floats) -> Floats:

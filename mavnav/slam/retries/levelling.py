@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 from msgspec.structs import replace
 
 from mavnav.slam.retries.attempt import Attempt, is_sharper
+from mavnav.slam.retries.floor_line import scans_before
 
 if TYPE_CHECKING:
     from mavnav.slam.track import LogScans, Track
@@ -27,6 +28,6 @@ def as_recorded(recorded: LogScans) -> Attempt:
     """Return the attempt to track the scans of a log that are not levelled."""
 
     def use_recorded(track: Track) -> Track:
-        return replace(track, log_scans=recorded).with_warning(WARNING)
+        return replace(track, log_scans=scans_before(recorded, track.findings.floor_m)).with_warning(WARNING)
 
     return Attempt(AS_RECORDED, use_recorded, is_sharper)

@@ -15,8 +15,12 @@ from mavnav.logs.writing.recorder import record as write
 from mavnav.pipelines.replay import ReplayRequest, replay_log
 from mavnav.pose import Trajectory
 from mavnav.scan import LaserSpec
+from mavnav.slam.matching.motion_model import Motion
+from mavnav.slam.methods.registry import make_method
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.result import SlamResult
+from mavnav.slam.retries.levelling import as_recorded
+from mavnav.slam.track import Track
 from support.synthetic import DEG, NOTHING, SHORT, Recording, Segments, along, box, polyline, record
 
 CORRIDOR = np.vstack(
@@ -114,3 +118,11 @@ def test_odometry_of_a_laser_at_rest_shows_no_floor() -> None:
     result = run_slam(lambda: recording.scans, Config(), 0.1, path)
     assert result.odometry is None
     assert not any("as the floor" in line for line in result.warnings)
+
+
+def test_floor_is_left_out_of_scans_as_recorded_too() -> None:
+    recording = record(CORRIDOR, along(OUT_AND_BACK[:2], speed_m_s=0.8), SHORT, 0.003, carried=FLOOR)
+    begin = Track(list, Config(), Motion(0.1), make_method(Config())).with_findings(floor_m=(3.0, 0.0))
+    track = as_recorded(lambda: recording.scans).change(begin)
+    assert track is not None
+    assert all((scan.points()[:, 0] < 3.0).all() for scan in track.log_scans())
