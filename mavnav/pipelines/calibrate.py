@@ -32,14 +32,14 @@ from mavnav.outputs.pictures import calibration_picture
 from mavnav.outputs.report.summary_page import calibration_summary, draw_png, write_summary
 from mavnav.outputs.run import half_sweep_s
 from mavnav.pipelines.maps import config_for_log
-from mavnav.pose import Pose
+from mavnav.pose import Pose, correct_path
 from mavnav.profiling import Progress
 from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, LogOdometry, fit_odometry
 from mavnav.slam.methods.registry import load_kernels
 from mavnav.slam.pipeline import MEASURING, run_slam
 from mavnav.slam.result import SlamResult
 from mavnav.slam.retries import beam_order
-from mavnav.units import DEG
+from mavnav.units import DEG, NS
 from mavnav.version import DOCUMENT_HEAD
 
 MOUNTING: Final = ("x_m", "y_m", "yaw_deg")
@@ -75,15 +75,20 @@ def calibrate(request: CalibrationRequest, progress: Progress) -> dict[str, Any]
     log = _open(request, progress)
     load_kernels(request.config, progress)
     config, warnings = config_for_log(request.config, log)
+    odometry = log.odometry
+    assert odometry  # noqa: S101  checked by `_open`
     outcome = run_slam(
         log.scans,
         config,
         log.period_s,
+        correct_path(odometry.odom_T_laser, -round(log.mid_sweep_s / NS)),
         rotation=log.imu.rotation if log.imu else None,
         on_step=lambda phase, done: progress(phase, done, log.counts.usable),
         last=MEASURING,
+        base_T_laser=log.base_T_laser or Pose(),
         start_s=log.start_s,
-        recorded_ns=log.odometry.recorded_ns if log.odometry else None,
+        recorded_ns=odometry.recorded_ns,
+        predicting=False,
     )
     outcome = replace(outcome, warnings=(*warnings, *outcome.warnings))
     progress("calibrating", 0, None)

@@ -80,6 +80,7 @@ def run_slam(
     placement: Placement | None = None,
     start_s: float = 0.0,
     recorded_ns: NDArray[np.int64] | None = None,
+    predicting: bool = True,
 ) -> SlamResult:
     """Run the configured method over a recorded log.
 
@@ -88,7 +89,7 @@ def run_slam(
     log_scans : returns the scans; every call starts at the first scan
     config : the method, its search grids and its parameters
     period_s : the sensor's time between scans, 0 if unknown
-    odom_T_laser : odometry of the laser, used as the prediction
+    odom_T_laser : odometry of the laser, used as the prediction; where not ``predicting``, only to show the floor
     on_step : called with the name of the pass ("track", "close loops", "final pass", ...) and the number of scans done
     prior_map : localize in this map, which is not changed, instead of building one
     rotation : measurements of an inertial sensor: its yaw rate predicts turns where odometry does not, its tilt is
@@ -116,16 +117,19 @@ def run_slam(
     start = replace(start.with_findings(odometry=fit), placement=placement, start_s=start_s)
     start = start if recorded_ns is None else replace(start, recorded_ns=recorded_ns)
     unlevelled = (as_recorded(recorded),) if recorded else ()
-    start, track = track_without_floor(start, (*FITTING_ODOMETRY, *unlevelled))  # steps 1 to 8 first
+    start, track = track_without_floor(start, (*FITTING_ODOMETRY, *unlevelled), predicting)  # steps 1 to 8 first
     track = try_again(or_with_own_map(track, start), ATTEMPTS)
     return summarize(after(track, (*RECOVERING, *CHECKING, *last)))
 
 
-def track_without_floor(start: Track, attempts: Sequence[Attempt]) -> tuple[Track, Track]:
+def track_without_floor(start: Track, attempts: Sequence[Attempt], predicting: bool) -> tuple[Track, Track]:
     """Track a log without the floor that its laser sees; also return what the track begins with, first."""
     cut = without_floor(start)
-    track = track_with_odometry(cut, attempts)
-    return (cut, track) if cut is start or drives_along(track) else (start, track_with_odometry(start, attempts))
+    begin, whole = (each if predicting else each.without_odometry() for each in (cut, start))
+    track = track_with_odometry(begin, attempts)
+    if cut is start or drives_along(track, start):
+        return begin, track
+    return whole, track_with_odometry(whole, attempts)
 
 
 def track_with_odometry(start: Track, attempts: Sequence[Attempt]) -> Track:

@@ -77,6 +77,10 @@ class Track(Struct, frozen=True):
         """Whether the log has odometry, but it contradicts the scans and is not used."""
         return self.log_odometry is not None and self.motion.odometry is None
 
+    def without_odometry(self) -> Track:
+        """Return the track as of a log without odometry."""
+        return replace(self, motion=self.motion._replace(odometry=None), log_odometry=None)
+
     def with_findings(self, **changes: Any) -> Track:  # noqa: ANN401
         """Return the track with new values of some fields of its findings."""
         return replace(self, findings=replace(self.findings, **changes))

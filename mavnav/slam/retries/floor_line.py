@@ -70,12 +70,12 @@ def scans_before(log_scans: LogScans, floor_m: Line | None) -> LogScans:
     return log_scans if floor_m is None else lambda: (scan_before(scan, floor_m) for scan in log_scans())
 
 
-def drives_along(track: Track) -> bool:
-    """Return whether a track drives where its odometry does: wheels on a stand show no floor."""
+def drives_along(track: Track, start: Track) -> bool:
+    """Return whether a track drives where the odometry at its start does: wheels on a stand show no floor."""
     if track.motion.odometry is not None:
         return True
     path = tracked_trajectory(track.steps)
-    by_wheels_m = np.hypot(*np.diff(by_wheels(track, path.stamps_ns)[:, :2], axis=0).T)
+    by_wheels_m = np.hypot(*np.diff(by_wheels(start, path.stamps_ns)[:, :2], axis=0).T)
     return bool(path.length_m > STAYS * np.nansum(by_wheels_m))
 
 

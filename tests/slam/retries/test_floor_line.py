@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+import mavnav as api
 from mavnav.config.models import Config
 from mavnav.logs import open_log
 from mavnav.logs.writing.recorder import Recording as Recorded
@@ -59,6 +60,16 @@ def test_floor_is_no_wall_that_the_map_lacks(tmp_path: Path) -> None:
     kept = list(open_log(tmp_path / "run" / "result.mcap").scans())
     assert len(kept) == len(drive.scans)
     assert all((scan.points()[:, 0] < 3.7).all() for scan in kept)
+
+
+def test_calibration_leaves_the_floor_out(tmp_path: Path) -> None:
+    """Its track has no odometry: it stood still, and nothing was determined."""
+    drive = record(CORRIDOR, along(OUT_AND_BACK, speed_m_s=0.8), SHORT, 0.003, carried=FLOOR)
+    write(Recorded(drive.scans, drive.map_T_laser, Trajectory.of([], [])), tmp_path / "pitched.mcap")
+    document = api.calibrate(tmp_path / "pitched.mcap")
+    scale = next(row for row in document["quantities"] if row["name"] == "distance_scale")
+    assert scale["agrees"], scale
+    assert [line for line in document["warnings"] if "as the floor does" in line]
 
 
 @pytest.mark.parametrize("carried", [NOTHING, box(0.5, 0.0, 0.1, 0.2)], ids=["nothing", "a post"])
