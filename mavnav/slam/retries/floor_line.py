@@ -2,7 +2,8 @@
 
 A beam 3 deg down meets the floor a few meters ahead. Along a corridor these returns are a line across the one direction
 that walls leave open: a track that takes it for a wall stands still, every scan fits, and right odometry seems to err.
-No wall stays at its distance while the vehicle drives straight on, and no laser sees anything past the floor.
+Every wall comes nearer while the vehicle drives straight on, the floor as often does not, however the pitch varies, and
+no laser sees anything past it.
 """
 
 from __future__ import annotations
@@ -37,9 +38,13 @@ driving direction of the beams that look straight ahead, as others meet the side
 MOST_OBLIQUE_RAD: Final = 45 * DEG
 """Largest angle by which the line is oblique: the laser rolls as much as it pitches, or is turned on the vehicle."""
 
+VARIES, NEAREST = 0.33, 0.05
+"""Share of its distance by which the floor is nearer or farther where the pitch varies by 1 deg, as on soft suspension,
+and share of the scans in which it may be nearer than where it is taken to be."""
+
 STAYS, NEAR = 0.5, 0.1
-"""Share of the motion, across the line, by which its distance may change, and share of that distance within which it
-stays: that to the floor changes by 7 % where a laser 3 deg down pitches by another 0.2 deg."""
+"""Share of the motion, across the line, by which most motions bring no floor nearer, nor farther in the median; and
+share of its distance, as roll and noise change it, past which a scan sees nothing, and before which it is left out."""
 
 APPROACHES: Final = 0.2
 """Share of the motion by which a wall comes nearer in the median where odometry counts too far; the floor does not."""
@@ -100,15 +105,16 @@ def floor_line(track: Track) -> Floats | None:
         across = line_m / max(distance_m, 1e-9)
         seen_m, farthest_m = np.array([reach_m(scan, ahead, across) for scan in scans]).T
         toward_m = moved[:, :2] @ across  # not sideways
-        past = farthest_m[begins] > (1.0 + NEAR) * distance_m
-        near = np.abs(seen_m[begins] - distance_m) < NEAR * distance_m
-        nearer_m = (seen_m[begins] - seen_m[ends]) * np.sign(toward_m)
+        near = np.abs(seen_m[begins] - distance_m) < VARIES * distance_m
+        past = farthest_m[begins] > (1.0 + NEAR) * np.clip(seen_m[begins], distance_m, (1.0 + VARIES) * distance_m)
+        nearer = (seen_m[begins] - seen_m[ends]) / np.where(toward_m, toward_m, np.inf)
         straight = np.abs(moved[:, 2]) * distance_m < STAYS * np.abs(toward_m)  # along a curve walls may stay
-        shown = near & straight & ~past & (np.abs(nearer_m) < STAYS * np.abs(toward_m))
+        line = near & straight & ~past
+        shown = line & (nearer < STAYS)
         if shown.mean() < LEAST_SHARE or past.mean() > MOST_PAST or ahead @ across < np.cos(MOST_OBLIQUE_RAD):
             continue
-        if np.median(nearer_m[shown] / np.abs(toward_m[shown])) < APPROACHES:
-            return line_m
+        if np.median(nearer[shown]) < APPROACHES and np.median(nearer[line]) > -STAYS:
+            return np.asarray(np.quantile(seen_m[begins[shown]], NEAREST) * across)
     return None
 
 

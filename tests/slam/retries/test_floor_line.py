@@ -14,7 +14,7 @@ from mavnav.logs import open_log
 from mavnav.logs.writing.recorder import Recording as Recorded
 from mavnav.logs.writing.recorder import record as write
 from mavnav.pipelines.replay import ReplayRequest, replay_log
-from mavnav.pose import Trajectory
+from mavnav.pose import Pose, Trajectory
 from mavnav.scan import LaserSpec
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.methods.registry import make_method
@@ -44,6 +44,21 @@ def with_right_wheels(recording: Recording) -> SlamResult:
 def test_floor_ahead_does_not_hold_the_track(floor: Segments) -> None:
     """The track stood still with it for most of the way, and was hardly doubted."""
     recording = record(CORRIDOR, along(OUT_AND_BACK, speed_m_s=0.8), SHORT, 0.003, carried=floor)
+    result = with_right_wheels(recording)
+    off_m = np.hypot(*(result.trajectory.xyyaw - recording.map_T_laser.xyyaw)[:, :2].T)
+    assert off_m.max() < 0.2
+    assert "moves along with the vehicle, as the floor does" in result.warnings[0]
+
+
+@pytest.mark.parametrize("periods_s", [1.7, 12.0], ids=["soft suspension", "slow"])
+def test_floor_at_a_distance_that_varies_does_not_hold_the_track(periods_s: float) -> None:
+    """The pitch varies by 0.7 deg, and the distance by more than the vehicle drives in a second."""
+    path, scans = along(OUT_AND_BACK, speed_m_s=0.8), []
+    for k in range(len(path)):
+        x_m = 4.0 + 0.8 * np.sin(2.0 * np.pi * 0.1 * k / periods_s)
+        floor, here = polyline((x_m, -9.0), (x_m, 9.0)), Trajectory(path.stamps_ns[[k]], path.xyyaw[[k]])
+        scans += record(CORRIDOR, here, SHORT, 0.003, seed=k, carried=floor).scans
+    recording = Recording(scans, path)
     result = with_right_wheels(recording)
     off_m = np.hypot(*(result.trajectory.xyyaw - recording.map_T_laser.xyyaw)[:, :2].T)
     assert off_m.max() < 0.2
@@ -89,6 +104,14 @@ def test_odometry_that_counts_too_far_shows_no_floor() -> None:
     too_far = Trajectory(recording.map_T_laser.stamps_ns, recording.map_T_laser.xyyaw * (2.2, 2.2, 1.0))
     result = run_slam(lambda: recording.scans, Config(), 0.1, too_far)
     assert result.odometry is not None
+    assert not any("as the floor" in line for line in result.warnings)
+
+
+def test_walls_of_a_laser_that_looks_back_unknown_to_the_odometry_are_no_floor() -> None:
+    """Walls behind recede as those ahead should come nearer."""
+    path = along([(3.0, 5.0), (16.0, 5.2)], speed_m_s=0.8)
+    turned = path.compose(Pose(0.0, 0.0, np.pi))
+    result = run_slam(lambda: record(HALL, turned, FAR, 0.01).scans, Config(), 0.1, path)
     assert not any("as the floor" in line for line in result.warnings)
 
 
