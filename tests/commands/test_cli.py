@@ -92,6 +92,28 @@ def test_an_option_is_suggested_where_it_is_near_else_the_help_of_the_command(
     assert mavnav(*line.split()) == (ExitCode.USAGE, "", f"mavnav: error: {what}\n")
 
 
+@pytest.mark.parametrize(
+    ("line", "place"),
+    [
+        (["replay", ""], "what follows replay"),
+        (["batch", "logs", ""], "what follows logs"),
+        (["merge", "", ""], "what follows merge"),
+        (["replay", "a.bag", "-o", ""], "what follows -o"),
+        (["replay", "a.bag", "--map="], "--map="),
+        (["config", "show", " "], "what follows show"),
+        ([""], "what follows mavnav"),
+    ],
+)
+def test_an_empty_argument_is_not_the_current_folder(
+    mavnav: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: list[str], place: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("a.bag").touch()
+    said = f"mavnav: error: {place} is empty, as of a shell variable that is not set; give it a value, or leave it out\n"
+    assert mavnav(*line) == (ExitCode.USAGE, "", said)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.bag"]
+
+
 def test_completion_answers(spawn: Callable) -> None:
     process = spawn(_MAVNAV_COMPLETE="complete_bash", COMP_WORDS="mavnav re", COMP_CWORD="1")
     out, _ = process.communicate(timeout=30)
