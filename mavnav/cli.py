@@ -126,9 +126,10 @@ def run(args: Sequence[str], *, debug: bool = False) -> int:
 def _check_words(args: Sequence[str]) -> None:
     """Raise UsageError for an empty argument: a path that is empty would be the current folder."""
     for before, word in pairwise(["mavnav", *args]):
-        if not word.strip() or (word.startswith("--") and word.endswith("=") and word.count("=") == 1):
-            place = f"what follows {before}" if not word.strip() else word
-            raise UsageError(f"{place} is empty, as of a shell variable that is not set; give it a value, or leave it out")
+        place = word if re.fullmatch("--[a-z-]+=", word) else "" if word.strip() else f"what follows {before}"
+        if place:
+            advice = "give it a value, or leave it out"
+            raise UsageError(f"{place} is empty, as of a shell variable that is not set; {advice}")
 
 
 def _explain(error: BaseException) -> int:
