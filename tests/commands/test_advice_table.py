@@ -23,6 +23,7 @@ TRIED = {
         "start them with dask worker --memory-limit": "test_a_worker_that_is_started_with_a_limit_keeps_it",
         "if the memory ran out, allow more": "test_a_job_that_is_killed_for_its_memory_ends_where_more_is_allowed",
     },
+    "jobs/test_pool.py": {"allow more with --memory-mb": "test_memory_is_limited"},
     "batch/test_batch.py": {
         "add it with --update-baseline and": "test_a_tolerance_for_a_metric_that_the_baseline_lacks_fails_its_gate"
     },
