@@ -124,12 +124,15 @@ def run(args: Sequence[str], *, debug: bool = False) -> int:
 
 
 def _check_words(args: Sequence[str]) -> None:
-    """Raise UsageError for an empty argument: a path that is empty would be the current folder."""
-    for before, word in pairwise(["mavnav", *args]):
+    """Raise UsageError for an empty argument, which as a path is the current folder, and for ``-o=DIR``, ``=DIR``."""
+    ended = args.index("--") if "--" in args else len(args)
+    for number, (before, word) in enumerate(pairwise(["mavnav", *args])):
         place = word if re.fullmatch("--[a-z-]+=", word) else "" if word.strip() else f"what follows {before}"
         if place:
             advice = "give it a value, or leave it out"
             raise UsageError(f"{place} is empty, as of a shell variable that is not set; {advice}")
+        if number < ended and re.match("-[a-z]=", word):
+            raise UsageError(f"{word} has a sign of equality too many; write {word[:2]} {word[3:]}")
 
 
 def _explain(error: BaseException) -> int:

@@ -101,6 +101,7 @@ def test_an_option_is_suggested_where_it_is_near_else_the_help_of_the_command(
         (["replay", "a.bag", "-o", ""], "what follows -o"),
         (["replay", "a.bag", "--map="], "--map="),
         (["config", "show", " "], "what follows show"),
+        (["info", "--", ""], "what follows --"),
         ([""], "what follows mavnav"),
     ],
 )
@@ -113,6 +114,12 @@ def test_an_empty_argument_is_not_the_current_folder(
     assert (code, out) == (ExitCode.USAGE, "")
     assert err.startswith(f"mavnav: error: {place} is empty, as of a shell variable that is not set; ")
     assert [path.name for path in tmp_path.iterdir()] == ["a.bag"]
+
+
+def test_a_letter_takes_its_value_without_a_sign_of_equality(mavnav: Callable) -> None:
+    said = "mavnav: error: -o=out has a sign of equality too many; write -o out\n"
+    assert mavnav("replay", "gone.bag", "-o=out") == (ExitCode.USAGE, "", said)
+    assert "-o=out: no such file" in mavnav("info", "--", "-o=out")[2]
 
 
 def test_completion_answers(spawn: Callable) -> None:
