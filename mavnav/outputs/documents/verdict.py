@@ -118,11 +118,13 @@ def _not_joined(run: Run) -> Cause:
     if not continued or continued["joined"]:
         return None
     why = f"{continued['name']} did not join {continued['run']}: {continued['why']}; it is alone in a frame of its own"
-    return why, joining_advice(continued["why"])
+    return why, joining_advice(continued["why"], run["scans"]["tracked"])
 
 
-def joining_advice(why: str) -> str:
-    """Return what to do about a session that did not join for a reason."""
+def joining_advice(why: str, tracked: int) -> str:
+    """Return what to do about a session with so many tracked scans that did not join for a reason."""
+    if not tracked:
+        return "examine it with mavnav info"
     if "has the scans of" in why:
         return "leave it out: its scans are in the map already"
     return "record it along 3 m or more of the way of another session"
