@@ -2,31 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from itertools import compress
 from math import pi
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from mavnav.pose import motions
 from mavnav.slam.doubt.second_motion import LEAST_AGREEING, second_motion
 from mavnav.slam.findings import NOT_PLANAR, SECOND_LOST, SECOND_MOTION
 from mavnav.slam.matching.observability import LEAST_OBSERVABILITY
+from mavnav.slam.methods.registry import Refiner
 from mavnav.slam.retries.attempt import COARSER, COARSER_VOXELS, FEW_POINTS
 from mavnav.slam.retries.odometry import by_wheels
+from mavnav.slam.track import Track
 from mavnav.units import DEG, NS
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from numpy.typing import NDArray
-
-    from mavnav.slam.methods.registry import Refiner
-    from mavnav.slam.track import Track
-
-    Floats = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 
 class TrackEvidence(Struct, frozen=True):

@@ -7,30 +7,27 @@ conflicts, however few of them agree. The likelier motion counts as well: the ve
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from math import log1p, pi
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavnav.pose import Pose
+from mavnav.scan import Scan
 from mavnav.slam.matching.motion_model import GAP_S, MOST_ERROR, motion_by, motions_along
 from mavnav.slam.matching.relocalization import apart, around, candidates
 from mavnav.slam.matching.scan_matching import no_match
 from mavnav.slam.matching.steps import Step, Steps, evenly, tracked_trajectory
 from mavnav.slam.methods.pauses import FASTER, SLACK_M
 from mavnav.slam.methods.robust import Robust
+from mavnav.slam.track import Track
 from mavnav.units import DEG, NS
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+Scans = dict[int, Scan]
+"""Scans by their numbers."""
 
-    from numpy.typing import NDArray
-
-    from mavnav.scan import Scan
-    from mavnav.slam.track import Track
-
-    Scans = dict[int, Scan]
-    """Scans by their numbers."""
 
 LONGEST_GAP_S = 5.0
 """Longest time across which two sides are compared: beyond, the laser can be anywhere."""

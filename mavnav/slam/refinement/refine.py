@@ -3,32 +3,26 @@
 from __future__ import annotations
 
 from array import array
+from collections.abc import Iterable, Iterator
 from functools import partial
 from itertools import chain, islice
 from math import hypot
-from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from mavnav.kernels.scans.rts_smoother import smooth
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.profiling import as_stage
+from mavnav.scan import Scan
 from mavnav.slam.matching.motion_model import LONGEST_S, Motion, motions_along
 from mavnav.slam.matching.observability import UNMEASURED, degeneracy_warning
 from mavnav.slam.matching.steps import Step, Steps, jumps, tracked_trajectory
+from mavnav.slam.methods.registry import Refiner
 from mavnav.slam.retries.unused_odometry import not_observed, observed_by_odometry
+from mavnav.slam.track import Track
 from mavnav.units import DEG, NS
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    from numpy.typing import NDArray
-
-    from mavnav.scan import Scan
-    from mavnav.slam.methods.registry import Refiner
-    from mavnav.slam.track import Track
-
 
 NO_EVIDENCE = (UNMEASURED, *(0.0,) * 7)
 """Observability, visibility conflicts and Hessian of a scan without a pose."""

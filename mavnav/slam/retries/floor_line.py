@@ -7,25 +7,22 @@ No wall stays at its distance while the vehicle drives straight on, and no laser
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from mavnav.pose import motions
-from mavnav.scan import scan_before
+from mavnav.scan import Line, Scan, scan_before
 from mavnav.slam.matching.odometry_fit import LEAST_WINDOWS, MOST_WINDOWS, WINDOW_S
 from mavnav.slam.matching.steps import tracked_trajectory
 from mavnav.slam.retries.odometry import by_wheels
+from mavnav.slam.track import LogScans, Track
 from mavnav.units import DEG, NS
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+Floats = NDArray[np.float64]
 
-    from mavnav.scan import Line, Scan
-    from mavnav.slam.track import LogScans, Track
-
-    Floats = NDArray[np.float64]
 
 LEAST_MOVED_M: Final = 0.1
 """Motion in a second, m, by which the distance to a wall ahead clearly changes."""

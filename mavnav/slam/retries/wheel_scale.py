@@ -8,18 +8,15 @@ none of it; something that moves along with the laser does so at every scale.
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
 
-from mavnav.slam.matching.steps import LOST_SCANS
+from mavnav.slam.matching.steps import LOST_SCANS, Steps
 from mavnav.slam.retries.beginning import until_missing
 from mavnav.slam.retries.odometry import SCALES
-
-if TYPE_CHECKING:
-    from mavnav.slam.matching.steps import Steps
-    from mavnav.slam.track import Track
+from mavnav.slam.track import Track
 
 FIRST_LONGER, LAST_LONGER = 0.05, 0.01
 """Share by which motions are longer than wheels say from which their scale is changed, and from which again."""
