@@ -102,3 +102,7 @@ def until_missing(
             missed += 1
         if held <= most_held and missed >= most_missed:
             return
+
+
+UNTIL_LOST: Final = partial(until_missing, least_points=0, most_missed=LOST_SCANS, most_held=np.inf)
+"""What ends a track that is compared with another one: where it is lost it shows nothing, and takes long."""

@@ -110,17 +110,12 @@ def turns_against(fit: OdometryFit, odometry: LogOdometry, path: Trajectory) -> 
 def correct_odometry(track: Track) -> Track | None:
     """Return a track with odometry that is corrected to fit better; None where it fits, or nothing makes it fit."""
     fit = correction(track, track.steps)
-    if fit is None or track.log_odometry is None:
-        return None
-    motion = track.motion._replace(odometry=track.log_odometry.lookup(fit))
-    return replace(track, motion=motion).with_findings(odometry=fit)
+    return track.with_odometry(track.log_odometry, fit) if fit else None
 
 
 def drop_odometry(track: Track) -> Track | None:
     """Return a track without odometry if that contradicts the scans."""
-    if not contradicts(track, track.steps):
-        return None
-    return replace(track, motion=track.motion._replace(odometry=None))
+    return track.with_odometry(None, track.findings.odometry) if contradicts(track, track.steps) else None
 
 
 ERRING_WHEELS: Final = "without wheels"
