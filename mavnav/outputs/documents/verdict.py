@@ -79,6 +79,7 @@ MEANINGS: Final = {
     "too few beams": "the scans have few points",
     SECOND_MOTION: "something large moves with the laser or past it",
     "placed by odometry alone": "a part is placed by odometry alone",
+    "may have been carried": "after a stretch without poses, the laser may be elsewhere",
     "odometry contradicts": "odometry contradicts the scans",
 }
 """Reason of the doubt -> what it says of the run."""
