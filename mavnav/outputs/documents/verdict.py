@@ -278,8 +278,7 @@ def _leapt(run: Run) -> Cause:
 
 
 def _left_out(run: Run) -> Cause:
-    left_out = [part for part in run["tracking"].get("parts", []) if not part["joined"]]
-    parts = [part for part in left_out if part["scans"] >= NOTABLE_SCANS]
+    parts = [part for part in run["tracking"].get("parts", []) if part["scans"] >= NOTABLE_SCANS and not part["joined"]]
     if not parts:
         return None
     from_s, to_s = (_since_start_of_log(run, parts[0][key]) for key in ("from_s", "to_s"))

@@ -6,9 +6,10 @@ both sides of the gap is compared once more, for all poses within reach. A vehic
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavnav.pose import Pose
 from mavnav.slam.loop_closure.key_frames import key_rows
@@ -28,14 +29,8 @@ from mavnav.slam.recovery.across_gap import (
     support,
 )
 from mavnav.slam.recovery.parts import lost_for_good
+from mavnav.slam.track import Track
 from mavnav.units import DEG, NS
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from mavnav.slam.track import Track
 
 MOST_GAPS = 4
 """Maximum number of gaps that are looked at, the longest ones."""
