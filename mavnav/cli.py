@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
 from io import TextIOWrapper
+from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 from typing import Annotated, NoReturn
@@ -19,7 +20,7 @@ import typer
 from mavnav.commands import COMMANDS, signals
 from mavnav.commands.terminal import emit, note, print_traceback
 from mavnav.commands.values import CommandGroup, PlainCommand, describe
-from mavnav.errors import ExitCode, MavnavError, lacks_memory
+from mavnav.errors import ExitCode, MavnavError, UsageError, lacks_memory
 
 LIBRARIES = ("numpy", "numba", "scipy", "mcap", "rosbags", "msgspec", "pillow", "typer")
 
@@ -111,6 +112,7 @@ def _epilog(text: str, page: str) -> str:
 def run(args: Sequence[str], *, debug: bool = False) -> int:
     """Run one command line and return its exit code; an error is printed on stderr in one line."""
     try:
+        _check_words(args)
         code = app_for(args)(args=list(args), prog_name="mavnav", standalone_mode=False, obj=("mavnav", *args))
         sys.stdout.flush()
     except BaseException as error:
@@ -119,6 +121,18 @@ def run(args: Sequence[str], *, debug: bool = False) -> int:
         reason = None if isinstance(error, MavnavError) else signals.pending_stop()
         return _explain(reason() if reason else error)  # an import that is interrupted may raise something else
     return int(code or 0)
+
+
+def _check_words(args: Sequence[str]) -> None:
+    """Raise UsageError for an empty argument, which as a path is the current folder, and for ``-o=DIR``, ``=DIR``."""
+    ended = args.index("--") if "--" in args else len(args)
+    for number, (before, word) in enumerate(pairwise(["mavnav", *args])):
+        place = word if re.fullmatch("--[a-z-]+=", word) else "" if word.strip() else f"what follows {before}"
+        if place:
+            advice = "give it a value, or leave it out"
+            raise UsageError(f"{place} is empty, as of a shell variable that is not set; {advice}")
+        if number < ended and re.match("-[a-z]=", word):
+            raise UsageError(f"{word} has a sign of equality too many; write {word[:2]} {word[3:]}")
 
 
 def _explain(error: BaseException) -> int:

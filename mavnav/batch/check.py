@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 
 from mavnav.config.named_files import read_json, what_is_wrong
 from mavnav.errors import ExitCode, UsageError, worst
-from mavnav.metrics.gates import Gate, accepts_code, check_known, judge_some, judge_verdict, stored_verdict
+from mavnav.metrics.gates import VERDICTS, Gate, accepts_code, check_known, judge_some, judge_verdict, stored_verdict
 from mavnav.outputs.directory import RUN_FILE, check_files
 
 WHOLE_FILES: Final = ("batch.json", "comparison.json")
@@ -108,8 +108,13 @@ def _reading(file: Path) -> Iterator[None]:
 
 
 def _judge(run: _CheckedRun, bounds: list[Gate], given: frozenset[int | str]) -> dict[str, Any]:
-    """Return the row of a run; what is ``given`` is accepted instead of what its batch accepts, if anything is."""
-    document, accept = run.document or {}, given or run.accept
+    """Return the row of a run.
+
+    A verdict that is ``given`` is accepted instead of that of its batch, of which that a track is lost is one; exit
+    codes are accepted besides.
+    """
+    words = frozenset[int | str]({*VERDICTS, ExitCode.TRACKING_LOST})
+    document, accept = run.document or {}, given | (run.accept - words if given & words else run.accept)
     results = [*judge_verdict(accept, document), *judge_some(bounds, document)] if document else []
     code = ExitCode.DONE if accepts_code(accept, run.exit_code) else run.exit_code
     verdict = stored_verdict(document)

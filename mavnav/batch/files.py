@@ -23,7 +23,7 @@ from mavnav.config.named_files import read_json
 from mavnav.errors import ExitCode, UsageError
 from mavnav.jobs.run_cache import RUNS_FOLDER
 from mavnav.mapping.tiled_arrays import crop, max_pool
-from mavnav.outputs.directory import RUN_FILE, check_apart
+from mavnav.outputs.directory import RUN_FILE, check_apart, check_target
 from mavnav.outputs.documents.quantities import NAMED, PATH, TIME, UNUSABLE, Quantity, number, verdict_texts
 from mavnav.outputs.files.document import to_json
 from mavnav.outputs.report.html import environment, facts, inline
@@ -70,7 +70,8 @@ def write_text(text: str, path: Path) -> None:
 def check_files(files: Mapping[str, Path], inputs: Iterable[Path], directory: Path) -> None:
     """Raise UsageError for a file that would overwrite an input or a file of the batch, or another one of ``files``.
 
-    ``files`` are the files to write by their options, ``directory`` is the directory of the batch.
+    Raises OutputError for a file that cannot be written. ``files`` are the files to write by their options,
+    ``directory`` is the directory of the batch.
     """
     own = Path(os.path.realpath(directory))
     for option, path in files.items():
@@ -79,6 +80,7 @@ def check_files(files: Mapping[str, Path], inputs: Iterable[Path], directory: Pa
             raise UsageError(f"{option}: {path} is a file of the batch itself; name another file")
         if own.is_relative_to(place):
             raise UsageError(f"{option}: {path} is a directory of the batch; name another file")
+        check_target(path)
     check_apart(files, inputs)
 
 

@@ -74,6 +74,8 @@ class LogEntry(_Options, frozen=True):
     def __post_init__(self) -> None:
         """Make lists of single items; raise ValueError if pose of the laser, name or digest cannot be meant."""
         _list(self, "log", "gates", "accept")
+        if not self.log or "" in self.log:
+            raise ValueError("log: should name a log")
         if (self.name or self.sha256) and (len(self.log) != 1 or (not is_address(self.log[0]) and self.sha256)):
             raise ValueError("log: name and sha256 are of a single log, the latter of one at an address")
         if (self.sha256 is None) != (self.size_bytes is None):
@@ -124,8 +126,10 @@ class Manifest(Strict, frozen=True):
     tries: Annotated[int, setting("attempts for a run whose process was killed", ge=1)] = 3
 
     def __post_init__(self) -> None:
-        """Make lists of single items, and entries of logs that are only named."""
+        """Make lists of single items, and entries of logs that are only named; raise ValueError for an empty name."""
         _list(self, "gates", "accept")
+        if not all(self.logs):
+            raise ValueError("logs: should name each log")
         force_setattr(self, "logs", tuple(LogEntry(log=(e,)) if isinstance(e, str) else e for e in self.logs))
 
 

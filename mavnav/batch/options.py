@@ -126,7 +126,8 @@ def _entries(options: BatchOptions, manifest: Manifest, base: Path) -> tuple[req
     """Return the entries of the manifest and of the command line, whose paths start at the current folder."""
     names = [entry.name for entry in manifest.logs if entry.name]
     if unknown := [name for name in options.only if name not in names]:
-        raise UsageError(f"--only {unknown[0]}: no log of the manifest has this name; known are {', '.join(names)}")
+        known = ", ".join(names) or "none"
+        raise UsageError(f"--only {unknown[0]}: no log of the manifest has this name; known are {known}")
     logs = [source for source in options.sources if not _is_manifest(source)]
     absolute = [log if is_address(log) or not base.parts else str(Path(log).absolute()) for log in logs]
     entries = [_entry(entry, base) for entry in manifest.logs if not options.only or entry.name in options.only]

@@ -133,10 +133,7 @@ def batch(
     with reporting(quiet=quiet) as progress:
         with loading_modules():
             from mavnav.batch.options import BatchOptions
-            from mavnav.outputs.directory import check_target
         files = {name: file for name, file in (("--junit", junit), ("--summary", summary)) if file}
-        for file in files.values():
-            check_target(file)
         own = {name: typed[name] for name in BatchOptions.__struct_fields__ if typed.get(name) is not None}
         options = BatchOptions(words=context.obj, options=read_options(given), files=files, **own)
         plan = _plan(options, progress)

@@ -97,9 +97,12 @@ def _sensor_text(sensor: dict[str, Any]) -> str:
 def _sweep_text(sensor: dict[str, Any]) -> str:
     stated_s, usual_s = sensor["stated_turn_s"], sensor["usual_turn_s"]
     if not stated_s:
+        once = "no time_increment: right if all beams are taken at once"
+        if not usual_s:
+            return once
         beam_s = usual_s / max(round(360 * DEG / abs(sensor["angle_step_rad"])), 1)
         text = f"a laser that turns once in {usual_s:.3g} s needs {beam_s:.3g} s a beam, which a replay tries"
-        return f"no time_increment: right if all beams are taken at once; {text}"
+        return f"{once}; {text}"
     verdict = "plausible" if sensor["plausible_sweep"] else "not plausible, see health"
     return f"a turn in {stated_s:.3g} s by time_increment, {usual_s:.3g} s by the scans: {verdict}"
 

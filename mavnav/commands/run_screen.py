@@ -69,7 +69,7 @@ def log_rows(document: dict[str, Any]) -> Rows:
     log, scans, tracking = document["input"], document["scans"], document["tracking"]
     loops = len(document["loop_closure"]["closures"])
     skipped = "" if scans["processed"] == scans["total"] else f", {scans['processed']} of them used"
-    name = " ".join(Path(part).name for part in [log["path"], *log.get("parts", [])])
+    name = " ".join(Path(part).name or part for part in [log["path"], *log.get("parts", [])])
     yield "log", f"{name}, {log['duration_s']:.1f} s, {pluralize(scans['total'], 'scan')}{skipped}"
     share = f"{100 * scans['accepted'] / max(scans['processed'], 1):.1f} % of the scans have a pose"
     closed = f"{pluralize(loops, 'loop')} closed" if loops else "no loop closed"

@@ -219,6 +219,9 @@ def _error_message(model: type[Struct], error: str, layer: Layer, name: str) -> 
     if problem == "contains unknown" and (now := key_now(key)) != key:
         return f"{where}: {dotted} is {'.'.join(now)} now; write that"
     if problem == "contains unknown":
+        *sections, last = dotted.split(".")
+        if (*sections, last) in kinds and "." in key[-1]:
+            return f"{where}: {dotted} is a key in a section; write {last} below {'.'.join(sections)}, indented"
         advice = _nearest(names or key, list(kinds), key) or f"see '{help_}' for the known keys"
         return f"{where}: unknown key {dotted}; {advice}"
     if problem == "missing required":
@@ -232,6 +235,8 @@ def _problem(text: str, annotation: object) -> str:
     if text.startswith("Invalid enum value"):
         *others, last = map(repr, _parts(annotation, str))
         return f"should be {', '.join(others)} or {last}"
+    if pattern := re.fullmatch("Expected `str` matching regex '(.*)'", text):
+        return f"should fit {pattern[1]}"
     expected = re.fullmatch(r"Expected `(.*?)`(?: ([<>]=?) (\S+)| of length (.*?))?(?:, got .*)?", text)
     if expected is None:
         return text

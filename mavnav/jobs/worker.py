@@ -14,6 +14,7 @@ from time import monotonic
 from typing import Any, NoReturn
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from mavnav.errors import ExitCode, MavnavError, lacks_memory
 from mavnav.profiling import Progress
@@ -101,7 +102,7 @@ def serve(channel: connection.Connection[Any, Any], memory_mb: int | None) -> No
         except EOFError:
             return
         reporter = Reporter(index, channel.send, REPORT_PERIOD_S)
-        channel.send(Ended(index, attempt(packed, reporter)))
+        channel.send(Ended(index, attempt(packed, reporter, limited=memory_mb is not None)))
 
 
 def _prepare(memory_mb: int | None) -> None:
@@ -129,14 +130,18 @@ def _follow_parent() -> None:
         os.kill(os.getpid(), signal.SIGTERM)
 
 
-def attempt(packed: bytes, report: Progress) -> Outcome:
-    """Unpickle one job and run it in this process; an exception becomes an outcome."""
+def attempt(packed: bytes, report: Progress, *, limited: bool = False) -> Outcome:
+    """Unpickle one job and run it in this process, whose memory may be ``limited``; an exception becomes an outcome."""
     began_s = monotonic()
     try:
         job: Job = pickle.loads(packed)  # noqa: S301  the caller pickled it; who can submit jobs can run any code anyway
         value = job.work(*job.args, report)
     except Exception as error:
-        return failure(error, began_s)
+        outcome = failure(error, began_s)
+        if limited and lacks_memory(error):  # native code without memory ends the process, which is no usage either
+            text = f"{outcome.error}; allow more with --memory-mb"
+            return replace(outcome, error=text, exit_code=ExitCode.BUG)
+        return outcome
     return Outcome(Status.DONE, os.getpid(), monotonic() - began_s, value)
 
 

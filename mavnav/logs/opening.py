@@ -32,6 +32,9 @@ from mavnav.units import NS
 LEAST_CONSTANT: Final = 10
 """Number of scans of one stamp, besides the first, that make no log."""
 
+MALFORMED: Final = ("empty", "non_finite_angle", "zero_angle_increment", "impossible_geometry")
+"""Reasons to skip a scan that no laser gives, only the program that writes the messages."""
+
 _MOST_NAMED: Final = 8
 
 
@@ -206,6 +209,8 @@ def _no_usable(survey: Survey, name: str, scans: TopicScans, timeline: Timeline)
         hint = f"; the scans last {(stamps_ns[-1] - stamps_ns[0]) * NS:.1f} s: check --start and --end"
     elif scans.refused["no_valid_beam"] * 2 > scans.total:
         hint = f"; {scans.scan_filter.invalid}"
+    elif sum(scans.refused[reason] for reason in MALFORMED) * 2 > scans.total:
+        hint = "; see what publishes them: each needs ranges, and finite angles with a step between them"
     return f"{survey.path}: none of the {scans.total} scans on {name} is usable ({reasons}){hint}"
 
 

@@ -52,8 +52,8 @@ class PoseTrack(MessageTrack):
         stamps, recorded = self.stamps.by(log.stamp_source)
         poses = self.rows(3)
         if self.unusable:
-            text = f"{self.unusable} of {self.unusable + len(stamps)} poses are left out"
-            warn(f"{self.topic}: {text}, not finite or with a quaternion of zeros; see what publishes them")
+            text = f"{self.unusable} of {self.unusable + len(stamps)} poses are left out, not finite, beyond 10^8 m"
+            warn(f"{self.topic}: {text} or with a quaternion of zeros; see what publishes them")
         if log.clock and len(stamps) > 1 and not np.ptp(stamps):
             warn(f"{self.topic}: its stamps never change; the times of recording are used: see what publishes it")
             stamps = recorded + round(log.clock.ahead_s / NS)

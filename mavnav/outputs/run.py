@@ -131,7 +131,7 @@ class RunResult(Struct, frozen=True, dict=True):
     @property
     def name(self) -> str:
         """What the pictures call the run: its log, or its scenario."""
-        return self.mission.path.stem if self.mission else self.log.path.name
+        return self.mission.path.stem if self.mission else self.log.path.name or str(self.log.path)
 
     @property
     def method(self) -> MethodName | Literal["external"]:

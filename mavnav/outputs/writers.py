@@ -66,6 +66,12 @@ ALL: Final = "all"
 _IF_NAMED: Final = {"report", "svg", "scale", "graph"}
 """The groups that are not written by default."""
 
+_WHY_EMPTY: Final = {
+    "slices": "the heights of the scans are not known",
+    "graph": "the path returns nowhere, or no loop was looked for",
+}
+"""The groups that a run may have no file of -> why."""
+
 _OF_PAGE: Final = {"trajectory", "map"}
 """The groups that a page is drawn from."""
 
@@ -96,6 +102,8 @@ def write_run(
         digests = {name: _write(write, folder / name) for name, write in writers.items()}
         document: dict[str, Any] = plain(run_document(run, digests))
         document["warnings"] = [with_picture(line, digests) for line in document["warnings"]]
+        empty = [name for name in _WHY_EMPTY if name in (groups or ()) and digests.keys().isdisjoint(GROUPS[name])]
+        document["warnings"] += [f"no {name} written: {_WHY_EMPTY[name]}" for name in empty]
         document["verdict"]["advice"] = with_picture(document["verdict"]["advice"], digests)
         path = folder / RUN_FILE
         path.write_text(plain_json(document), encoding="utf-8")

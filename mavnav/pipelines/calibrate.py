@@ -27,7 +27,7 @@ from mavnav.metrics.calibration.quantities import (
     refusal,
 )
 from mavnav.outputs.directory import check_apart, check_file, write_file
-from mavnav.outputs.files.document import plain, to_json, track_verdict
+from mavnav.outputs.files.document import plain, to_json, track_verdict, with_picture
 from mavnav.outputs.pictures import calibration_picture
 from mavnav.outputs.report.summary_page import calibration_summary, draw_png, write_summary
 from mavnav.outputs.run import half_sweep_s
@@ -94,6 +94,7 @@ def calibrate(request: CalibrationRequest, progress: Progress) -> dict[str, Any]
     progress("calibrating", 0, None)
     motions = _motions(log, outcome)
     verdict = track_verdict(outcome, log, request.config)
+    verdict = replace(verdict, advice=with_picture(verdict.advice, ()))
     doubtful = outcome.doubt is not None and outcome.doubt.high
     result = calibration_of(motions, doubtful=doubtful)
     if outcome.lost_for_good or (doubtful and result.refused):
@@ -194,7 +195,7 @@ def _document(request: CalibrationRequest, log: Log, outcome: SlamResult, result
             "static_transform": transform_line(quantities, log, overhead=overhead),
             "replay": replay_line(request, quantities, log, overhead=overhead),
         },
-        "warnings": [*log.warnings, *outcome.warnings],
+        "warnings": [with_picture(line, ()) for line in (*log.warnings, *outcome.warnings)],
         "damage": [{"what": damage.what, "where": damage.where} for damage in log.damage],
         "exit_code": int(worst([*codes, *(ExitCode.DAMAGED_INPUT for _ in log.damage[:1])])),
     }

@@ -90,9 +90,9 @@ class EditRequest(Struct, frozen=True):
 def edit_map(request: EditRequest, progress: Progress) -> dict[str, Any]:
     """Edit a map and return the document; raises UsageError, also where no wall is left, and OutputError."""
     is_run = request.path.is_dir()
-    _check_target(request, is_run=is_run)
     progress("editing", 0, None)
     grid, map_T_grid = read_grid(request.path)
+    _check_target(request, is_run=is_run)  # its suffix depends on what the input is
     edited = edit_grid(grid, request.edits, map_T_grid)
     old, new = occupancy(grid), occupancy(edited)
     if not (new == OCCUPIED).any():

@@ -253,9 +253,10 @@ def merge_verdict(sessions: list[dict[str, Any]], of_map: dict[str, Any]) -> Ver
     """Return the verdict on the map of sessions: the worst of theirs and its own; suspect where one did not join."""
     known = [each for each in sessions if each["joined"] and each["verdict"]]
     own = [Verdict(**each["verdict"] | {"reason": f"{each['name']}: {each['verdict']['reason']}"}) for each in known]
-    apart = [(f"{e['name']} did not join: {e['why']}", joining_advice(e["why"])) for e in sessions if not e["joined"]]
+    apart = [each for each in sessions if not each["joined"]]
+    advised = [(f"{e['name']} did not join: {e['why']}", joining_advice(e["why"], e["scans"])) for e in apart]
     unmeasured = map_verdict(of_map)
-    others = [*(Verdict("suspect", *each) for each in apart), *([unmeasured] if unmeasured else [])]
+    others = [*(Verdict("suspect", *each) for each in advised), *([unmeasured] if unmeasured else [])]
     worst = worst_verdict([*own, *others])
     return worst if worst and worst.word != "good" else Verdict("good", "every session joined and is good", "")
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from msgspec import Struct, field
+from numpy.typing import NDArray
 
+from mavnav.mapping.occupancy_grid import Grid
 from mavnav.pose import Pose, Trajectory
+from mavnav.scan import Line
 from mavnav.slam.findings import NOT_PLANAR, Doubt, Loops, TrackedAgain
 from mavnav.slam.matching.observability import covariances_of
 from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, OdometryFit, fit_odometry, with_noise
@@ -18,16 +21,8 @@ from mavnav.slam.recovery.parts import Part, lost_for_good, part_warnings, parts
 from mavnav.slam.retries.attempt import COARSER_VOXELS
 from mavnav.slam.retries.odometry import odometry_warnings
 from mavnav.slam.retries.unused_odometry import odometry_advice
+from mavnav.slam.track import Track
 from mavnav.units import NS
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from mavnav.mapping.occupancy_grid import Grid
-    from mavnav.scan import Line
-    from mavnav.slam.track import Track
 
 MOST_SCATTERED = 0.2
 """Share of scans without a pose outside of lost intervals from which there is a warning."""

@@ -17,7 +17,7 @@ from mavnav.pose import Pose
 from mavnav.scan import Scan
 from mavnav.slam.findings import Findings, TrackedAgain
 from mavnav.slam.matching.motion_model import Motion, motions_along
-from mavnav.slam.matching.odometry_fit import LogOdometry
+from mavnav.slam.matching.odometry_fit import LogOdometry, OdometryFit
 from mavnav.slam.matching.prior_map import PriorMap
 from mavnav.slam.matching.scan_matching import no_match
 from mavnav.slam.matching.steps import Step, Steps, tracked_trajectory
@@ -80,6 +80,12 @@ class Track(Struct, frozen=True):
     def without_odometry(self) -> Track:
         """Return the track as of a log without odometry."""
         return replace(self, motion=self.motion._replace(odometry=None), log_odometry=None)
+
+    def with_odometry(self, odometry: LogOdometry | None, fit: OdometryFit) -> Track:
+        """Return the track before its first scan with odometry, corrected, or without; that of the log then stays."""
+        motion = self.motion._replace(odometry=odometry.lookup(fit) if odometry else None)
+        other = replace(self, motion=motion, log_odometry=odometry or self.log_odometry)
+        return other.with_findings(odometry=fit)
 
     def with_findings(self, **changes: Any) -> Track:  # noqa: ANN401
         """Return the track with new values of some fields of its findings."""

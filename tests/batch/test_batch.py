@@ -400,6 +400,7 @@ def test_a_whole_batch_as_the_baseline(home: Path) -> None:
         ({"update_baseline": True}, UsageError, "no baseline; name one"),
         ({"update_baseline": True, "baseline": Path("logs")}, UsageError, "logs is a directory"),
         ({"update_baseline": True, "baseline": Path("runs/batch/batch.json")}, UsageError, "batch.json would be lost"),
+        ({"update_baseline": True, "baseline": Path("logs/good.mcap/b")}, OutputError, "good.mcap is no directory"),
         ({"baseline": Path("gone.json")}, UsageError, "the baseline cannot be read"),
         ({"accept": (9,)}, UsageError, "--accept 9"),
         ({"tolerances": ("x",)}, UsageError, "--tolerance 'x'"),

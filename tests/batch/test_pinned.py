@@ -182,11 +182,16 @@ def test_results_stand_beside_the_baseline_and_the_peers(server: Server) -> None
 def test_names_and_digests_that_cannot_be_meant_are_refused(server: Server) -> None:
     with pytest.raises(UsageError, match="--only x: no log of the manifest has this name; known are fine, lost"):
         request_of(BatchOptions(sources=(str(manifest(server)),), only=("x",)))
+    with pytest.raises(UsageError, match="--only x: no log of the manifest has this name; known are none"):
+        request_of(BatchOptions(sources=("a.bag",), only=("x",)))
     for entry, said in {
         "{name: a, log: [a.bag, b.bag]}": "name and sha256 are of a single log",
         f"{{log: a.bag, sha256: {'a' * 64}, size_bytes: 3}}": "the latter of one at an address",
         f"{{log: 'http://x/a.bag', sha256: {'a' * 64}}}": "belong together",
-        "{log: 'http://x/a.bag', sha256: abc, size_bytes: 3}": "sha256",
+        "{log: 'http://x/a.bag', sha256: abc, size_bytes: 3}": r"sha256 is 'abc', it should fit \^\[0-9a-f\]\{64\}\$; ",
+        "{log: []}": r"logs.0.log is \[\], it should name a log; ",
+        "{log: [a.bag, '']}": "it should name a log; ",
+        "''": "it should name each log; ",
     }.items():
         Path("odd.yaml").write_text(f"logs:\n  - {entry}\n")
         with pytest.raises(ConfigError, match=said):

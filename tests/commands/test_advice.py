@@ -266,7 +266,13 @@ def test_logs_without_scans_are_explained_by_info(tmp_path: Path, capsys: pytest
     assert run(["merge", *map(str, paths), "-o", str(tmp_path / "m"), "-q"]) == 4
     assert "has a tracked scan; examine them with mavnav info" in capsys.readouterr().err
     assert run(["info", str(paths[0])]) == 4
-    assert "none of the 30 scans on /scan is usable (30 empty)" in capsys.readouterr().err
+    said = "none of the 30 scans on /scan is usable (30 empty); see what publishes them: each needs ranges, and finite"
+    assert said in capsys.readouterr().err
+    drive = write_mcap(tmp_path / "drive.mcap", drive_log(2.0, beams=120))
+    assert run(["merge", str(drive), str(paths[0]), "-o", str(tmp_path / "m"), "-q", "--json"]) == 1
+    verdict = json.loads(capsys.readouterr().out)["verdict"]
+    assert "a did not join: " in verdict["reason"]
+    assert verdict["advice"] == "examine it with mavnav info"
 
 
 def test_settings_of_python_are_a_dictionary_as_the_error_writes_it(tmp_path: Path) -> None:

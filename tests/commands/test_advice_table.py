@@ -23,6 +23,7 @@ TRIED = {
         "start them with dask worker --memory-limit": "test_a_worker_that_is_started_with_a_limit_keeps_it",
         "if the memory ran out, allow more": "test_a_job_that_is_killed_for_its_memory_ends_where_more_is_allowed",
     },
+    "jobs/test_pool.py": {"allow more with --memory-mb": "test_memory_is_limited"},
     "batch/test_batch.py": {
         "add it with --update-baseline and": "test_a_tolerance_for_a_metric_that_the_baseline_lacks_fails_its_gate"
     },
@@ -41,6 +42,7 @@ TRIED = {
         "set robust.far_mm to choose another limit": "test_returns_beyond_the_default_are_used_where_most_are",
         "mavnav: damage: {} more; --json lists them": "test_damage_that_is_not_printed_is_in_json",
         "has a tracked scan; examine them with mavnav info": "test_logs_without_scans_are_explained_by_info",
+        "examine it with mavnav info": "test_logs_without_scans_are_explained_by_info",
         "settings is {}; give a dictionary": "test_settings_of_python_are_a_dictionary_as_the_error_writes_it",
         "replay with --set upside_down=true": "test_mirrored_scans_are_named_where_odometry_turns_the_other_way",
         "more warnings; choose a topic with --topic": "test_warnings_of_many_topics_are_listed_by_topic",

@@ -148,6 +148,7 @@ def test_a_lost_track_calibrates_nothing(mavnav, tmp_path) -> None:
     code, out, err = mavnav("calibrate", tmp_path / "lost.mcap", "-q", "-o", tmp_path / "found.json")
     assert (code, out) == (5, "")
     assert "tracking was lost 7.5 s after the first scan, 20 % of the scans have a pose" in err
+    assert "look at map.png of a run with --outputs pictures" in err  # calibrate draws no map
     found = json.loads((tmp_path / "found.json").read_text())
     assert found["tracking"]["lost"] is True
     assert all(row["refused"] and row["value"] is None for row in found["quantities"])

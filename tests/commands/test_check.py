@@ -222,6 +222,19 @@ def test_what_a_batch_accepts_of_verdicts_is_accepted(mavnav: Callable, home: Pa
     Path("b/batch.json").write_text(json.dumps({"cells": cells}))
     assert mavnav("check", "b")[0] == 0
     assert mavnav("check", "b", "--accept", "suspect")[0] == 1
+    assert mavnav("check", "b", "--accept", "3")[0] == 0
+
+
+def test_a_verdict_that_is_given_leaves_the_codes_that_the_batch_accepts(mavnav: Callable, batch: Path) -> None:
+    accept(batch, 3, 4)
+    assert mavnav("check", batch, "--accept", "good")[0] == 0
+    lost = json.loads(Path("b/cells/cut/run.json").read_text()) | judged("lost", exit_code=5)
+    Path("b/cells/cut/run.json").write_text(json.dumps(lost))
+    document = json.loads(Path("b/batch.json").read_text())
+    document["cells"][1]["exit_code"] = 5
+    Path("b/batch.json").write_text(json.dumps(document))
+    assert mavnav("check", batch)[0] == 0
+    assert mavnav("check", batch, "--accept", "wrong")[0] == ExitCode.TRACKING_LOST
 
 
 @pytest.mark.parametrize("verdict", [None, 3, [], {}, {"word": "fine", "reason": "", "advice": ""}, {"word": "good"}])

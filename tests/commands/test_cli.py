@@ -92,6 +92,36 @@ def test_an_option_is_suggested_where_it_is_near_else_the_help_of_the_command(
     assert mavnav(*line.split()) == (ExitCode.USAGE, "", f"mavnav: error: {what}\n")
 
 
+@pytest.mark.parametrize(
+    ("line", "place"),
+    [
+        (["replay", ""], "what follows replay"),
+        (["batch", "logs", ""], "what follows logs"),
+        (["merge", "", ""], "what follows merge"),
+        (["replay", "a.bag", "-o", ""], "what follows -o"),
+        (["replay", "a.bag", "--map="], "--map="),
+        (["config", "show", " "], "what follows show"),
+        (["info", "--", ""], "what follows --"),
+        ([""], "what follows mavnav"),
+    ],
+)
+def test_an_empty_argument_is_not_the_current_folder(
+    mavnav: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: list[str], place: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("a.bag").touch()
+    code, out, err = mavnav(*line)
+    assert (code, out) == (ExitCode.USAGE, "")
+    assert err.startswith(f"mavnav: error: {place} is empty, as of a shell variable that is not set; ")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.bag"]
+
+
+def test_a_letter_takes_its_value_without_a_sign_of_equality(mavnav: Callable) -> None:
+    said = "mavnav: error: -o=out has a sign of equality too many; write -o out\n"
+    assert mavnav("replay", "gone.bag", "-o=out") == (ExitCode.USAGE, "", said)
+    assert "-o=out: no such file" in mavnav("info", "--", "-o=out")[2]
+
+
 def test_completion_answers(spawn: Callable) -> None:
     process = spawn(_MAVNAV_COMPLETE="complete_bash", COMP_WORDS="mavnav re", COMP_CWORD="1")
     out, _ = process.communicate(timeout=30)

@@ -148,6 +148,7 @@ def test_what_cannot_be_edited_is_refused_and_nothing_is_overwritten(mavnav, mad
         ((made, "--erase", "0,0,0,nan"), "X0,Y0,X1,Y1"),
         ((made, "--crop", "90,90,91,91"), "no wall would be left"),
         ((tmp_path / "none", "--keep-largest"), "name a run directory"),
+        ((tmp_path / "none", "--keep-largest", "-o", tmp_path / "x"), "none: no such file; name a run directory"),
         ((made.parent, "--keep-largest"), "holds no map of a run"),
     ):
         code, out, err = mavnav("edit", *words, "-q")

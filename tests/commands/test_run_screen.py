@@ -234,3 +234,12 @@ def test_errors_of_few_poses_or_none_are_named_so() -> None:
     assert text.startswith("unknown: too few poses")
     assert list(reference_rows({"relations": {"all": {"scored": 0, "relations": 7}}})) == [("relations", "0 of 7")]
     assert list(reference_rows(None)) == []
+
+
+def test_a_log_that_is_the_current_folder_has_a_name(
+    mavnav: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(LOG.parent / "corner")
+    code, out, _ = mavnav("replay", ".", "--end", 0.5, "-q", "-o", tmp_path / "run", "--outputs", "trajectory")
+    assert code == 0
+    assert re.search(r"^log +[.], \d", out, re.MULTILINE)

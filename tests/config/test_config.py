@@ -167,6 +167,7 @@ def test_grid_takes_text_and_mapping(tmp_path: Path) -> None:
     ("text", "line", "words"),
     [
         ("azimuth: 20\nrobust:\n  cel_mm: 3\n", 3, ["unknown key robust.cel_mm", "did you mean robust.cell_mm?"]),
+        ("azimuth: 20\nrobust.cell_mm: 3", 2, ["robust.cell_mm is a key in a section", "write cell_mm below robust"]),
         ("metod: paper", 1, ["unknown key metod", "did you mean method?"]),
         ("grid: 0x5", 1, ["'0x5'", "2 to 200", "--grid 10x10"]),
         ("grid: {nx: 3, nz: 3}", 1, ["unknown key grid.nz", "did you mean grid.n"]),

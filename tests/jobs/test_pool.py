@@ -107,8 +107,11 @@ def test_what_ends_for_want_of_memory_says_that_there_was_a_limit() -> None:
 def test_memory_is_limited() -> None:
     jobs = Job("greedy", strange.devour, (900,)), Job("modest", strange.devour, (1,))
     greedy, modest = run(*jobs, memory_mb=forked_mb() + 300)
-    assert (greedy.status, greedy.error) == (Status.FAILED, "it needs more memory than it may use")
+    said = "it needs more memory than it may use; allow more with --memory-mb"
+    assert (greedy.status, greedy.error, greedy.exit_code) == (Status.FAILED, said, ExitCode.BUG)
     assert modest.value == 2**20
+    (allowed,) = run(jobs[0], memory_mb=forked_mb() + 1500)
+    assert allowed.status is Status.DONE
 
 
 def unmapped() -> OSError:

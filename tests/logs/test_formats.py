@@ -214,6 +214,24 @@ def test_a_listed_link_to_itself_is_missing(tmp_path: Path) -> None:
     assert [d.what for d in survey(folder).damage] == ["listed file 'loop.db3' is missing"]
 
 
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("", "it is empty"),
+        ("a: b", "it is not that of a bag"),
+        ("[a]", "it is not that of a bag"),
+        ("rosbag2_bagfile_information:", "it is not that of a bag"),
+        ("rosbag2_bagfile_information: {version: 5}", "relative_file_paths is no list of names"),
+    ],
+)
+def test_metadata_without_what_it_needs_says_so(tmp_path: Path, text: str, why: str) -> None:
+    folder = write_bag2(tmp_path / "bag", [laser(k) for k in range(3)])
+    (folder / "metadata.yaml").write_text(text)
+    report = survey(folder)
+    assert report.scans["/scan"].total == 3
+    assert [d.what for d in report.damage] == [f"content cannot be read ({why}); the storage files found were read"]
+
+
 def test_damage_of_metadata_names_its_file_once(tmp_path: Path) -> None:
     folder = write_bag2(tmp_path / "bag", [laser(k) for k in range(3)])
     (name,) = (file.name for file in folder.glob("*.db3"))

@@ -147,6 +147,11 @@ def test_lines_are_not_folded_where_a_program_reads_them(tmp_path: Path, capsys:
     assert f"log         {path}\n" in capsys.readouterr().out
 
 
+def test_a_single_scan_has_no_time_for_a_turn(tmp_path: Path, capsys: Capture) -> None:
+    assert run(["info", str(write_mcap(tmp_path / "a", [laser(0)]))]) == 0
+    assert "sweep       no time_increment: right if all beams are taken at once\n" in capsys.readouterr().out
+
+
 def test_sha256_counts_the_zeros_of_holes(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with path.open("wb") as file:

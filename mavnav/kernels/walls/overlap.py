@@ -7,9 +7,6 @@ import numpy as np
 from mavnav.kernels.machine.jit import helper, kernel
 from mavnav.kernels.machine.types import F64_1D, F64_2D, I64_2D
 
-AT_ONCE = 4
-"""Number of beams on either side that are compared before the next test whether farther ones can be nearer."""
-
 
 @helper
 def _sample_ends(ranges_m: F64_1D, directions: F64_2D, near_m: float, far_m: float, every: int, points: F64_2D) -> int:
@@ -26,25 +23,12 @@ def _sample_ends(ranges_m: F64_1D, directions: F64_2D, near_m: float, far_m: flo
 
 @helper
 def _to_polar(sampled: F64_2D, n: int, motion: F64_1D, step: float, centre: float, points: F64_2D) -> None:
-    """Transform points (2, n) by cosine, sine and shift to (4, n): x, y, range, and bearing from ``centre`` in beams.
-
-    The loop has no branches, so that it uses SIMD lanes. Halving the angle twice makes a short series of the arc
-    tangent accurate.
-    """
+    """Turn and shift points (2, n) by a motion (4,); write x, y, range, and bearing from ``centre`` in beams (4, n)."""
     c, s, x, y = motion
     for k in range(n):
         qx, qy = c * sampled[0, k] - s * sampled[1, k] + x, s * sampled[0, k] + c * sampled[1, k] + y
         points[0, k], points[1, k], points[2, k] = qx, qy, np.sqrt(qx * qx + qy * qy)
-        ahead, aside = abs(qx), max(abs(qy), 1e-300)
-        t = min(ahead, aside) / max(ahead, aside)
-        t = t / (1.0 + np.sqrt(1.0 + t * t))
-        t = t / (1.0 + np.sqrt(1.0 + t * t))
-        u = t * t
-        tail = 1 / 9 - u * (1 / 11 - u * (1 / 13 - u * (1 / 15 - u * (1 / 17))))
-        bearing = 4.0 * t * (1.0 - u * (1 / 3 - u * (1 / 5 - u * (1 / 7 - u * tail))))
-        bearing = 0.5 * np.pi - bearing if aside > ahead else bearing
-        bearing = np.pi - bearing if qx < 0.0 else bearing
-        off = (bearing if qy >= 0.0 else -bearing) - centre
+        off = np.arctan2(qy, qx) - centre
         points[3, k] = (off - 2.0 * np.pi * np.floor(off / (2.0 * np.pi) + 0.5)) / step
 
 
@@ -55,16 +39,6 @@ def _nearest2(x: float, y: float, r: float, middle: int, ends: F64_2D, turn: int
     Beams are tested from the one that points at it outwards, as long as their end points could be nearer.
     """
     count, nearest2, k = ends.shape[1], cap2, 0
-    while min(middle, count - 2 - middle) >= k + AT_ONCE - 1:
-        if r * r * aside2[k] > nearest2:
-            return nearest2
-        for beam in range(middle - k - AT_ONCE + 1, middle - k + 1):
-            ex, ey = ends[0, beam] - x, ends[1, beam] - y
-            nearest2 = min(nearest2, ex * ex + ey * ey)
-        for beam in range(middle + k + 1, middle + k + 1 + AT_ONCE):
-            ex, ey = ends[0, beam] - x, ends[1, beam] - y
-            nearest2 = min(nearest2, ex * ex + ey * ey)
-        k += AT_ONCE
     while k < len(aside2) and r * r * aside2[k] <= nearest2:
         for beam in (middle - k, middle + k + 1):
             at = beam + turn if beam < 0 else beam - turn if beam >= count else beam

@@ -131,8 +131,10 @@ def read_metadata(folder: Path, report: ReadReport) -> Metadata | None:
 
 
 def _metadata(tree: Any, report: ReadReport) -> Metadata:  # noqa: ANN401  (any YAML value)
-    bag = tree["rosbag2_bagfile_information"]
-    names = bag["relative_file_paths"]
+    bag = tree.get("rosbag2_bagfile_information") if isinstance(tree, dict) else None
+    if not isinstance(bag, dict):
+        raise TypeError("it is not that of a bag" if tree else "it is empty")
+    names = bag.get("relative_file_paths")
     if not isinstance(names, list) or not all(isinstance(name, str) and name for name in names):
         raise TypeError("relative_file_paths is no list of names")
     count, version, storage = bag.get("message_count"), bag.get("version"), bag.get("storage_identifier")

@@ -79,6 +79,7 @@ MEANINGS: Final = {
     "too few beams": "the scans have few points",
     SECOND_MOTION: "something large moves with the laser or past it",
     "placed by odometry alone": "a part is placed by odometry alone",
+    "may have been carried": "after a stretch without poses, the laser may be elsewhere",
     "odometry contradicts": "odometry contradicts the scans",
 }
 """Reason of the doubt -> what it says of the run."""
@@ -118,11 +119,13 @@ def _not_joined(run: Run) -> Cause:
     if not continued or continued["joined"]:
         return None
     why = f"{continued['name']} did not join {continued['run']}: {continued['why']}; it is alone in a frame of its own"
-    return why, joining_advice(continued["why"])
+    return why, joining_advice(continued["why"], run["scans"]["tracked"])
 
 
-def joining_advice(why: str) -> str:
-    """Return what to do about a session that did not join for a reason."""
+def joining_advice(why: str, tracked: int) -> str:
+    """Return what to do about a session with so many tracked scans that did not join for a reason."""
+    if not tracked:
+        return "examine it with mavnav info"
     if "has the scans of" in why:
         return "leave it out: its scans are in the map already"
     return "record it along 3 m or more of the way of another session"
@@ -275,8 +278,7 @@ def _leapt(run: Run) -> Cause:
 
 
 def _left_out(run: Run) -> Cause:
-    left_out = [part for part in run["tracking"].get("parts", []) if not part["joined"]]
-    parts = [part for part in left_out if part["scans"] >= NOTABLE_SCANS]
+    parts = [part for part in run["tracking"].get("parts", []) if part["scans"] >= NOTABLE_SCANS and not part["joined"]]
     if not parts:
         return None
     from_s, to_s = (_since_start_of_log(run, parts[0][key]) for key in ("from_s", "to_s"))

@@ -2,31 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from itertools import compress
 from math import pi
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from mavnav.pose import motions
+from mavnav.slam.doubt.gaps import beside_doubtful_gaps
 from mavnav.slam.doubt.second_motion import LEAST_AGREEING, second_motion
 from mavnav.slam.findings import NOT_PLANAR, SECOND_LOST, SECOND_MOTION
 from mavnav.slam.matching.observability import LEAST_OBSERVABILITY
+from mavnav.slam.methods.registry import Refiner
 from mavnav.slam.retries.attempt import COARSER, COARSER_VOXELS, FEW_POINTS
 from mavnav.slam.retries.odometry import by_wheels
+from mavnav.slam.track import Track
 from mavnav.units import DEG, NS
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from numpy.typing import NDArray
-
-    from mavnav.slam.methods.registry import Refiner
-    from mavnav.slam.track import Track
-
-    Floats = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 
 class TrackEvidence(Struct, frozen=True):
@@ -37,7 +34,8 @@ class TrackEvidence(Struct, frozen=True):
     ``resampled`` (n, 3) the poses of a track with coarser voxels, ``wheels`` (n, 3) those by the odometry of the log,
     used or not, NaN without one; ``tilt_rad`` (n,) the tilt by an inertial sensor, 0 without; ``second_motion`` (n,)
     the share of scans that fit another motion too, at those scans; ``by_odometry_m`` (n,) the error to be expected
-    where odometry alone gives the pose, 0 elsewhere; ``unmeasured`` (n,) the share of the motion that nothing but scans
+    where odometry alone gives the pose, 0 elsewhere; ``beside_gap`` (n,) whether a gap is beside them beyond which the
+    laser may be elsewhere; ``unmeasured`` (n,) the share of the motion that nothing but scans
     measures: 0 with odometry, 1 without. ``period_s`` is the scan period.
     """
 
@@ -53,10 +51,11 @@ class TrackEvidence(Struct, frozen=True):
     tilt_rad: Floats
     second_motion: Floats
     by_odometry_m: Floats
+    beside_gap: Floats
 
 
-def evidence_of(track: Track, refiner: Refiner) -> TrackEvidence:
-    """Return the evidence of a finished track, without that of other tracks."""
+def evidence_of(track: Track, refiner: Refiner, *, gaps: bool = True) -> TrackEvidence:
+    """Return the evidence of a finished track, without that of other tracks; of ``gaps`` none in a given map."""
     tracked, findings = track.steps.column("tracked"), track.findings
     xyyaw = track.steps.column("map_T_laser")[tracked]
     stamps_ns, rotation = track.steps.column("stamp_ns")[tracked], track.motion.rotation
@@ -73,6 +72,7 @@ def evidence_of(track: Track, refiner: Refiner) -> TrackEvidence:
         tilt_rad=np.zeros(len(stamps_ns)) if rotation is None else rotation.tilts_rad(stamps_ns),
         second_motion=second_motion(track, refiner, findings.conflicts[tracked]),
         by_odometry_m=findings.by_odometry_m[tracked] if len(findings.by_odometry_m) else np.zeros(len(stamps_ns)),
+        beside_gap=beside_doubtful_gaps(track) if gaps else np.zeros(len(stamps_ns)),
     )
 
 
@@ -242,6 +242,11 @@ def placed_by_odometry(evidence: TrackEvidence) -> Floats:
     return evidence.by_odometry_m / WRONG_M
 
 
+def carried(evidence: TrackEvidence) -> Floats:
+    """Return whether the laser may be elsewhere beyond a gap beside each scan, as a multiple of the bound: 1 or 0."""
+    return evidence.beside_gap
+
+
 class Feature(NamedTuple):
     """A reason to doubt a track: its strength at each scan, (n,), and the quantile over the scans that is used.
 
@@ -273,12 +278,13 @@ FEATURES: Final = {
     "second_motion": Feature(SECOND_MOTION, other_motion, ONE_SCAN, 1.93, 1.78),
     "odometry_disagrees": Feature("odometry contradicts", odometry_disagrees, MANY_SCANS, 0.45, 0.3),
     "placed_by_odometry": Feature("placed by odometry alone", placed_by_odometry, ONE_SCAN, 1.17, 0.79),
+    "carried": Feature("may have been carried", carried, ONE_SCAN, 2.5, 2.5),
     "not_planar": Feature(NOT_PLANAR, not_planar, MANY_SCANS, 0.21, 0.1),
     "sparse_sampling": Feature("sampling too sparse for the motion", sparse, MANY_SCANS, 0.35, 0.0),
     "few_points": Feature("too few beams", few_points, MANY_SCANS, 0.72, 0.0),
 }
 """A slip shows at one scan, conflicts at many. The weights are as `python benchmarks/doubt.py fit` printed them
-before odometry was fused."""
+before odometry was fused; a laser that may have been carried is marked by that alone."""
 
 
 class Weights(NamedTuple):

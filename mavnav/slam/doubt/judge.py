@@ -76,7 +76,8 @@ def judge_redrawn(track: Track) -> Track:
         if isinstance(method, Robust) and method.builds_map
         else redraw(track, recorded=track.refiner is not None)
     )
-    judged = judge(match_again(track, drawn), drawn, UNDECIDED if default else ALWAYS)
+    limits, gaps = UNDECIDED if default else ALWAYS, track.prior_map is None
+    judged = judge(match_again(track, drawn), drawn, limits, gaps=gaps)
     return track.with_findings(doubt=judged.findings.doubt)
 
 
@@ -101,11 +102,14 @@ def match_again(track: Track, drawn: Robust) -> Track:
 
 
 @as_stage("doubt")
-def judge(track: Track, refiner: Refiner, limits: Limits) -> Track:
-    """Judge a track by its features; compare it with a resampled track if its doubt is within ``limits``."""
+def judge(track: Track, refiner: Refiner, limits: Limits, *, gaps: bool = True) -> Track:
+    """Judge a track by its features; compare it with a resampled track if its doubt is within ``limits``.
+
+    In a given map, where a lost laser is found in all of it, ``gaps`` are no reason.
+    """
     if len(track.findings.observed) < len(track.steps) or track.steps.column("tracked").sum() < FEWEST:
         return track
-    evidence = evidence_of(track, refiner)
+    evidence = evidence_of(track, refiner, gaps=gaps)
     doubt = doubt_of(evidence)
     worthwhile = limits[0] <= doubt.probability <= limits[1] and track.steps.share("tracked") >= LEAST_SHARE
     resampled = resampled_poses(track) if worthwhile else None

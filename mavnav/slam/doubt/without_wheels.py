@@ -7,27 +7,24 @@ or change their scale bend a map of which each scan fits the last ones. Where wa
 from __future__ import annotations
 
 from copy import deepcopy
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from mavnav.pose import Pose
 from mavnav.slam.doubt.features import difference, turns_rad
 from mavnav.slam.doubt.judge import UNASKED, judge, match_again
 from mavnav.slam.matching.observability import LEAST_OBSERVABILITY
+from mavnav.slam.matching.odometry_fit import LogOdometry
 from mavnav.slam.matching.scan_matching import MatchVerdict
 from mavnav.slam.matching.steps import tracked_trajectory
 from mavnav.slam.methods.robust import Robust
+from mavnav.slam.retries.beginning import UNTIL_LOST
 from mavnav.slam.retries.odometry import ERRING_WHEELS, describe_error
-from mavnav.slam.retries.wheel_scale import UNTIL_LOST
+from mavnav.slam.track import Track
 from mavnav.units import DEG, NS
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mavnav.slam.matching.odometry_fit import LogOdometry
-    from mavnav.slam.track import Track
 
 SURE: Final = 0.05
 """Doubt below which a track without wheels is believed: 0.02 in made logs where it is right, from 0.95 on where walls
@@ -104,8 +101,7 @@ def sampled_steps(track: Track) -> NDArray[np.bool_]:
 
 def with_odometry(track: Track, odometry: LogOdometry | None) -> Track:
     """Track the log again with a part of its odometry, or without; the new track ends where it is lost."""
-    motion = track.motion._replace(odometry=odometry.lookup(track.findings.odometry) if odometry else None)
-    other = replace(track, motion=motion, log_odometry=odometry or track.log_odometry)
+    other = track.with_odometry(odometry, track.findings.odometry)
     return other.over(track.log_scans(), "track again", UNTIL_LOST)
 
 

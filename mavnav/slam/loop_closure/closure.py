@@ -22,6 +22,7 @@ from mavnav.slam.matching.relocalization import (
     candidates,
     least_growth,
     misfit,
+    reaches,
     unambiguous,
     unobservable_direction,
     with_conflicts,
@@ -134,6 +135,9 @@ MOST_CONFLICTS = 0.05
 AMBIGUITY_MARGIN = 0.15
 """Minimum difference in rank (``misfit``) to another pose within the drift bound; below, a closure is ambiguous."""
 
+MOST_COST = 0.65
+"""Least cost on the coarse grid, as a share of the worst, above which a key frame fits nowhere."""
+
 LEAST_GROWTH = 0.03
 """Least cost of a step (``relocalization.least_growth``) in a direction that is observable."""
 
@@ -160,6 +164,8 @@ def find_closure(
     map_T_here, here = (Pose(), old) if old else seen.local_map(keys[j])
     key = replace(keys[j], map_T_laser=map_T_here.between(keys[j].map_T_laser))
     region = around(key.map_T_laser, *bound)
+    if not reaches(key.points, here.lines, region, config, MOST_COST):
+        return None
     matches = candidates(key.points, here.lines, here.grid, region, config)
     best = unambiguous(matches, AMBIGUITY_MARGIN, config)
     closure = measure_closure(keys, j, map_T_here, best, seen, config) if best and fits(best) else None

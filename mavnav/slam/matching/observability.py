@@ -7,19 +7,14 @@ estimation problems"). The covariance of a matched pose follows from the Hessian
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavnav.scan import runs_of
 from mavnav.slam.matching.steps import LOST_SCANS, Steps
 from mavnav.units import MM, NS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
 
 LEAST_OBSERVABILITY = 0.01
 """Minimum ``kernels.scans.observability`` of a constrained scan.

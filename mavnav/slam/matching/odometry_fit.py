@@ -203,15 +203,21 @@ def share_of_turns(odometry: LogOdometry, map_T_laser: Trajectory, used: Odometr
     return float(np.vdot(base[:, 2], turned)) / max(float(np.vdot(turned, turned)), 1e-9)
 
 
+def a_second_apart(stamps_ns: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the rows (n,) and (n,) of stamps between which lies ``WINDOW_S`` or more, but not twice as much."""
+    ends = np.searchsorted(stamps_ns, stamps_ns + round(WINDOW_S / NS))
+    begins = np.flatnonzero(ends < len(stamps_ns))
+    begins = begins[(stamps_ns[ends[begins]] - stamps_ns[begins]) * NS < 2.0 * WINDOW_S]
+    return begins, ends[begins]
+
+
 def _motions(map_T_laser: Trajectory, odometry: LogOdometry) -> _Windows:
     """Return the motions of a path over a second."""
     stamps_ns = map_T_laser.stamps_ns
-    ends = np.searchsorted(stamps_ns, stamps_ns + round(WINDOW_S / NS))
-    starts = np.flatnonzero(ends < len(stamps_ns))
-    starts = starts[(stamps_ns[ends[starts]] - stamps_ns[starts]) * NS < 2.0 * WINDOW_S]
+    starts, ends = a_second_apart(stamps_ns)
     if len(starts) > MOST_WINDOWS:
-        starts = starts[np.linspace(0, len(starts) - 1, MOST_WINDOWS).astype(np.intp)]
-    ends = ends[starts]
+        some = np.linspace(0, len(starts) - 1, MOST_WINDOWS).astype(np.intp)
+        starts, ends = starts[some], ends[some]
     moved = between(map_T_laser.xyyaw[starts], map_T_laser.xyyaw[ends])
     in_base = (moved[:, 0] + 1j * moved[:, 1]) * np.exp(1j * odometry.base_T_laser.yaw_rad)
     (x_m, y_m, yaw_rad), path_ns = odometry.odom_T_base.xyyaw.T, odometry.odom_T_base.stamps_ns

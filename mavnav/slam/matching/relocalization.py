@@ -190,6 +190,15 @@ def refined_minima(
     return [search_lines(points, line_map, pose, schedule) for _, pose in starts]
 
 
+def reaches(points: Floats, line_map: LineMap, region: Region, config: Config, limit: float) -> bool:
+    """Return whether the cost of a scan is at most ``limit``, a share of the worst, at a pose of a region.
+
+    ``points`` (n, 2) as those of `refined_minima`, of which this is the first and cheaper part.
+    """
+    few, truncate_m = points[: config.robust.expert.first_level_points], config.robust.expert.truncate_m
+    return bool(lowest(few, line_map, region, truncate_m, 1, limit * truncate_m**2))
+
+
 def lowest(
     points: Floats,
     line_map: LineMap,

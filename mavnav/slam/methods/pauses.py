@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
+from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from math import hypot
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mavnav.pose import Pose
 from mavnav.slam.matching.motion_model import GAP_S, LONGEST_S, MOST_ERROR, Motion
-from mavnav.slam.matching.odometry_fit import WINDOW_S
+from mavnav.slam.matching.odometry_fit import a_second_apart
 from mavnav.slam.matching.steps import Step, Steps
 from mavnav.units import NS
 
@@ -67,15 +67,10 @@ def is_too_far(a: Pose, b: Pose, elapsed_s: float, fastest_m_s: float) -> bool:
 
 def highest_speeds(steps: Sequence[Step]) -> tuple[float, float]:
     """Return the highest usual speeds (0.99 quantile) over about a second between accepted poses, m/s and rad/s."""
-    stamps_ns = [step.stamp_ns for step in steps]
-    later = (bisect_left(stamps_ns, stamp_ns + WINDOW_S / NS) for stamp_ns in stamps_ns)
-    pairs = [
-        (a, steps[k], (steps[k].stamp_ns - a.stamp_ns) * NS)
-        for a, k in zip(steps, later, strict=True)
-        if k < len(steps)
-    ]
-    speeds = [np.divide(a.match.map_T_laser.gap(b.match.map_T_laser), s) for a, b, s in pairs if s <= CARRIED_S]
-    usual = np.quantile(speeds or [(0.0, 0.0)], 0.99, axis=0)
+    begins, ends = a_second_apart(np.array([step.stamp_ns for step in steps], np.int64))
+    pairs = [(steps[begin], steps[end]) for begin, end in zip(begins.tolist(), ends.tolist(), strict=True)]
+    moved = [np.divide(a.match.map_T_laser.gap(b.match.map_T_laser), (b.stamp_ns - a.stamp_ns) * NS) for a, b in pairs]
+    usual = np.quantile(moved or [(0.0, 0.0)], 0.99, axis=0)
     fastest_m_s, fastest_rad_s = np.maximum(usual, LEAST_SPEED_M_S).tolist()
     return fastest_m_s, fastest_rad_s
 

@@ -7,30 +7,27 @@ conflicts, however few of them agree. The likelier motion counts as well: the ve
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from math import log1p, pi
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavnav.pose import Pose
+from mavnav.scan import Scan
 from mavnav.slam.matching.motion_model import GAP_S, MOST_ERROR, motion_by, motions_along
 from mavnav.slam.matching.relocalization import apart, around, candidates
 from mavnav.slam.matching.scan_matching import no_match
 from mavnav.slam.matching.steps import Step, Steps, evenly, tracked_trajectory
 from mavnav.slam.methods.pauses import FASTER, SLACK_M
 from mavnav.slam.methods.robust import Robust
+from mavnav.slam.track import Track
 from mavnav.units import DEG, NS
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+Scans = dict[int, Scan]
+"""Scans by their numbers."""
 
-    from numpy.typing import NDArray
-
-    from mavnav.scan import Scan
-    from mavnav.slam.track import Track
-
-    Scans = dict[int, Scan]
-    """Scans by their numbers."""
 
 LONGEST_GAP_S = 5.0
 """Longest time across which two sides are compared: beyond, the laser can be anywhere."""
@@ -141,20 +138,36 @@ def pose_across_gap(
     """
     if abs(beyond[0].stamp_ns - here[0].stamp_ns) * NS > LONGEST_GAP_S:
         return None
-    ours, theirs = (Side(steps, scans, _map_of(steps, scans, track)) for steps in (here, beyond))
+    ours, theirs = side_of(here, scans, track), side_of(beyond, scans, track)
     end, reach = beyond[0].match.map_T_laser, reach_across(here[0], beyond[0], track, fastest)
+    likely = reach.expected if reach.measured else here[0].match.map_T_laser @ motion_across(here, beyond)
+    ranked = places(ours, theirs, reach, likely)
+    most, best = max(ranked, default=(0.0, reach.expected @ end.inverse()))
+    rivals = (value for value, pose in ranked if apart(best @ end, pose @ end))
+    return best if most >= max((0.0, *rivals)) + LEAST_AGREEMENT else None
+
+
+def places(ours: Side, theirs: Side, reach: Reach, likely: Pose) -> list[tuple[float, Pose]]:
+    """Return poses of the map of their side in that of ours which can be reached, each with what speaks for it.
+
+    That is its agreement less the cost of the motion; ``likely`` is the likely pose of their nearest step.
+    """
+    end = theirs.steps[0].match.map_T_laser
     expected = reach.expected @ end.inverse()
     poses = [*_fits(ours, theirs, expected, reach)]
     poses += [pose.inverse() for pose in _fits(theirs, ours, expected.inverse(), reach)]
-    likely = reach.expected if reach.measured else here[0].match.map_T_laser @ motion_across(here, beyond)
-    ranked = [
-        (agreement(ours, theirs, pose) - MOTION_WEIGHT * reach.motion_cost(likely, pose @ end), pose)
-        for pose in poses
-        if reach.includes(pose @ end)
-    ]
-    most, best = max(ranked, default=(0.0, expected))
-    rivals = (value for value, pose in ranked if apart(best @ end, pose @ end))
-    return best if most >= max((0.0, *rivals)) + LEAST_AGREEMENT else None
+    return [(support(ours, theirs, reach, likely, pose), pose) for pose in poses if reach.includes(pose @ end)]
+
+
+def support(ours: Side, theirs: Side, reach: Reach, likely: Pose, map_T_part: Pose) -> float:
+    """Return the agreement of both sides at a pose, less the cost of the motion."""
+    end = theirs.steps[0].match.map_T_laser
+    return agreement(ours, theirs, map_T_part) - MOTION_WEIGHT * reach.motion_cost(likely, map_T_part @ end)
+
+
+def side_of(steps: Sequence[Step], scans: Scans, track: Track) -> Side:
+    """Return the side of a gap with some steps, the nearest first."""
+    return Side(steps, scans, _map_of(steps, scans, track))
 
 
 def _map_of(steps: Sequence[Step], scans: Scans, track: Track) -> Robust:

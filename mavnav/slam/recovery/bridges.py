@@ -5,11 +5,12 @@ They are not in the map, and stay untracked: the laser may be blocked, blank or 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec import Struct, field
+from numpy.typing import NDArray
 
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import runs_of
@@ -18,14 +19,8 @@ from mavnav.slam.matching.odometry_fit import with_noise
 from mavnav.slam.matching.steps import LOST_SCANS, Step, tracked_trajectory
 from mavnav.slam.recovery.across_gap import reach_across
 from mavnav.slam.recovery.part_by_odometry import size
+from mavnav.slam.track import Track
 from mavnav.units import NS
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from mavnav.slam.track import Track
 
 
 class Bridges(Struct, frozen=True):

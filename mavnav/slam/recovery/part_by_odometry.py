@@ -6,24 +6,20 @@ before. How far the odometry of the log can be relied on is measured where the l
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mavnav.pose import Pose
+from mavnav.scan import Scan
 from mavnav.slam.loop_closure.key_frames import drift_bound
+from mavnav.slam.matching.motion_model import Odometry
 from mavnav.slam.matching.odometry_fit import with_noise
 from mavnav.slam.matching.scan_matching import no_match
 from mavnav.slam.matching.steps import Step, Steps, tracked_trajectory
+from mavnav.slam.track import Track
 from mavnav.units import NS, pluralize
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
-    from mavnav.pose import Pose
-    from mavnav.scan import Scan
-    from mavnav.slam.matching.motion_model import Odometry
-    from mavnav.slam.track import Track
 
 SAMPLE_S = 0.25
 """Time between the poses of odometry whose distances are the path across a gap."""

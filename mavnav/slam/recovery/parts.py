@@ -8,33 +8,28 @@ A part that is not joined is neither in the trajectory nor in the map.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from itertools import islice
 from math import ceil, floor
-from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
 from mavnav.pose import Pose
-from mavnav.scan import runs_of
+from mavnav.scan import Scan, runs_of
 from mavnav.slam.matching.budget import LONG_LOST_SCANS
+from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.relocalization import AGREEING_SCANS, apart
 from mavnav.slam.matching.scan_matching import no_match
 from mavnav.slam.matching.steps import LOST_SCANS, LostInterval, Step, Steps, evenly, lost_intervals
 from mavnav.slam.methods.pauses import first_found_late, highest_speeds, pauses
+from mavnav.slam.methods.registry import Refiner
 from mavnav.slam.recovery.across_gap import LOCAL_SCANS, pose_across_gap, reach_across
 from mavnav.slam.recovery.part_by_odometry import neighbours, placed_warning, pose_by_odometry
 from mavnav.slam.retries.beginning import LEAST_TRACKED_SHARE, count_accepted, until_missing
+from mavnav.slam.track import Track
 from mavnav.units import NS, pluralize
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from mavnav.scan import Scan
-    from mavnav.slam.matching.motion_model import Motion
-    from mavnav.slam.methods.registry import Refiner
-    from mavnav.slam.track import Track
 
 MOST_TRACKED = 4
 """Maximum number of stretches of lost scans that are tracked on separate maps."""

@@ -3,41 +3,32 @@
 from __future__ import annotations
 
 from array import array
+from collections.abc import Iterable, Iterator
 from functools import partial
-from itertools import chain, islice
+from itertools import chain
 from math import hypot
-from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from mavnav.kernels.scans.rts_smoother import smooth
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.profiling import as_stage
+from mavnav.scan import Scan
 from mavnav.slam.matching.motion_model import LONGEST_S, Motion, motions_along
 from mavnav.slam.matching.observability import UNMEASURED, degeneracy_warning
 from mavnav.slam.matching.steps import Step, Steps, jumps, tracked_trajectory
+from mavnav.slam.methods.registry import Refiner
 from mavnav.slam.retries.unused_odometry import not_observed, observed_by_odometry
+from mavnav.slam.track import Track
 from mavnav.units import DEG, NS
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    from numpy.typing import NDArray
-
-    from mavnav.scan import Scan
-    from mavnav.slam.methods.registry import Refiner
-    from mavnav.slam.track import Track
-
 
 NO_EVIDENCE = (UNMEASURED, *(0.0,) * 7)
 """Observability, visibility conflicts and Hessian of a scan without a pose."""
 
 NOTABLE_CONFLICTS, SKEWED_RAD = 0.01, 2 * DEG
 """Visibility conflicts that raise doubt, and turn during a sweep from which they may be due to the turn alone."""
-
-BATCH_SCANS = 16
-"""Number of scans for which each operation runs in turn: its code and data stay in the processor's caches."""
 
 
 def remove_dynamic_cells(track: Track, refiner: Refiner) -> Track:
@@ -83,25 +74,23 @@ def refine_steps(
     conflicts and Hessian of each of the others are appended to ``evidence``. ``motions`` are those at the tracked
     scans: the map is made of de-skewed scans, with which a scan as recorded conflicts in a turn.
     """
-    moving = iter(motions)
-    waiting, coming = iter(steps), iter(scans)
-    while some := list(islice(waiting, BATCH_SCANS)):
-        batch = list(islice(coming, len(some)))
-        points = [refiner.match_points(scan) for scan in batch]
-        matches = [refiner.refine(p, s.match) if s.tracked else s.match for p, s in zip(points, some, strict=False)]
-        for scan, p, step, match in zip(batch, points, some, matches, strict=False):
-            if not step.tracked:
-                evidence.extend(NO_EVIDENCE)
-                continue
-            observed, hessian = refiner.observability(p, match)
-            conflicts, motion = refiner.conflicts(p, match), next(moving, None)
-            turn_rad = abs(motion.twist[2]) * scan.sweep_s if motion else 0.0
-            if motion and conflicts >= NOTABLE_CONFLICTS and turn_rad >= SKEWED_RAD:
-                deskewed = refiner.match_points(scan, motion)
-                conflicts = min(conflicts, refiner.conflicts(deskewed, refiner.refine(deskewed, match)))
-            evidence.extend((observed, conflicts, *hessian.tolist()))
-        yield from (step._replace(match=match) for step, match in zip(some, matches, strict=False))
-        yield from some[len(matches) :]
+    moving, waiting = iter(motions), iter(steps)
+    for scan, step in zip(scans, waiting, strict=False):
+        if not step.tracked:
+            evidence.extend(NO_EVIDENCE)
+            yield step
+            continue
+        points = refiner.match_points(scan)
+        match = refiner.refine(points, step.match)
+        observed, hessian = refiner.observability(points, match)
+        conflicts, motion = refiner.conflicts(points, match), next(moving, None)
+        turn_rad = abs(motion.twist[2]) * scan.sweep_s if motion else 0.0
+        if motion and conflicts >= NOTABLE_CONFLICTS and turn_rad >= SKEWED_RAD:
+            deskewed = refiner.match_points(scan, motion)
+            conflicts = min(conflicts, refiner.conflicts(deskewed, refiner.refine(deskewed, match)))
+        evidence.extend((observed, conflicts, *hessian.tolist()))
+        yield step._replace(match=match)
+    yield from waiting
 
 
 def draw_map(track: Track, refiner: Refiner) -> Track:

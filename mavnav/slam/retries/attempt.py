@@ -5,18 +5,15 @@ Where scans are sparse, a wrong match in a sharp turn bends the map, and blurs i
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from collections.abc import Callable, Iterable
+from typing import Final
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
 from mavnav.slam.matching.steps import Steps, lost_intervals
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
-    from mavnav.slam.track import Track
+from mavnav.slam.track import Track
 
 
 class Attempt(Struct, frozen=True):

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from mavnav.scan import Scan
 from mavnav.slam.matching.motion_model import GAP_S, LONGEST_S, motion_at
 from mavnav.slam.matching.scan_matching import Match
-from mavnav.slam.matching.steps import LOST_SCANS, tracked_trajectory
+from mavnav.slam.matching.steps import tracked_trajectory
 from mavnav.slam.retries.attempt import Attempt
-from mavnav.slam.retries.beginning import until_missing
+from mavnav.slam.retries.beginning import UNTIL_LOST
 from mavnav.slam.retries.odometry import LEAST_TURN_RAD
 from mavnav.slam.track import LogScans, Track
 from mavnav.units import NS
@@ -102,16 +102,15 @@ def cost_ratio_in_map(scans: list[Scan], stretch: range, track: Track, change: C
 def cost_ratios(scans: list[Scan], stretch: range, track: Track, changes: Iterable[Change]) -> Iterator[float]:
     """Track the scans of a stretch as listed and with each change, on separate maps; yield the `cost_ratio` of each.
 
-    The path of the track predicts the poses. The tracks end where ``LOST_SCANS`` in a row do not match. The ratio is
+    The path of the track predicts the poses. The tracks end where they are lost. The ratio is
     NaN with fewer than ``LEAST_COMPARED`` scans.
     """
     some = [scans[row - stretch.start] for row in turning_scans(stretch, track)]
     path = partial(tracked_trajectory(track.steps).at, max_gap_ns=int(LONGEST_S / NS))
     alone = replace(track, prior_map=None, begin=0, motion=track.motion._replace(odometry=path))
-    until = partial(until_missing, least_points=0, most_missed=LOST_SCANS, most_held=np.inf)
-    listed = alone.over(some, until=until).steps
+    listed = alone.over(some, until=UNTIL_LOST).steps
     for change in changes:
-        other = alone.over(map(change, some), until=until).steps
+        other = alone.over(map(change, some), until=UNTIL_LOST).steps
         both = [(a.match, b.match) for a, b in zip(listed, other, strict=False) if a.tracked and b.tracked]
         yield cost_ratio(both if len(both) >= LEAST_COMPARED else [])
 

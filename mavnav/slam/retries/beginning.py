@@ -5,8 +5,9 @@ A partial sweep while the laser spins up, a blocked laser or a fast turn can mak
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from msgspec.structs import replace
@@ -14,11 +15,7 @@ from msgspec.structs import replace
 from mavnav.slam.matching.budget import DOUBTFUL_SCANS, LONG_LOST_SCANS
 from mavnav.slam.matching.steps import LOST_SCANS, Step, Steps
 from mavnav.slam.retries.odometry import while_odometry_fits
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    from mavnav.slam.track import Track, Until
+from mavnav.slam.track import Track, Until
 
 EARLY_SCANS = 30
 """Largest number of scans of a map that is given up.
@@ -105,3 +102,7 @@ def until_missing(
             missed += 1
         if held <= most_held and missed >= most_missed:
             return
+
+
+UNTIL_LOST: Final = partial(until_missing, least_points=0, most_missed=LOST_SCANS, most_held=np.inf)
+"""What ends a track that is compared with another one: where it is lost it shows nothing, and takes long."""

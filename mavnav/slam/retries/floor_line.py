@@ -8,25 +8,22 @@ no laser sees anything past it.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from mavnav.pose import motions
-from mavnav.scan import scan_before
-from mavnav.slam.matching.odometry_fit import LEAST_WINDOWS, MOST_WINDOWS, WINDOW_S
+from mavnav.scan import Line, Scan, scan_before
+from mavnav.slam.matching.odometry_fit import LEAST_WINDOWS, MOST_WINDOWS, a_second_apart
 from mavnav.slam.matching.steps import tracked_trajectory
 from mavnav.slam.retries.odometry import by_wheels
-from mavnav.units import DEG, NS
+from mavnav.slam.track import LogScans, Track
+from mavnav.units import DEG
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+Floats = NDArray[np.float64]
 
-    from mavnav.scan import Line, Scan
-    from mavnav.slam.track import LogScans, Track
-
-    Floats = NDArray[np.float64]
 
 LEAST_MOVED_M: Final = 0.1
 """Motion in a second, m, by which the distance to a wall ahead clearly changes."""
@@ -121,16 +118,14 @@ def floor_line(track: Track) -> Floats | None:
 def straight_motions(track: Track) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats]:
     """Return between which scans (n,) and (n,) odometry drives straight on, and the motions (n, 3), m and rad.
 
-    They take a second or a little more, and are ``MOST_WINDOWS`` at most, spread over the log.
+    They take about a second, and are ``MOST_WINDOWS`` at most, spread over the log.
     """
     stamps_ns = np.array([scan.stamp_ns for scan in track.log_scans()], np.int64)
-    ends = np.searchsorted(stamps_ns, stamps_ns + round(WINDOW_S / NS))
-    begins = np.flatnonzero(ends < len(stamps_ns))
-    begins = begins[(stamps_ns[ends[begins]] - stamps_ns[begins]) * NS < 2.0 * WINDOW_S]
-    moved = motions(by_wheels(track, stamps_ns), begins, ends[begins])
+    begins, ends = a_second_apart(stamps_ns)
+    moved = motions(by_wheels(track, stamps_ns), begins, ends)
     driving = np.flatnonzero((np.hypot(*moved[:, :2].T) >= LEAST_MOVED_M) & (np.abs(moved[:, 2]) < STRAIGHT_RAD))
     driving = driving[:: 1 + len(driving) // MOST_WINDOWS]
-    return begins[driving], ends[begins[driving]], moved[driving]
+    return begins[driving], ends[driving], moved[driving]
 
 
 def line_ahead(scans: list[Scan], ahead: Floats) -> Floats:

@@ -6,15 +6,13 @@ blur the map, as those of a tilted laser do where nothing levels them.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from msgspec.structs import replace
 
 from mavnav.slam.retries.attempt import Attempt, is_sharper
 from mavnav.slam.retries.floor_line import scans_before
-
-if TYPE_CHECKING:
-    from mavnav.slam.track import LogScans, Track
+from mavnav.slam.track import LogScans, Track
 
 AS_RECORDED: Final = "scans as recorded"
 

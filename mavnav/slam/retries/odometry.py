@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from collections.abc import Iterable, Iterator
+from typing import Final
 
 import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
-from mavnav.pose import motions
+from mavnav.pose import Trajectory, motions
 from mavnav.slam.findings import TrackedAgain
 from mavnav.slam.matching.motion_model import MOST_ERROR
 from mavnav.slam.matching.odometry_fit import (
     GOOD_ODOMETRY,
     UNITS,
+    LogOdometry,
     OdometryFit,
     fit_odometry,
     share_of_turns,
@@ -21,16 +24,8 @@ from mavnav.slam.matching.odometry_fit import (
 from mavnav.slam.matching.steps import NEARLY_ALL, Step, Steps, tracked_trajectory
 from mavnav.slam.retries.attempt import Attempt
 from mavnav.slam.retries.unused_odometry import is_recorded
+from mavnav.slam.track import Track, Until
 from mavnav.units import DEG, NS
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    from numpy.typing import NDArray
-
-    from mavnav.pose import Trajectory
-    from mavnav.slam.matching.odometry_fit import LogOdometry
-    from mavnav.slam.track import Track, Until
 
 IMPROVED: Final = 0.85
 """Ratio of the errors with and without a correction from which it is applied."""
@@ -115,17 +110,12 @@ def turns_against(fit: OdometryFit, odometry: LogOdometry, path: Trajectory) -> 
 def correct_odometry(track: Track) -> Track | None:
     """Return a track with odometry that is corrected to fit better; None where it fits, or nothing makes it fit."""
     fit = correction(track, track.steps)
-    if fit is None or track.log_odometry is None:
-        return None
-    motion = track.motion._replace(odometry=track.log_odometry.lookup(fit))
-    return replace(track, motion=motion).with_findings(odometry=fit)
+    return track.with_odometry(track.log_odometry, fit) if fit else None
 
 
 def drop_odometry(track: Track) -> Track | None:
     """Return a track without odometry if that contradicts the scans."""
-    if not contradicts(track, track.steps):
-        return None
-    return replace(track, motion=track.motion._replace(odometry=None))
+    return track.with_odometry(None, track.findings.odometry) if contradicts(track, track.steps) else None
 
 
 ERRING_WHEELS: Final = "without wheels"

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from mavnav.slam.matching.motion_model import GAP_S
+from mavnav.slam.track import Track
 from mavnav.units import NS
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mavnav.slam.track import Track
 
 
 def is_recorded(track: Track, stamps_ns: NDArray[np.int64]) -> bool:

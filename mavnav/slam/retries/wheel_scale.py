@@ -7,19 +7,14 @@ none of it; something that moves along with the laser does so at every scale.
 
 from __future__ import annotations
 
-from functools import partial
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
-from msgspec.structs import replace
 
-from mavnav.slam.matching.steps import LOST_SCANS
-from mavnav.slam.retries.beginning import until_missing
+from mavnav.slam.matching.steps import Steps
+from mavnav.slam.retries.beginning import UNTIL_LOST
 from mavnav.slam.retries.odometry import SCALES
-
-if TYPE_CHECKING:
-    from mavnav.slam.matching.steps import Steps
-    from mavnav.slam.track import Track
+from mavnav.slam.track import Track
 
 FIRST_LONGER, LAST_LONGER = 0.05, 0.01
 """Share by which motions are longer than wheels say from which their scale is changed, and from which again."""
@@ -40,9 +35,6 @@ little; its limit."""
 
 MOST_TRACKS: Final = 6
 
-UNTIL_LOST: Final = partial(until_missing, least_points=0, most_missed=LOST_SCANS, most_held=np.inf)
-"""What ends a track with another scale: one that is lost shows nothing, and takes long."""
-
 
 def with_scaled_wheels(track: Track) -> Track:
     """Return a track with the scale of wheels at which matches ask for no other; the given one if there is none."""
@@ -56,8 +48,7 @@ def with_scaled_wheels(track: Track) -> Track:
         if scale in tried:
             break
         fit = fit._replace(distance_scale=scale)
-        other = replace(track, motion=track.motion._replace(odometry=odometry.lookup(fit))).with_findings(odometry=fit)
-        other = other.over(track.log_scans(), "track again", UNTIL_LOST)
+        other = track.with_odometry(odometry, fit).over(track.log_scans(), "track again", UNTIL_LOST)
         if len(other.steps) < len(track.steps):
             break
         scaled, longer = other, longer_than_wheels(other.steps)

@@ -15,7 +15,7 @@ GOOD: dict[str, Any] = {
     "method": "robust",
     "config": {"odom": "auto"},
     "input": {"duration_s": 60.0, "odometry": None},
-    "scans": {"processed": 600},
+    "scans": {"processed": 600, "tracked": 600},
     "tracking": {
         "lost": False, "tracked_share": 1.0, "intervals": [], "doubt": {"probability": 0.1, "reasons": []}
     },
@@ -290,6 +290,8 @@ def test_a_session_that_did_not_join_is_lost() -> None:
     assert verdict_of(GOOD | {"continued": apart | {"joined": True}}).word == "good"
     repeated = verdict_of(GOOD | {"continued": apart | {"why": "it has the scans of monday"}})
     assert repeated.advice == "leave it out: its scans are in the map already"
+    blind = GOOD | {"scans": GOOD["scans"] | {"tracked": 0}, "continued": apart}
+    assert verdict_of(blind).advice == "examine it with mavnav info"
 
 
 def test_the_worst_of_some_verdicts() -> None:

@@ -92,8 +92,15 @@ def test_the_graph_has_vertices_and_edges_by_scan(looped, tmp_path):
 
 
 def test_groups_that_must_be_named(run, looped, tmp_path):
-    assert write_run(run, tmp_path / "a", groups=("svg", "graph"))["outputs"].keys() == {"map.svg"}
-    everything = write_run(looped, tmp_path / "b", groups=("all",))["outputs"].keys()
+    document = write_run(run, tmp_path / "a", groups=("svg", "graph", "slices"))
+    assert document["outputs"].keys() == {"map.svg"}
+    assert [line for line in document["warnings"] if "written" in line] == [
+        "no slices written: the heights of the scans are not known",
+        "no graph written: the path returns nowhere, or no loop was looked for",
+    ]
+    whole = write_run(looped, tmp_path / "b", groups=("all",))
+    everything = whole["outputs"].keys()
+    assert not [line for line in whole["warnings"] if "written" in line]
     assert everything >= {"map.svg", "map_scale.png", "map_scale.yaml", "pose_graph.g2o", "result.mcap", "map.pgm"}
     check_groups(("all",))
     with pytest.raises(UsageError, match=r"known are .*graph, all"):

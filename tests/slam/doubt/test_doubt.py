@@ -48,6 +48,7 @@ def clean(*, compared: bool = False, **changes: object) -> TrackEvidence:
         tilt_rad=np.zeros(N),
         second_motion=np.zeros(N),
         by_odometry_m=np.zeros(N),
+        beside_gap=np.zeros(N),
     )
     return replace(good, **changes)
 
@@ -83,6 +84,7 @@ PLANTED = {
     "too few beams": clean(points=np.full(N, 50)),
     SECOND_MOTION: clean(second_motion=some(0.4, 0.0)),
     "placed by odometry alone": clean(by_odometry_m=some(0.3, 0.0)),
+    "may have been carried": clean(beside_gap=some(1.0, 0.0)),
     "odometry contradicts": clean(wheels=jumped(x_m=1.0)),
 }
 

@@ -25,9 +25,11 @@ from mavnav.slam.matching.relocalization import (
     everywhere,
     least_growth,
     lowest,
+    lowest_exhaustive,
     lowest_starts,
     minima,
     motion_cost,
+    reaches,
     unambiguous,
     with_conflicts,
     within_reach,
@@ -144,6 +146,19 @@ def test_cells_that_do_not_divide_the_step_are_searched_exhaustively() -> None:
     few = method.match_points(scan_at(furnished_rooms(), Pose(1.2, 1.0, 0.4)))[:100]
     args = few, method.lines, around(Pose(1.0, 1.0, 0.5), 2.5, np.pi), 0.15, 6
     assert lowest(*args) == lowest(*args, exhaustive=True)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_cost_is_reached_from_the_least_one_of_the_region_on(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    method, config = mapped(furnished_rooms(), [Pose(1.0, 1.0, 0.5), Pose(4.6, 0.8, 2.0)]), load_config()
+    there = Pose(*rng.uniform((0.6, 0.6, -3), (4.6, 3.0, 3)).tolist())
+    points, region = method.match_points(scan_at(furnished_rooms(), there, noise=0.01)), around(there, 1.0, 0.5)
+    few, truncate_m = points[: config.robust.expert.first_level_points], config.robust.expert.truncate_m
+    least = lowest_exhaustive(few, method.lines, region, truncate_m, 1)[0][0] / truncate_m**2
+    limits = (0.9 * least, 0.999 * least, 1.001 * least, 1.1 * least)
+    reached = [reaches(points, method.lines, region, config, limit) for limit in limits]
+    assert reached == [False, False, True, True]
 
 
 def test_a_sample_tells_what_speaks_against_a_place() -> None:
