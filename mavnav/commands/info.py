@@ -55,7 +55,7 @@ def _rows(document: dict[str, Any]) -> Rows:
     yield "scans", f"{scans['usable']} usable of {scans['total']}{skipped}{suspect}"
     for topic in document["scan_topics"]:
         odometry, imu, findings = topic["odometry"], topic["imu"], topic["health"]["findings"]
-        yield "scan topic", f"{topic['topic']}, frame {topic['frame_id']}, {topic['scans']['usable']} scans"
+        yield "scan topic", f"{topic['topic']}, frame {topic['frame_id'] or '(none)'}, {topic['scans']['usable']} scans"
         yield "sensor", _sensor_text(topic["sensor"])
         yield "sweep", _sweep_text(topic["sensor"])
         yield from _time_rows(topic["time"])

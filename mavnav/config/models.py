@@ -229,7 +229,7 @@ class Config(Strict, frozen=True):
     """
 
     method: MethodName = "robust"
-    grid: Annotated[Grid, setting("points of the search grid in the plane")] = GridSize()
+    grid: Annotated[Grid, setting("points of the search grid in the plane, as 10x10")] = GridSize()
     azimuth: Annotated[int, setting("yaw samples of the search", ge=2, le=2000)] = field(default_factory=int)
     odom: Annotated[str, setting("odometry used as motion prior: auto, off, or a topic")] = "auto"
     attitude: Annotated[str, setting("tilt and height of the laser, to level scans: auto, off, or a topic")] = "auto"

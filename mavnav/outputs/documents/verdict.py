@@ -148,7 +148,7 @@ def _lost(run: Run) -> Cause:
         )
     beams = _usable_beams(run)
     if beams < FEW_BEAMS:
-        seen = f"the scans see too little to be matched ({beams:.0f} usable beams in the median)"
+        seen = f"the scans see too little to be matched ({pluralize(round(beams), 'usable beam')} in the median)"
         return seen, _without_changes(run) or "look at the ranges with mavnav info, and at near_mm and far_mm"
     return f"tracking was lost{since}, {poses}", f"{_advice_if_lost(run)}; look at map.png"
 
