@@ -35,8 +35,8 @@ class TrackEvidence(Struct, frozen=True):
     used or not, NaN without one; ``tilt_rad`` (n,) the tilt by an inertial sensor, 0 without; ``second_motion`` (n,)
     the share of scans that fit another motion too, at those scans; ``by_odometry_m`` (n,) the error to be expected
     where odometry alone gives the pose, 0 elsewhere; ``beside_gap`` (n,) whether a gap is beside them beyond which the
-    laser may be elsewhere; ``unmeasured`` (n,) the share of the motion that nothing but scans
-    measures: 0 with odometry, 1 without. ``period_s`` is the scan period.
+    laser may be elsewhere; ``unmeasured`` (n,) the share of the motion that nothing but scans measures: 0 with
+    odometry, 1 without. ``period_s`` is the scan period.
     """
 
     period_s: float
@@ -242,7 +242,7 @@ def placed_by_odometry(evidence: TrackEvidence) -> Floats:
     return evidence.by_odometry_m / WRONG_M
 
 
-def carried(evidence: TrackEvidence) -> Floats:
+def doubtful_gap(evidence: TrackEvidence) -> Floats:
     """Return whether the laser may be elsewhere beyond a gap beside each scan, as a multiple of the bound: 1 or 0."""
     return evidence.beside_gap
 
@@ -278,7 +278,7 @@ FEATURES: Final = {
     "second_motion": Feature(SECOND_MOTION, other_motion, ONE_SCAN, 1.93, 1.78),
     "odometry_disagrees": Feature("odometry contradicts", odometry_disagrees, MANY_SCANS, 0.45, 0.3),
     "placed_by_odometry": Feature("placed by odometry alone", placed_by_odometry, ONE_SCAN, 1.17, 0.79),
-    "carried": Feature("may have been carried", carried, ONE_SCAN, 2.5, 2.5),
+    "doubtful_gap": Feature("may have been carried", doubtful_gap, ONE_SCAN, 2.5, 2.5),
     "not_planar": Feature(NOT_PLANAR, not_planar, MANY_SCANS, 0.21, 0.1),
     "sparse_sampling": Feature("sampling too sparse for the motion", sparse, MANY_SCANS, 0.35, 0.0),
     "few_points": Feature("too few beams", few_points, MANY_SCANS, 0.72, 0.0),

@@ -16,7 +16,7 @@ from mavnav.slam.loop_closure.key_frames import key_rows
 from mavnav.slam.matching.motion_model import motion_by
 from mavnav.slam.matching.relocalization import apart
 from mavnav.slam.matching.scan_matching import no_match
-from mavnav.slam.matching.steps import Step, lost_intervals
+from mavnav.slam.matching.steps import Step
 from mavnav.slam.methods.pauses import CARRIED_S, highest_speeds, shortest_pause_s
 from mavnav.slam.recovery.across_gap import (
     LEAST_AGREEMENT,
@@ -28,7 +28,7 @@ from mavnav.slam.recovery.across_gap import (
     side_of,
     support,
 )
-from mavnav.slam.recovery.parts import lost_for_good
+from mavnav.slam.recovery.parts import accepted_steps, is_lost
 from mavnav.slam.track import Track
 from mavnav.units import DEG, NS
 
@@ -56,19 +56,20 @@ def beside_doubtful_gaps(track: Track) -> NDArray[np.float64]:
 
     None is in a log that is lost for good, which is said anyway.
     """
-    steps = [step for step in track.steps if step.tracked]
+    steps = accepted_steps(track)
     beside, gaps_s = np.zeros(len(steps)), np.diff([step.stamp_ns for step in steps]) * NS
     long = np.flatnonzero(gaps_s > shortest_pause_s(track.motion.period_s, CARRIED_S))
-    if not len(long) or not track.builds_map or lost_for_good(track.steps, list(lost_intervals(track.steps))):
+    if not len(long) or not track.builds_map or is_lost(track.steps):
         return beside
     longest = sorted(long.tolist(), key=lambda k: -gaps_s[k])[:MOST_GAPS]
     sides = {k: (_some(steps[k::-1]), _some(steps[k + 1 :])) for k in longest}
     wanted = {step.index for here, beyond in sides.values() for step in (*here, *beyond)}
     scans = {k: scan for k, scan in enumerate(track.log_scans()) if k in wanted}
+    fastest = highest_speeds(steps)
     for k, (here, beyond) in sides.items():
         ours, theirs = side_of(here, scans, track), side_of(beyond, scans, track)
         likely = motion_across(steps[k::-1][:LOCAL_SCANS], steps[k + 1 :][:LOCAL_SCANS])
-        if _may_be_elsewhere(ours, theirs, likely, track, highest_speeds(steps)):
+        if _may_be_elsewhere(ours, theirs, likely, track, fastest):
             beside[k : k + 2] = 1.0
     return beside
 

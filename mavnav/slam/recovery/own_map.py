@@ -17,10 +17,10 @@ from mavnav.slam.loop_closure.detection import rebuild_at
 from mavnav.slam.loop_closure.key_frames import key_rows
 from mavnav.slam.matching.placement import PosedScan, place_together
 from mavnav.slam.matching.scan_matching import empty_line_map
-from mavnav.slam.matching.steps import evenly, lost_intervals, tracked_trajectory
+from mavnav.slam.matching.steps import evenly, tracked_trajectory
 from mavnav.slam.methods.acceptance import Acceptance
 from mavnav.slam.methods.registry import Refiner, make_method
-from mavnav.slam.recovery.parts import lost_for_good
+from mavnav.slam.recovery.parts import is_lost
 from mavnav.slam.retries.attempt import rank, try_again
 from mavnav.slam.retries.beginning import track_from_good_beginning
 from mavnav.slam.retries.odometry import FITTING_ODOMETRY
@@ -38,7 +38,7 @@ def or_with_own_map(track: Track, start: Track) -> Track:
     ``start`` is the track before its first scan. Another track is taken if it loses fewer scans, and has one place in
     the given map.
     """
-    if not start.prior_map or not track.refiner or not lost_for_good(track.steps, list(lost_intervals(track.steps))):
+    if not start.prior_map or not track.refiner or not is_lost(track.steps):
         return track
     method = make_method(track.config)
     alone = replace(start, log_scans=track.log_scans, method=method, prior_map=None, around_map=start.prior_map)

@@ -70,11 +70,16 @@ def lost_for_good(
     return ended or (bool(steps) and few)
 
 
+def is_lost(steps: Steps) -> bool:
+    """Return `lost_for_good` of a track that nothing was joined to."""
+    return lost_for_good(steps, list(lost_intervals(steps)))
+
+
 def join_lost_parts(track: Track, refiner: Refiner) -> Track:
     """Track the lost stretches of a log that was lost for good on separate maps; join them where possible."""
     if not refiner.builds_map:
         return track
-    lost = lost_parts(track) if lost_for_good(track.steps, list(lost_intervals(track.steps))) else []
+    lost = lost_parts(track) if is_lost(track.steps) else []
     largest = max([track, *lost], key=count_accepted)
     others = [accepted_steps(t) for t in [track, *lost] if t is not largest]
     taken = {step.index for part in others for step in part}
@@ -91,8 +96,7 @@ def drop_late_poses(track: Track, refiner: Refiner) -> Track:
     """
     if not refiner.builds_map or track.motion.odometry is not None:
         return track
-    lost = lost_for_good(track.steps, list(lost_intervals(track.steps)))
-    first = None if lost else first_found_late(track.steps, track.motion.period_s)
+    first = None if is_lost(track.steps) else first_found_late(track.steps, track.motion.period_s)
     if first is None:
         return track
     before = track.over(islice(track.log_scans(), first), "track again")
