@@ -29,6 +29,8 @@ _BLOCKED_CELLS2 = 2  # a cell with a wall and the eight around it are blocked
 _AHEAD_M = 2.0  # a straight line to the path is sought this far
 _UNIT = 4  # weight of a cell in the open
 _NEAR_SAFETY, _UNDER_SAFETY, _UNDER_LEAST = 3, 10, 100  # times as much: a metre there costs a detour of so many
+_WALL_NEAR_M, _LEAST_WALL_M = 2.0, 3.5  # with less wall within this distance along either axis a cell is in the open
+_SQUARE_M = 0.25  # walls are counted in squares of this size
 _SEEDS_CELLS = 4  # a goal in a blocked cell is reached from within this distance
 
 
@@ -227,7 +229,8 @@ def aim_on_shortest_path(walls_xy_map_m: XY, xy_map_m: XY, goal_xy_map_m: XY, co
     """Return the point (2,) in m, map frame, to head for in a straight line; None where walls close the goal off.
 
     Cells nearer to a wall than the safety clearance cost more, far more below the least one: the path
-    comes closer to walls only where there is no other.
+    comes closer to walls only where there is no other. So do cells in the open, by ``open_cost``: walls show the pose
+    (coastal navigation; Roy, Burgard, Fox and Thrun 1999).
     """
     origin, shape = _covering(np.vstack((walls_xy_map_m, xy_map_m, goal_xy_map_m)), config.plan_cell_m)
     cell_m = config.plan_cell_m
@@ -265,7 +268,24 @@ def _weights(walls: NDArray[np.int64], shape: tuple[int, int], config: PlannerCo
     mask = np.zeros(shape, np.bool_)
     mask[walls[:, 0], walls[:, 1]] = True
     reach = max(2, ceil(2.0 * config.safety_mm / config.plan_cell_mm))
-    return np.take(_weight_table(reach, config), wavefront.squared_clearance(mask, reach))
+    weights = np.take(_weight_table(reach, config), wavefront.squared_clearance(mask, reach))
+    if config.open_cost == 1.0:
+        return weights
+    dearer = np.where(_in_the_open(walls, shape, config.plan_cell_m), config.open_cost, 1.0)
+    return np.round(weights * dearer).astype(np.int32)
+
+
+def _in_the_open(walls: NDArray[np.int64], shape: tuple[int, int], cell_m: float) -> NDArray[np.bool_]:
+    """Return which cells (rows, cols) have little wall around."""
+    side = max(1, round(_SQUARE_M / cell_m))
+    reach = round(_WALL_NEAR_M / (side * cell_m))
+    squares = np.zeros([-(-cells // side) for cells in shape], np.int64)
+    squares[walls[:, 0] // side, walls[:, 1] // side] = 1
+    around = np.pad(squares, reach)
+    for axis in (0, 1):
+        around = np.lib.stride_tricks.sliding_window_view(around, 2 * reach + 1, axis).sum(axis=-1)
+    few = around * side * cell_m < _LEAST_WALL_M
+    return few.repeat(side, axis=0).repeat(side, axis=1)[: shape[0], : shape[1]]
 
 
 def _weight_table(reach_cells: int, config: PlannerConfig) -> NDArray[np.int32]:

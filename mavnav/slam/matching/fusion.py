@@ -85,7 +85,7 @@ class Fusion(NamedTuple):
     """Variances of a prediction over a unit of motion, m2 and rad2, and the factor on the covariance of a match.
 
     The unit is a scan period of commands, or a meter or radian of wheels. The variances of commands begin with the
-    20 mm of the paper and 2 deg; matches are believed once they are seen to agree. ``scans`` is the number of scans
+    20 mm and 5 deg of the paper; matches are believed once they are seen to agree. ``scans`` is the number of scans
     that they are learnt from, ``excess`` a running mean of what predictions and matches differ by, squared, as a
     multiple of the expected one (normalized innovation squared; Bar-Shalom, Li and Kirubarajan 2001, 5.4), and
     ``freedom`` the degrees of freedom of Student's t: the fewer, the less a prediction weighs far from the match.
@@ -96,7 +96,7 @@ class Fusion(NamedTuple):
     """
 
     position_m2: float = 0.02**2
-    yaw_rad2: float = (2 * DEG) ** 2
+    yaw_rad2: float = (5 * DEG) ** 2
     factor: float = 4.0
     scans: int = 0
     excess: float = 1.0

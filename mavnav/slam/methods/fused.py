@@ -13,6 +13,7 @@ from mavnav.slam.matching.fusion import WHEELS, Fusion, evidence_of, longer_than
 from mavnav.slam.matching.motion_model import MOST_ERROR, Motion
 from mavnav.slam.matching.scan_matching import Match, MatchVerdict, Schedule, no_match, search_lines
 from mavnav.slam.methods.robust import Robust
+from mavnav.units import DEG
 
 PRIOR = 0.05
 """Cost of a square meter off the prediction: it keeps a search from running along a wall, and decides little else."""
@@ -23,7 +24,7 @@ LEAST_UNITS = 0.005
 LEAST_DRIVEN = 0.01
 """Motion by wheels since the last pose, m and rad, from which a scan that repeats the one before does not show rest."""
 
-VELOCITY = Fusion()
+VELOCITY = Fusion(yaw_rad2=(2 * DEG) ** 2)
 """What is known of constant velocity, which bridges gaps of the odometry."""
 
 
