@@ -11,9 +11,9 @@ from msgspec import ValidationError, convert
 from mavnav.config.models import PlannerConfig
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose
-from mavnav.simulation.planner.local_minima import unit
+from mavnav.simulation.planner.local_minima import aim_on_shortest_path, in_the_open, unit
 from mavnav.simulation.planner.potential_field import TECHNIQUES, MotionCommand, Planner
-from support import closed_loop
+from support import closed_loop, naive_planner
 from support.closed_loop import CLOSED, CORNER, DOORWAY, OPEN, U_TRAP, World, fly, paint
 from support.synthetic import DEG, polyline
 
@@ -256,3 +256,31 @@ def test_a_goal_near_a_wall_is_approached() -> None:
     flight = fly(World(OPEN.walls, Pose(8.0, 0.0, 0.0), (9.96, 0.0)), known=True)
     assert flight.reached
     assert flight.clearance_m > 0.2
+
+
+# ---- the open --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("cell_m", "shape"), [(0.05, (90, 130)), (0.1, (33, 61)), (0.4, (21, 17))])
+@pytest.mark.parametrize("seed", range(3))
+def test_cells_in_the_open_are_their_twin(seed: int, cell_m: float, shape: tuple[int, int]) -> None:
+    rng = np.random.default_rng(seed)
+    row = rng.integers(shape[0])
+    along = np.column_stack((np.full(shape[1], row), np.arange(shape[1])))[: shape[1] // 2]
+    walls = np.vstack((along, rng.integers(0, shape, (3, 2))))
+    np.testing.assert_array_equal(in_the_open(walls, shape, cell_m), naive_planner.in_the_open(walls, shape, cell_m))
+
+
+def test_the_way_keeps_near_a_wall_where_the_open_costs_more() -> None:
+    wall = np.column_stack((np.arange(0.0, 12.0, 0.05), np.zeros(240)))
+    highest_m = []
+    for open_cost in (1.0, 8.0):
+        here, path = np.array([1.0, 1.0]), []
+        while here[0] < 5.0:
+            aim = aim_on_shortest_path(wall, here, np.array([8.0, 7.0]), PlannerConfig(open_cost=open_cost))
+            assert aim is not None
+            here = here + 0.1 * unit(aim - here)
+            path.append(here)
+        highest_m.append(max(y for _, y in path))
+    assert highest_m[0] > 3.0
+    assert highest_m[1] < 2.1

@@ -82,3 +82,15 @@ def downhill(cost, weights, row, col, steps):
             break
         way.append(min(lower)[1:])
     return np.array(way)
+
+
+def in_the_open(walls, shape, cell_m):
+    """Count squares of 0.25 m (or one cell) with walls, within 2 m of the cell's own square."""
+    side = max(1, round(0.25 / cell_m))
+    reach = round(2.0 / (side * cell_m))
+    squares = {(row // side, col // side) for row, col in walls.tolist()}
+    out = np.zeros(shape, bool)
+    for row, col in np.ndindex(shape):
+        near = [s for s in squares if max(abs(s[0] - row // side), abs(s[1] - col // side)) <= reach]
+        out[row, col] = len(near) * side * cell_m < 3.5
+    return out

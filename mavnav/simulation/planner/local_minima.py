@@ -271,12 +271,12 @@ def _weights(walls: NDArray[np.int64], shape: tuple[int, int], config: PlannerCo
     weights = np.take(_weight_table(reach, config), wavefront.squared_clearance(mask, reach))
     if config.open_cost == 1.0:
         return weights
-    dearer = np.where(_in_the_open(walls, shape, config.plan_cell_m), config.open_cost, 1.0)
+    dearer = np.where(in_the_open(walls, shape, config.plan_cell_m), config.open_cost, 1.0)
     return np.round(weights * dearer).astype(np.int32)
 
 
-def _in_the_open(walls: NDArray[np.int64], shape: tuple[int, int], cell_m: float) -> NDArray[np.bool_]:
-    """Return which cells (rows, cols) have little wall around."""
+def in_the_open(walls: NDArray[np.int64], shape: tuple[int, int], cell_m: float) -> NDArray[np.bool_]:
+    """Return which cells (rows, cols) have little wall around them; ``walls`` (n, 2) are rows and columns."""
     side = max(1, round(_SQUARE_M / cell_m))
     reach = round(_WALL_NEAR_M / (side * cell_m))
     squares = np.zeros([-(-cells // side) for cells in shape], np.int64)
