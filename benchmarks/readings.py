@@ -402,6 +402,7 @@ BEFORE = {"slam.paper.expert.gate_share": 0, "slam.paper.expert.gate_occlusion_m
 CURVE = (
     NAMED[0],
     Reading.of("gate_share 0.5", "paper", {"slam.paper.expert.gate_share": 0.5}),
+    Reading.of("gate_share 0.575", "paper", {"slam.paper.expert.gate_share": 0.575}),
     Reading.of("gate_share 0.6", "paper", {"slam.paper.expert.gate_share": 0.6}),
     Reading.of("gate_share 0.65", "paper", {"slam.paper.expert.gate_share": 0.65}),
     Reading.of("gate_share 0 (the cost alone)", "paper", {"slam.paper.expert.gate_share": 0}),

@@ -295,7 +295,7 @@ class PlannerConfig(Strict, frozen=True):
     min_hits: Annotated[int, setting("least hits in 5x5 cells of an obstacle; paper: 1", ge=1, le=1_000_000)] = 2
     min_share: Annotated[float, setting("least share of beams that end in an obstacle; paper: 0", ge=0, le=1)] = 0.1
     plan_cell_mm: Annotated[float, setting("cell edge of the wavefront grid", ge=10, le=1000)] = 50.0
-    open_cost: Annotated[float, setting("cost of a meter far from walls; 1: as near them", ge=1, le=100)] = 1.0
+    open_cost: Annotated[float, setting("factor on the cost of wavefront cells far from walls", ge=1, le=100)] = 1.0
     stall_steps: Annotated[int, setting("steps within stall_mm that count as a stall", ge=2)] = 25
     stall_mm: Annotated[float, setting("a vehicle that stays within this has stalled", gt=0, le=1_000_000)] = 200.0
 

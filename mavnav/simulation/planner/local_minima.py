@@ -229,8 +229,8 @@ def aim_on_shortest_path(walls_xy_map_m: XY, xy_map_m: XY, goal_xy_map_m: XY, co
     """Return the point (2,) in m, map frame, to head for in a straight line; None where walls close the goal off.
 
     Cells nearer to a wall than the safety clearance cost more, far more below the least one: the path
-    comes closer to walls only where there is no other. So do cells in the open, by ``open_cost``: walls show the pose
-    (coastal navigation; Roy, Burgard, Fox and Thrun 1999).
+    comes closer to walls only where there is no other. Cells in the open cost ``open_cost`` times as much, as walls
+    show the pose (coastal navigation; Roy, Burgard, Fox and Thrun 1999).
     """
     origin, shape = _covering(np.vstack((walls_xy_map_m, xy_map_m, goal_xy_map_m)), config.plan_cell_m)
     cell_m = config.plan_cell_m
@@ -271,8 +271,8 @@ def _weights(walls: NDArray[np.int64], shape: tuple[int, int], config: PlannerCo
     weights = np.take(_weight_table(reach, config), wavefront.squared_clearance(mask, reach))
     if config.open_cost == 1.0:
         return weights
-    dearer = np.where(in_the_open(walls, shape, config.plan_cell_m), config.open_cost, 1.0)
-    return np.round(weights * dearer).astype(np.int32)
+    factor = np.where(in_the_open(walls, shape, config.plan_cell_m), config.open_cost, 1.0)
+    return np.round(weights * factor).astype(np.int32)
 
 
 def in_the_open(walls: NDArray[np.int64], shape: tuple[int, int], cell_m: float) -> NDArray[np.bool_]:
