@@ -13,8 +13,7 @@ from mavnav.kernels.line_search.cost import cost_sum as _cost_sum
 from mavnav.kernels.line_search.plane import shift_sums as _shift_sums
 from mavnav.kernels.line_search.quadratic_form import quadratic_form as _quadratic_form
 from mavnav.kernels.line_search.search import on_mapped_area as _on_mapped_area
-from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import F64_1D, F64_2D, I64_1D, U32_2D, Out
+from mavnav.kernels.machine.jit import F64_1D, F64_2D, I64_1D, U32_2D, Out, helper, kernel
 from mavnav.kernels.scans.points import voxel_means as _voxel_means
 
 

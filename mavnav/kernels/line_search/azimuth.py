@@ -6,8 +6,7 @@ import numpy as np
 
 from mavnav.kernels.line_search.cost import Lines, Middle, SearchWindow, cost_sum, least, mean_absolute, rotate
 from mavnav.kernels.line_search.quadratic_form import quadratic_form
-from mavnav.kernels.machine.jit import helper
-from mavnav.kernels.machine.types import F64_1D, F64_2D, I64_1D, float64, int64, uint64
+from mavnav.kernels.machine.jit import F64_1D, F64_2D, I64_1D, float64, helper, int64, uint64
 from mavnav.kernels.maps.lookup import slot_of
 
 ARC_COST = 30

@@ -13,7 +13,7 @@ from mavnav.kernels.machine.jit import helper
 from mavnav.kernels.maps.lookup import line_distance2, slot_at
 
 if TYPE_CHECKING:
-    from mavnav.kernels.machine.types import F64_1D, F64_2D, U32_2D
+    from mavnav.kernels.machine.jit import F64_1D, F64_2D, U32_2D
 CHUNK = 8
 """Number of points between two comparisons with the bound."""
 ROUNDING_M2 = 1e-9

@@ -6,8 +6,7 @@ import numpy as np
 
 from mavnav.kernels.line_search.cost import ROUNDING_M2, Lines, Middle, SearchWindow, cost_sum, least, rotate
 from mavnav.kernels.line_search.quadratic_form import quadratic_form
-from mavnav.kernels.machine.jit import helper
-from mavnav.kernels.machine.types import F64_1D, F64_2D, F64_3D, I64_1D, int64, uint64
+from mavnav.kernels.machine.jit import F64_1D, F64_2D, F64_3D, I64_1D, helper, int64, uint64
 from mavnav.kernels.maps.lookup import slot_of
 
 RECTANGLE_COST = 3

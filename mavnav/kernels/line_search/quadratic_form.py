@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.kernels.machine.jit import helper
-from mavnav.kernels.machine.types import F64_2D, I64_1D, float64, int32, int64, uint64
+from mavnav.kernels.machine.jit import F64_2D, I64_1D, float64, helper, int32, int64, uint64
 from mavnav.kernels.maps.lookup import slot_of
 
 if TYPE_CHECKING:

@@ -28,8 +28,7 @@ from mavnav.kernels.line_search.azimuth import least_turn, turns_of
 from mavnav.kernels.line_search.cost import Lines, Middle, SearchWindow, mean, rotate
 from mavnav.kernels.line_search.plane import least_shift
 from mavnav.kernels.line_search.quadratic_form import least_of_form, quadratic_form
-from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import F64_1D, F64_2D, U32_2D, uint64
+from mavnav.kernels.machine.jit import F64_1D, F64_2D, U32_2D, helper, kernel, uint64
 from mavnav.kernels.maps.lookup import closeness_of, line_distance2, slot_at, slot_of
 
 MAX_LEVELS = 40

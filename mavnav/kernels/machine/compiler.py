@@ -18,7 +18,6 @@ import numba
 import numpy as np
 
 from mavnav.kernels.machine.loader import MachineCode, link
-from mavnav.kernels.machine.types import Signature
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -39,11 +38,14 @@ def as_helper(function: Callable[..., Any]) -> Any:  # noqa: ANN401
     return numba.njit(no_cpython_wrapper=True, **_OPTIONS)(function)
 
 
-def compile_kernel(function: Callable[..., Any]) -> tuple[Callable[..., Any], MachineCode | None]:
-    """Compile a kernel; return the callable, and its code, None if this numba does not provide it."""
+def compile_kernel(function: Callable[..., Any], signature: object) -> tuple[Callable[..., Any], MachineCode | None]:
+    """Compile a kernel for a signature of numba.
+
+    Returns the callable, and its code, None if this numba does not provide it.
+    """
     made = numba.njit(**_OPTIONS)(function)
     with whole_kernels(made.targetctx):
-        made.compile(Signature.of(function).numba)
+        made.compile(signature)
     made.disable_compile()
     (result,) = made.overloads.values()
     try:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import F64_1D, F64_2D, U16_2D, U16_3D, U32_2D, int64
+from mavnav.kernels.machine.jit import F64_1D, F64_2D, U16_2D, U16_3D, U32_2D, helper, int64, kernel
 from mavnav.kernels.maps.layout import EXPLAINED_CELLS, FAR, WALL_HITS
 from mavnav.kernels.maps.lookup import closeness_of, count_at
 

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavnav.kernels.machine.jit import kernel
-from mavnav.kernels.machine.types import F64_1D, F64_2D, I64_1D, U8_3D, U32_2D, int64, uint8
+from mavnav.kernels.machine.jit import F64_1D, F64_2D, I64_1D, U8_3D, U32_2D, int64, kernel, uint8
 from mavnav.kernels.maps.layout import LEVELS, WORST
 from mavnav.kernels.maps.lookup import line_distance2, slot_of
 

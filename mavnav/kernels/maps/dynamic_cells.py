@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import I16_3D, I64_2D, U16_2D, U16_3D, int64
+from mavnav.kernels.machine.jit import I16_3D, I64_2D, U16_2D, U16_3D, helper, int64, kernel
 from mavnav.kernels.maps.layout import EXPLAINED_CELLS, MOST_SHIELDED, WALL_HITS
 from mavnav.kernels.maps.lookup import count_at
 

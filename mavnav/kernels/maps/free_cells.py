@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavnav.kernels.machine.jit import kernel
-from mavnav.kernels.machine.types import I64_1D, U8_2D, U16_2D, U16_3D, uint8
+from mavnav.kernels.machine.jit import I64_1D, U8_2D, U16_2D, U16_3D, kernel, uint8
 from mavnav.kernels.maps.layout import SHIFT, WIDE
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import (
+from mavnav.kernels.machine.jit import (
     F64_1D,
     F64_2D,
     I8_2D,
@@ -16,8 +15,10 @@ from mavnav.kernels.machine.types import (
     U16_3D,
     Out,
     float64,
+    helper,
     int32,
     int64,
+    kernel,
     uint64,
 )
 from mavnav.kernels.maps.layout import MOST, MOST_SHIELDED, SHIFT, WIDE

@@ -23,8 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import F64_1D, F64_2D, I32_2D, I64_1D, U32_2D, Out, int64, uint64
+from mavnav.kernels.machine.jit import F64_1D, F64_2D, I32_2D, I64_1D, U32_2D, Out, helper, int64, kernel, uint64
 from mavnav.kernels.maps.layout import FAR, NEAR, REACH_CELLS
 from mavnav.kernels.maps.lookup import closeness_of, slot_of
 

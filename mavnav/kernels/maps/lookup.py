@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from mavnav.kernels.machine.jit import helper
-from mavnav.kernels.machine.types import F64_2D, I16_3D, U16_3D, U32_2D, int64, uint64
+from mavnav.kernels.machine.jit import F64_2D, I16_3D, U16_3D, U32_2D, helper, int64, uint64
 from mavnav.kernels.maps.layout import NEAR, SHIFT, WIDE
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavnav.kernels.machine.jit import kernel
-from mavnav.kernels.machine.types import F64_1D, F64_2D, U16_3D, int64, uint64
+from mavnav.kernels.machine.jit import F64_1D, F64_2D, U16_3D, int64, kernel, uint64
 from mavnav.kernels.maps.layout import SHIFT, WIDE
 
 ROUNDING_M = 1e-9

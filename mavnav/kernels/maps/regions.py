@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import BOOL_2D, F64_2D, I32_1D, I64_1D, I64_3D
+from mavnav.kernels.machine.jit import BOOL_2D, F64_2D, I32_1D, I64_1D, I64_3D, helper, kernel
 
 
 @helper

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavnav.kernels.machine.jit import kernel
-from mavnav.kernels.machine.types import F64_1D, F64_2D, U16_2D, U16_3D, float64, int64
+from mavnav.kernels.machine.jit import F64_1D, F64_2D, U16_2D, U16_3D, float64, int64, kernel
 from mavnav.kernels.maps.lookup import count_at
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavnav.kernels.machine.jit import kernel
-from mavnav.kernels.machine.types import BOOL_2D, I32_2D, I64_2D, int32, int64
+from mavnav.kernels.machine.jit import BOOL_2D, I32_2D, I64_2D, int32, int64, kernel
 
 STRAIGHT, DIAGONAL = 10, 14
 """Costs of a straight and of a diagonal step, per weight of the cell."""

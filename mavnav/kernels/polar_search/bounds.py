@@ -23,7 +23,7 @@ from mavnav.kernels.polar_search.polynomial import polynomial, sum_loose
 from mavnav.kernels.polar_search.wide_bounds import bound_wide
 
 if TYPE_CHECKING:
-    from mavnav.kernels.machine.types import F64_1D, F64_2D
+    from mavnav.kernels.machine.jit import F64_1D, F64_2D
 
 FIXED_BEAMS, TRIMMED_BEAMS, WORTH_TRIMMING = 0.25, 6.0, 15
 """Bounds on the beams that points pass on the grid, on average.

@@ -9,8 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import F64_1D, F64_2D, I32_1D, int32, int64, uint64
+from mavnav.kernels.machine.jit import F64_1D, F64_2D, I32_1D, helper, int32, int64, kernel, uint64
 
 
 class Limits(NamedTuple):

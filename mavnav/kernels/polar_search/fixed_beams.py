@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mavnav.kernels.machine.jit import helper
-from mavnav.kernels.machine.types import F64_1D, F64_2D, I64_1D, int64, uint64
+from mavnav.kernels.machine.jit import F64_1D, F64_2D, I64_1D, helper, int64, uint64
 
 if TYPE_CHECKING:
     from mavnav.kernels.polar_search.cost import Beams, Work

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.kernels.machine.jit import helper
-from mavnav.kernels.machine.types import F64_1D, F64_2D, I64_1D, uint64
+from mavnav.kernels.machine.jit import F64_1D, F64_2D, I64_1D, helper, uint64
 from mavnav.kernels.polar_search.cost import Beams, Work, lower_ranges, span, to_polar
 
 if TYPE_CHECKING:

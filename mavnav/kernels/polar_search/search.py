@@ -17,8 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import F64_1D, F64_2D, int64
+from mavnav.kernels.machine.jit import F64_1D, F64_2D, helper, int64, kernel
 from mavnav.kernels.polar_search.bounds import bound
 from mavnav.kernels.polar_search.cost import Beams, Limits, Work, evaluate, limits_of, scan_of, work_for
 from mavnav.kernels.polar_search.fixed_beams import HalfWindow

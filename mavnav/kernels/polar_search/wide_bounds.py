@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mavnav.kernels.machine.jit import helper
-from mavnav.kernels.machine.types import F32_1D, F32_2D, F64_1D, F64_2D, I32_2D, float64, int32, int64, uint64
+from mavnav.kernels.machine.jit import F32_1D, F32_2D, F64_1D, F64_2D, I32_2D, float64, helper, int32, int64, uint64
 
 if TYPE_CHECKING:
     from mavnav.kernels.polar_search.cost import Beams, Limits, Work

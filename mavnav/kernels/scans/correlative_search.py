@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import F64_1D, F64_2D, U32_2D, Out, float64, int32, int64, uint64
+from mavnav.kernels.machine.jit import F64_1D, F64_2D, U32_2D, Out, float64, helper, int32, int64, kernel, uint64
 from mavnav.kernels.maps.lookup import line_distance2, slot_of
 
 BLOCK = 1024  # positions at a time: their data stay in the processor's cache

@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import (
+from mavnav.kernels.machine.jit import (
     F64_1D,
     F64_2D,
     I32_2D,
@@ -24,7 +23,9 @@ from mavnav.kernels.machine.types import (
     U16_2D,
     U32_2D,
     Out,
+    helper,
     int64,
+    kernel,
     uint8,
     uint16,
     uint64,

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import F64_1D, F64_2D, U32_2D, Out, float64, int64
+from mavnav.kernels.machine.jit import F64_1D, F64_2D, U32_2D, Out, float64, helper, int64, kernel
 from mavnav.kernels.maps.lookup import line_distance2, slot_of
 
 PIECE_M = 0.3

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import F64_1D, F64_2D, Out, int32, uint64
+from mavnav.kernels.machine.jit import F64_1D, F64_2D, Out, helper, int32, kernel, uint64
 
 MIXED_M, MIXED_SHARE = 0.1, 0.05
 """Difference in range to both neighbors of a mixed pixel, in m and as a share of the range."""

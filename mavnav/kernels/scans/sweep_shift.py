@@ -6,8 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from mavnav.kernels.machine.jit import kernel
-from mavnav.kernels.machine.types import F64_1D, F64_2D, Out
+from mavnav.kernels.machine.jit import F64_1D, F64_2D, Out, kernel
 
 JOINED_M: Final = 3.0
 """Greatest distance of the two neighbors of a point on a wall."""

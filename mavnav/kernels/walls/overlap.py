@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import F64_1D, F64_2D, I64_2D
+from mavnav.kernels.machine.jit import F64_1D, F64_2D, I64_2D, helper, kernel
 
 
 @helper

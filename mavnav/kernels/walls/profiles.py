@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavnav.kernels.machine.jit import kernel
-from mavnav.kernels.machine.types import F64_2D, F64_3D, U16_2D_STRIDED, int32, uint64
+from mavnav.kernels.machine.jit import F64_2D, F64_3D, U16_2D_STRIDED, int32, kernel, uint64
 
 
 @kernel

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import BOOL_1D, F64_1D, F64_2D, F64_3D, I64_1D, I64_2D, U8_2D
+from mavnav.kernels.machine.jit import BOOL_1D, F64_1D, F64_2D, F64_3D, I64_1D, I64_2D, U8_2D, helper, kernel
 
 HALF_LENGTH_M = 0.15
 GAP_M = 0.25

@@ -4,8 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavnav.kernels.machine.jit import helper, kernel
-from mavnav.kernels.machine.types import F64_2D, I64_1D, I64_2D, U8_1D, U8_2D, U8_3D, U16_2D, U16_2D_STRIDED
+from mavnav.kernels.machine.jit import (
+    F64_2D,
+    I64_1D,
+    I64_2D,
+    U8_1D,
+    U8_2D,
+    U8_3D,
+    U16_2D,
+    U16_2D_STRIDED,
+    helper,
+    kernel,
+)
 
 
 @kernel
