@@ -87,7 +87,7 @@ def compare(
         with loading_modules():
             from mavnav.batch.runner import load_kernels
             from mavnav.comparison import pipeline
-            from mavnav.comparison.side_by_side import check_given
+            from mavnav.comparison.pipeline import check_given
             from mavnav.jobs.pool import usable_cores
             from mavnav.outputs.documents.provenance import Typed
             from mavnav.pipelines.trajectory_source import read_program, read_source
@@ -119,7 +119,7 @@ def _compare_finished(runs: list[Path], target: Path, gates: list[Gate], *, json
     """Compare finished runs; return comparison.json."""
     with reporting(quiet=quiet) as report:
         with loading_modules():
-            from mavnav.comparison.side_by_side import compare_finished
+            from mavnav.comparison.pipeline import compare_finished
             from mavnav.outputs.writers import REPORT_FILE, write_page
         document = compare_finished(runs, target, gates)
         report("drawing the report", 0, None)
@@ -143,8 +143,7 @@ def _run_and_draw(plan: BatchPlan, given_poses: GivenPoses | None, *, quiet: boo
     from mavnav.batch.document import unlisted_runs, unlisted_text
     from mavnav.batch.runner import run_cases
     from mavnav.comparison.document import COMPARISON_FILE
-    from mavnav.comparison.pipeline import is_report_current, write_results
-    from mavnav.comparison.side_by_side import compare_with_poses
+    from mavnav.comparison.pipeline import compare_with_poses, is_report_current, write_results
     from mavnav.outputs.writers import REPORT_FILE, write_page
 
     directory, drawn = plan.request.directory, is_report_current(plan)  # before comparison.json is written again

@@ -53,7 +53,7 @@ def score(
     shared.check_gates(bounds, *(["reference"] if {*REFERENCES} & options.keys() else []))
     with local_log(logs) as source, reporting(quiet=quiet) as report:
         with loading_modules():
-            from mavnav.comparison.side_by_side import check_score_directory, write_scores
+            from mavnav.comparison.pipeline import check_score_directory, write_scores
             from mavnav.config.loading import load_config
             from mavnav.logs.formats.detect import log_name
             from mavnav.outputs.documents.provenance import Typed

@@ -10,9 +10,8 @@ from typing import Final
 from msgspec.structs import replace
 
 from mavnav.errors import NoScansError, SeveralTopicsError, TopicError
-from mavnav.logs.attitude import AttitudeTracks, laser_attitude
+from mavnav.logs.attitude import AttitudeTracks, laser_attitude, laser_rotation
 from mavnav.logs.false_returns import body_warning, no_return_m, no_return_warning, own_beams, without_value
-from mavnav.logs.imu import laser_rotation
 from mavnav.logs.levelling import ceiling_height_m
 from mavnav.logs.log import Log
 from mavnav.logs.merging import FRAME, partners, virtual_laser

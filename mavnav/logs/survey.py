@@ -14,10 +14,9 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 
 from mavnav.errors import MavnavError
-from mavnav.logs.attitude import AttitudeTracks
+from mavnav.logs.attitude import AttitudeTracks, ImuTrack
 from mavnav.logs.content import check_file, check_files, check_window, reading, size_and_sha256
 from mavnav.logs.formats import detect
-from mavnav.logs.imu import ImuTrack
 from mavnav.logs.messages.decode import Waiting, decoder, is_laser, scan_topic, scan_topics
 from mavnav.logs.messages.definitions import IMU, ODOMETRY, PATH, POSE
 from mavnav.logs.messages.other_scans import OTHER_TYPES
