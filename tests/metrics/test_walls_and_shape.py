@@ -7,8 +7,7 @@ import pytest
 
 from mavnav.mapping import tiled_arrays
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, Grid, occupancy, occupied_xy_m
-from mavnav.metrics.map_quality import near_walls, only_occupied
-from mavnav.metrics.shape import corners, enclosed_areas, occupied_share
+from mavnav.metrics.map_quality import corners, enclosed_areas, near_walls, occupied_share, only_occupied
 from mavnav.metrics.walls import straight_walls, wall_sections
 
 CELL_M = 0.02

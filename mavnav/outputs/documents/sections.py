@@ -10,7 +10,7 @@ from msgspec import Struct, defstruct
 
 from mavnav.config.option_kinds import NUMBER, POSE, SWITCH, Option
 from mavnav.config.options import OPTIONS, ReplayOptions
-from mavnav.logs.levelling import RecordedAttitude
+from mavnav.logs.derived_scans import RecordedAttitude
 from mavnav.mapping.occupancy_grid import OCCUPIED, occupancy
 from mavnav.mapping.slices import Slice, slice_name
 from mavnav.metrics.fields import OPTIONAL, Measured, number, text

@@ -11,7 +11,7 @@ from mavnav.kernels.walls.overlap import scan_distances
 from mavnav.kernels.walls.profiles import wall_profiles
 from mavnav.kernels.walls.smoothing import smooth_image
 from mavnav.kernels.walls.straight_beams import straight_beams
-from mavnav.metrics.shape import gaussian, highest
+from mavnav.metrics.map_quality import gaussian, highest
 from mavnav.metrics.walls import link
 from mavnav.pose import Pose
 from support import naive_metrics as naive
