@@ -15,10 +15,10 @@ from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from mavnav.errors import TopicError
-from mavnav.logs.levelling import MOST_RAD, RecordedAttitude
+from mavnav.logs.derived_scans import MOST_RAD, RecordedAttitude
 from mavnav.logs.log import Log
-from mavnav.logs.messages.columns import merge
 from mavnav.logs.messages.definitions import IMU, ODOMETRY, POSE
+from mavnav.logs.messages.fast_cdr import merge
 from mavnav.logs.messages.records import Measurements, Poses
 from mavnav.logs.namespaces import laser_topics, of_same_robot
 from mavnav.logs.records import Channel, Imu, Topic

@@ -11,10 +11,9 @@ from msgspec import field
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from mavnav.logs.derived_scans import Mounted, RecordedAttitude, virtual_scans
 from mavnav.logs.false_returns import without_beams, without_value
 from mavnav.logs.formats import detect
-from mavnav.logs.levelling import RecordedAttitude
-from mavnav.logs.merging import Mounted, virtual_scans
 from mavnav.logs.messages.decode import decoder, scan_topic
 from mavnav.logs.messages.records import DecodeError, LaserMessage
 from mavnav.logs.namespaces import topic_and_frame

@@ -11,12 +11,10 @@ from msgspec.structs import replace
 
 from mavnav.errors import NoScansError, SeveralTopicsError, TopicError
 from mavnav.logs.attitude import AttitudeTracks, laser_attitude, laser_rotation
+from mavnav.logs.derived_scans import FRAME, ceiling_height_m, partners, virtual_laser
 from mavnav.logs.false_returns import body_warning, no_return_m, no_return_warning, own_beams, without_value
-from mavnav.logs.levelling import ceiling_height_m
 from mavnav.logs.log import Log
-from mavnav.logs.merging import FRAME, partners, virtual_laser
-from mavnav.logs.messages.decode import LASER_TYPES, scan_topics
-from mavnav.logs.messages.other_scans import OTHER_TYPES
+from mavnav.logs.messages.decode import LASER_TYPES, OTHER_TYPES, scan_topics
 from mavnav.logs.namespaces import topic_and_frame
 from mavnav.logs.preprocessing import KINDS
 from mavnav.logs.records import LogContents, ScanCounts

@@ -17,19 +17,17 @@ from mavnav.errors import MavnavError
 from mavnav.logs.attitude import AttitudeTracks, ImuTrack
 from mavnav.logs.content import check_file, check_files, check_window, reading, size_and_sha256
 from mavnav.logs.formats import detect
-from mavnav.logs.messages.decode import Waiting, decoder, is_laser, scan_topic, scan_topics
+from mavnav.logs.messages.decode import OTHER_TYPES, Waiting, decoder, is_laser, scan_topic, scan_topics
 from mavnav.logs.messages.definitions import IMU, ODOMETRY, PATH, POSE
-from mavnav.logs.messages.other_scans import OTHER_TYPES
 from mavnav.logs.messages.records import DecodeError
 from mavnav.logs.namespaces import FRAME, laser_topics, namespace
-from mavnav.logs.pose_track import add_poses
 from mavnav.logs.preprocessing import ScanFilter
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel, LogContents, RawMessage, Topic
 from mavnav.logs.segments import Recorded, SweepJoiners
 from mavnav.logs.topic_scans import TopicScans
 from mavnav.logs.trajectories import OdometryTracks, TruthTracks
-from mavnav.logs.transforms import FrameTree
+from mavnav.logs.transforms import FrameTree, add_poses
 from mavnav.profiling import as_stage
 
 _PROGRESS_STEPS = 200

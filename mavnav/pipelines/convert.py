@@ -19,10 +19,9 @@ from mavnav.logs import Log, Survey, choose, content_sha256, survey
 from mavnav.logs.formats import detect
 from mavnav.logs.messages import cdr, ros
 from mavnav.logs.messages.definitions import TF, definition
-from mavnav.logs.pose_track import TF_PREFIX, FramePoses, follow
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel, RawMessage, Schema
-from mavnav.logs.transforms import frame_name, transforms_for
+from mavnav.logs.transforms import TF_PREFIX, FramePoses, follow, frame_name, transforms_for
 from mavnav.logs.writing.convert import convert_log
 from mavnav.outputs.files.finished_run import finished_run
 from mavnav.outputs.files.replay_log import MAP_FRAME

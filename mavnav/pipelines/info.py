@@ -15,8 +15,8 @@ from msgspec.structs import asdict
 from mavnav.config.models import RobustConfig
 from mavnav.errors import ExitCode, MavnavError
 from mavnav.logs import Log, Survey, choose, survey
+from mavnav.logs.derived_scans import RecordedAttitude
 from mavnav.logs.health import sensor_health
-from mavnav.logs.levelling import RecordedAttitude
 from mavnav.logs.records import Imu, Odometry
 from mavnav.pose import Pose
 from mavnav.units import NS

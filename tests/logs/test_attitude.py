@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from mavnav.cli import run
 from mavnav.errors import TopicError
 from mavnav.logs import Log, open_log
-from mavnav.logs.levelling import RecordedAttitude, ceiling_height_m
+from mavnav.logs.derived_scans import RecordedAttitude, ceiling_height_m
 from mavnav.pose import Pose
 from mavnav.scan import Attitude, Scan, level_scan
 from support.log_files import IMU, ODOM, START_NS, TF, Message, laser, write_mcap

@@ -7,7 +7,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from mavnav.logs.messages import columns
+from mavnav.logs.messages import fast_cdr
 from mavnav.logs.messages.decode import decode_together, decoder
 from mavnav.logs.messages.definitions import ODOMETRY, TF
 from mavnav.logs.messages.records import DecodeError, ImuMessage
@@ -59,11 +59,11 @@ def in_columns(datas: list[bytes], channel: Channel) -> tuple[list[tuple[object,
 
 @pytest.mark.parametrize("ros", [1, 2])
 @pytest.mark.parametrize("kind", [ODOMETRY, TF, IMU])
-@pytest.mark.parametrize("layouts", [columns.MOST_LAYOUTS, 1])
+@pytest.mark.parametrize("layouts", [fast_cdr.MOST_LAYOUTS, 1])
 def test_columns_hold_what_single_messages_do(
     kind: str, ros: int, layouts: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(columns, "MOST_LAYOUTS", layouts)
+    monkeypatch.setattr(fast_cdr, "MOST_LAYOUTS", layouts)
     rng = np.random.default_rng(ros)
     datas = [serialized(message(kind, k, rng), ros) for k in range(60)]
     for row in (0, 7, 30):
@@ -83,11 +83,11 @@ def test_poses_of_one_frame_keep_the_order_of_their_messages() -> None:
     channel = Channel("/t", ODOMETRY, "cdr")
     parts, _ = decode_together(channel, datas, np.arange(40), decoder(channel))
     assert len(parts) == len(FRAMES)
-    poses = columns.merge(parts)
+    poses = fast_cdr.merge(parts)
     assert poses.rows.tolist() == [*range(40)]
     assert poses.stamps_ns.tolist() == [START_NS + k for k in range(40)]
     assert poses.child == decoder(channel)(datas[0])[0].child
-    groups = columns.merge_by(parts, lambda part: part.child.lstrip("/"))
+    groups = fast_cdr.merge_by(parts, lambda part: part.child.lstrip("/"))
     assert sum(len(group.rows) for group in groups.values()) == 40
     assert all((np.diff(group.rows) > 0).all() for group in groups.values())
     assert (np.diff([group.rows[0] for group in groups.values()]) > 0).all()

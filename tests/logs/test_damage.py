@@ -14,8 +14,7 @@ import pytest
 from mavnav.errors import NoScansError
 from mavnav.logs import Log, open_log, survey
 from mavnav.logs.formats.decompress import DecompressError, decompress
-from mavnav.logs.messages.decode import DECODERS, SINGLE_POSES
-from mavnav.logs.messages.other_scans import OTHER_TYPES
+from mavnav.logs.messages.decode import DECODERS, OTHER_TYPES, SINGLE_POSES
 from mavnav.logs.read_report import KNOWN_ENCODINGS, KNOWN_TYPES, MAX_DAMAGE, ReadReport
 from mavnav.logs.records import Channel
 from support.effort import at_most_calls

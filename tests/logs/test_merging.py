@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from mavnav.cli import run
 from mavnav.errors import TopicError
 from mavnav.logs import open_log
-from mavnav.logs.merging import Mounted, partners, virtual_laser, virtual_scan
+from mavnav.logs.derived_scans import Mounted, partners, virtual_laser, virtual_scan
 from mavnav.pose import Pose
 from mavnav.scan import LaserSpec, Scan
 from support.log_files import LASER, START_NS, TF, Message, write_mcap

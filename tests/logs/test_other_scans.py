@@ -12,7 +12,7 @@ from mcap.writer import Writer
 
 from mavnav.errors import NoScansError
 from mavnav.logs import open_log, survey
-from mavnav.logs.messages.other_scans import _picker
+from mavnav.logs.messages.decode import _picker
 from mavnav.scan import LaserSpec
 from support.log_files import store
 

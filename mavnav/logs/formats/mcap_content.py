@@ -16,10 +16,9 @@ from mcap.opcode import Opcode as Op
 from msgspec import field
 
 from mavnav.logs.formats import mcap_records
-from mavnav.logs.formats.channels import ReaderState
 from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES
 from mavnav.logs.formats.mcap_records import HEAD, MAGIC, MESSAGE_HEAD, McapRecord, RecordFields
-from mavnav.logs.formats.source import Source
+from mavnav.logs.formats.source import ReaderState, Source
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import AttachedFile, Channel, MetadataRecord, RawMessage, Schema, ros_type
 

@@ -18,9 +18,8 @@ from urllib.parse import quote
 from msgspec import field
 
 from mavnav.atomic_files import temporary_folder
-from mavnav.logs.formats.channels import ReaderState, channel_of, with_known_type
 from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES
-from mavnav.logs.formats.source import SQLITE_MAGIC, Source
+from mavnav.logs.formats.source import SQLITE_MAGIC, ReaderState, Source, channel_of, with_known_type
 from mavnav.logs.formats.sqlite_pages import page_size, rows
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import QOS, Channel, RawMessage, Schema, ros_type
