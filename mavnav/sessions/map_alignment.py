@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from operator import attrgetter
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,16 +14,13 @@ from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, Grid, GridBuilder, cel
 from mavnav.mapping.tiled_arrays import farther, in_strips
 from mavnav.pose import Pose, rigid_fit, transform_points
 from mavnav.slam.matching import relocalization
-from mavnav.slam.matching.placement import place_together
+from mavnav.slam.matching.placement import PosedScan, place_together
 from mavnav.slam.matching.prior_map import PriorMap
 from mavnav.slam.matching.scan_matching import Schedule, empty_line_map, search_lines
 from mavnav.slam.matching.steps import NEARLY_ALL
 from mavnav.slam.methods.acceptance import Acceptance
 from mavnav.slam.recovery.parts import consensus
 from mavnav.units import DEG
-
-if TYPE_CHECKING:
-    from mavnav.slam.matching.placement import PosedScan
 
 Placed = tuple[Pose, Pose]
 """The pose of a virtual scan in its own map ``b``, and in map ``a``."""

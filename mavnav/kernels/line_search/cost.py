@@ -5,15 +5,13 @@ Points (2, n) are given relative to their centroid, m, along the laser's axes; s
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from mavnav.kernels.machine.jit import helper
+from mavnav.kernels.machine.jit import F64_1D, F64_2D, U32_2D, helper
 from mavnav.kernels.maps.lookup import line_distance2, slot_at
 
-if TYPE_CHECKING:
-    from mavnav.kernels.machine.jit import F64_1D, F64_2D, U32_2D
 CHUNK = 8
 """Number of points between two comparisons with the bound."""
 ROUNDING_M2 = 1e-9

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from mavnav.kernels.line_search.cost import Lines, Middle, SearchWindow
 from mavnav.kernels.machine.jit import F64_2D, I64_1D, float64, helper, int32, int64, uint64
 from mavnav.kernels.maps.lookup import slot_of
-
-if TYPE_CHECKING:
-    from mavnav.kernels.line_search.cost import Lines, Middle, SearchWindow
 
 LANES = 32
 """Number of SIMD lanes of sums over points: several are added at a time in an unchanged order."""

@@ -7,18 +7,16 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
 from importlib import import_module
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from mavnav.kernels.machine.cache import share_private_directory
 from mavnav.kernels.machine.jit import DISABLED, KERNELS, Kernel
 from mavnav.kernels.machine.loader import check_executable
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Sequence
-
-    Progress = Callable[[str, int, int | None], None]
+Progress = Callable[[str, int, int | None], None]
 
 LONG: Final = (
     "line_search.search",

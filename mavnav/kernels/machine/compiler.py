@@ -10,17 +10,15 @@ unoptimized, and the kernel is optimized once with all code that it calls.
 from __future__ import annotations
 
 import pickle
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numba
 import numpy as np
 
 from mavnav.kernels.machine.loader import MachineCode, link
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
 
 _OPTIONS: Final = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
 

@@ -9,23 +9,20 @@ their types. Inside a kernel a scalar type of numpy converts a number.
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from contextlib import suppress
 from functools import cached_property
 from inspect import get_annotations
 from threading import RLock
-from typing import TYPE_CHECKING, Annotated, Any, ParamSpec, TypeVar, cast
+from typing import Annotated, Any, ParamSpec, TypeVar, cast
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from mavnav.kernels.machine.cache import read_code, source_stamp, write_code
 from mavnav.kernels.machine.loader import MachineCode, check_executable, link
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
 
 
 class Type(Struct, frozen=True):
@@ -111,9 +108,6 @@ U8_1D = Annotated["NDArray[np.uint8]", Type("uint8", 1)]
 U8_2D = Annotated["NDArray[np.uint8]", Type("uint8", 2)]
 U8_3D = Annotated["NDArray[np.uint8]", Type("uint8", 3)]
 
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 P = ParamSpec("P")
 R = TypeVar("R")

@@ -10,20 +10,18 @@ import builtins
 import ctypes
 import pickle
 import sys
+from collections.abc import Callable
 from errno import EACCES
 from functools import cache
 from importlib.machinery import EXTENSION_SUFFIXES
 from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from marshal import dumps, loads
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import astuple
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 
 class MachineCode(Struct, frozen=True):

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from mavnav.kernels.machine.jit import helper
+from mavnav.kernels.machine.jit import F64_1D, F64_2D, helper
 from mavnav.kernels.polar_search.cost import Beams, Work, span, to_polar
 from mavnav.kernels.polar_search.fixed_beams import (
     FIXED_SHARE,
@@ -21,9 +19,6 @@ from mavnav.kernels.polar_search.fixed_beams import (
 )
 from mavnav.kernels.polar_search.polynomial import polynomial, sum_loose
 from mavnav.kernels.polar_search.wide_bounds import bound_wide
-
-if TYPE_CHECKING:
-    from mavnav.kernels.machine.jit import F64_1D, F64_2D
 
 FIXED_BEAMS, TRIMMED_BEAMS, WORTH_TRIMMING = 0.25, 6.0, 15
 """Bounds on the beams that points pass on the grid, on average.

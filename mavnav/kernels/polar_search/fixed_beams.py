@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from mavnav.kernels.machine.jit import F64_1D, F64_2D, I64_1D, helper, int64, uint64
-
-if TYPE_CHECKING:
-    from mavnav.kernels.polar_search.cost import Beams, Work
+from mavnav.kernels.polar_search.cost import Beams, Work
 
 FIXED_SHARE = 1.0 / 16.0
 """Largest change by motion within a small grid, as a share of a point's range and of a segment's width."""

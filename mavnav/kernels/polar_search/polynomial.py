@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from mavnav.kernels.machine.jit import F64_1D, F64_2D, I64_1D, helper, uint64
 from mavnav.kernels.polar_search.cost import Beams, Work, lower_ranges, span, to_polar
-
-if TYPE_CHECKING:
-    from mavnav.kernels.polar_search.fixed_beams import HalfWindow
+from mavnav.kernels.polar_search.fixed_beams import HalfWindow
 
 
 @helper

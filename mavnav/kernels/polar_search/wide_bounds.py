@@ -5,14 +5,12 @@ Beams that may be off by more than `RANGE_M`, or may not contribute, are counted
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from mavnav.kernels.machine.jit import F32_1D, F32_2D, F64_1D, F64_2D, I32_2D, float64, helper, int32, int64, uint64
-
-if TYPE_CHECKING:
-    from mavnav.kernels.polar_search.cost import Beams, Limits, Work
+from mavnav.kernels.polar_search.cost import Beams, Limits, Work
 
 BEARING_RAD, RANGE_M, RANGE_SHARE = 6e-7, 5e-5, 1e-6
 """Errors in single precision: of bearings, and of ranges on surfaces that are not too steep.
