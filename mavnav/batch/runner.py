@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from contextlib import chdir
 from pathlib import Path
 from time import monotonic
-from typing import Any, Final, TypeVar
+from typing import Any, TypeVar
 
 from msgspec import Struct
 from msgspec.structs import asdict, replace
@@ -40,9 +40,6 @@ from mavnav.profiling import Progress
 from mavnav.slam.methods import registry
 
 Row = dict[str, Any]
-
-
-_OWN_FILES: Final = (RUNS_FOLDER, BATCH_FILE)
 
 
 class BatchPlan(Struct, frozen=True):
@@ -77,7 +74,7 @@ def plan_batch(request: BatchRequest, progress: Progress) -> BatchPlan:
         raise UsageError("no logs; name a manifest, or logs, patterns or folders")
     if request.files:
         check_files(request.files, (*request.inputs, *read_paths(request)), request.directory)
-    check_cache_directory(request.directory, _OWN_FILES)
+    check_cache_directory(request.directory, (RUNS_FOLDER, BATCH_FILE))
     cases = make_cases(request, progress)
     if not any(case.run for case in cases) and (request.directory / BATCH_FILE).exists():
         kind = NoScansError if cases[0].exit_code == ExitCode.NO_SCANS else UsageError

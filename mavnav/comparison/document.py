@@ -15,7 +15,6 @@ from mavnav.atomic_files import beside, writing
 from mavnav.batch.cases import CaseResult
 from mavnav.batch.document import ENDS, run_row
 from mavnav.errors import ExitCode, worst
-from mavnav.jobs.run_cache import PlannedRun
 from mavnav.metrics.gates import Gate, failure_text, judge_some, stored_verdict
 from mavnav.outputs.documents import quantities
 from mavnav.outputs.documents.quantities import QUANTITIES, UNUSABLE, Run, number, verdict_texts
@@ -25,6 +24,7 @@ from mavnav.outputs.report.entry import name_of, setting_of
 from mavnav.outputs.report.headline import headline
 from mavnav.outputs.report.markdown import escape, inert, table_row
 from mavnav.outputs.report.tables import NamedRun
+from mavnav.pipelines.replay import ReplayRequest
 from mavnav.version import DOCUMENT_HEAD
 
 COMPARISON_FILE: Final = "comparison.json"
@@ -44,12 +44,12 @@ def comparison_document(results: Sequence[CaseResult], directory: Path, gates: S
     the metric depends on them; all are None if there are several logs.
     """
     runs = [result.document for result in results]
-    planned = [result.case.run for result in results if result.case.run]
-    groups = [((r.request.log, r.config.method), r.config.grid.points + r.config.azimuth) for r in planned]
+    requests = [result.case.run.request for result in results if result.case.run]
+    groups = [((r.log, r.config.method), r.config.grid.points + r.config.azimuth) for r in requests]
     costs = relative_costs(groups, runs)
     verdicts = [verdict for k, run in enumerate(runs) if run for verdict in _judge(gates, run, costs, k)]
     rows = [run_row(result, directory) for result in results]
-    logs = _logs(planned, [name_of(row) for row in rows], runs)
+    logs = _logs(requests, [name_of(row) for row in rows], runs)
     codes = [*(row["exit_code"] for row in rows), *(ExitCode.GATE_FAILED for v in verdicts if not v["passed"])]
     return {
         **DOCUMENT_HEAD,
@@ -66,12 +66,12 @@ def comparison_document(results: Sequence[CaseResult], directory: Path, gates: S
 
 
 def _logs(
-    planned: Sequence[PlannedRun], names: Sequence[str], runs: Sequence[dict[str, Any] | None]
+    requests: Sequence[ReplayRequest], names: Sequence[str], runs: Sequence[dict[str, Any] | None]
 ) -> list[dict[str, Any]]:
     """Return what was found out about every log, its runs, and the best of them by each metric."""
     groups: dict[Path, list[int]] = {}
-    for place, each in enumerate(planned):
-        groups.setdefault(each.request.log, []).append(place)
+    for place, request in enumerate(requests):
+        groups.setdefault(request.log, []).append(place)
     return [
         {
             "log": str(log),

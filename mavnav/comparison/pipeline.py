@@ -40,8 +40,6 @@ from mavnav.pipelines.score import Scored, ScoreRequest, check_names, score_log,
 from mavnav.pipelines.trajectory_source import LASER, RUN_POSES, Program, TrajectorySource
 from mavnav.profiling import Progress
 
-_OWN_FILES: Final = (RUNS_FOLDER, "logs", COMPARISON_FILE)
-
 PAPER_GRIDS: Final = ("5x5", "10x10", "20x20")
 """The search grids of the paper's Fig. 8, compared by default."""
 
@@ -124,7 +122,7 @@ def comparison_directory(logs: Sequence[Path]) -> Path:
 
 def check_comparison_directory(directory: Path) -> None:
     """Create the directory of a comparison; raise OutputError if that fails or if it contains other files."""
-    check_cache_directory(directory, _OWN_FILES)
+    check_cache_directory(directory, (RUNS_FOLDER, "logs", COMPARISON_FILE))
 
 
 def plan_comparison(request: batch.BatchRequest, progress: Progress) -> BatchPlan:
@@ -147,18 +145,18 @@ def _named_cases(cases: Iterable[Case]) -> list[Case]:
 
     The yaw samples are before the grid as in the paper; what else differs between the settings follows.
     """
-    by_key: dict[str, tuple[Case, PlannedRun]] = {}
+    by_key: dict[str, tuple[Case, ReplayRequest]] = {}
     for case in cases:
         if case.run:
-            by_key.setdefault(case.run.key, (case, case.run))
-    logs = short_names({run.request.log for _, run in by_key.values()})
+            by_key.setdefault(case.run.key, (case, case.run.request))
+    logs = short_names({request.log for _, request in by_key.values()})
     return [
         replace(
             case,
-            name=f"{logs[run.request.log]} {run.config.method} {run.config.azimuth}/{run.config.grid} "
+            name=f"{logs[request.log]} {request.config.method} {request.config.azimuth}/{request.config.grid} "
             f"{case.setting.differs}".rstrip(),
         )
-        for case, run in by_key.values()
+        for case, request in by_key.values()
     ]
 
 

@@ -7,6 +7,7 @@ another one, a few times at most.
 
 from __future__ import annotations
 
+import os
 import pickle
 import sys
 from collections.abc import Iterator, Sequence
@@ -249,7 +250,7 @@ def _check_workers(client: Any, directory: Path) -> None:  # noqa: ANN401  a cli
     ours = our_version()
     with NamedTemporaryFile(dir=directory, prefix=".seen-") as file:
         versions = client.run(our_version, on_error="return")
-        seen = client.run(sees, str(Path(file.name).absolute()), on_error="return")
+        seen = client.run(os.path.isfile, str(Path(file.name).absolute()), on_error="return")
     reasons = {worker: _incompatibility(version, seen.get(worker), ours) for worker, version in versions.items()}
     if problems := [f"{worker}: {why}" for worker, why in reasons.items() if why]:
         advice = f"install mavnav {ours[0]} there, and share the folder"
@@ -290,11 +291,6 @@ class JobContext(Struct, frozen=True):
 def our_version() -> tuple[str, str]:
     """Return the version of mavnav in this process, and the hash of its modules."""
     return __version__, source_sha256()
-
-
-def sees(path: str) -> bool:
-    """Return whether a file exists on this machine."""
-    return Path(path).is_file()
 
 
 def in_cluster() -> bool:

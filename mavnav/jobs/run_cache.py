@@ -14,7 +14,6 @@ import numpy as np
 from msgspec import MsgspecError, Struct, convert
 from msgspec.structs import asdict, replace
 
-from mavnav.config.models import Config
 from mavnav.config.named_files import read_json
 from mavnav.config.options import reference_files, run_options
 from mavnav.errors import ExitCode, OutputError
@@ -40,11 +39,6 @@ class PlannedRun(Struct, frozen=True):
     def directory(self) -> Path:
         """Its run directory."""
         return self.request.directory
-
-    @property
-    def config(self) -> Config:
-        """Its configuration."""
-        return self.request.config
 
 
 def make_run(request: ReplayRequest, log_sha256: str, references: str) -> PlannedRun:
@@ -120,7 +114,7 @@ def finished_document(run: PlannedRun) -> dict[str, Any] | None:
     """Return run.json of a finished run; None if it is missing, cannot be read, or lacks what every run has."""
     try:
         document: dict[str, Any] = read_json(run.directory / RUN_FILE)
-        convert(document | {"config": run.config}, RunDocument)
+        convert(document | {"config": run.request.config}, RunDocument)
         ExitCode(document["exit_code"])
     except (OSError, ValueError, TypeError, MsgspecError):
         return None
@@ -135,11 +129,7 @@ def is_finished(run: PlannedRun) -> bool:
     document = finished_document(run)
     if document is None or (run.request.report and not (run.directory / REPORT_FILE).is_file()):
         return False
-    return all(_has_digest(run.directory / name, digest) for name, digest in document["outputs"].items())
-
-
-def _has_digest(path: Path, digest: str) -> bool:
     try:
-        return file_sha256(path) == digest
+        return all(file_sha256(run.directory / name) == digest for name, digest in document["outputs"].items())
     except (OSError, ValueError):
         return False

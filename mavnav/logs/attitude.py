@@ -20,8 +20,7 @@ from mavnav.logs.log import Log
 from mavnav.logs.messages.definitions import IMU, ODOMETRY, POSE
 from mavnav.logs.messages.fast_cdr import merge
 from mavnav.logs.messages.records import Measurements, Poses
-from mavnav.logs.namespaces import laser_topics, of_same_robot
-from mavnav.logs.records import Channel, Imu, Topic
+from mavnav.logs.records import Channel, Imu, Topic, laser_topics, of_same_robot
 from mavnav.logs.stamps import MessageTrack, Stamps, StampSource, in_order
 from mavnav.logs.transforms import FrameTree, frame_name
 from mavnav.pose import Rotation, ups_of_quaternions

@@ -17,10 +17,8 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from mavnav.pose import Pose, nearest_rows
-from mavnav.scan import LaserSpec, Scan, level_scan, nearest_returns, on_bearings
+from mavnav.scan import Floats, LaserSpec, Scan, level_scan, nearest_returns, on_bearings
 from mavnav.units import DEG, NS
-
-Floats = NDArray[np.float64]
 
 GAP_NS: Final = 500_000_000
 """Scans farther in time from the nearest attitude have none; attitudes are interpolated over twice as much."""

@@ -14,10 +14,8 @@ import numpy as np
 from msgspec import Struct, field
 from numpy.typing import NDArray
 
-from mavnav.scan import LaserSpec, runs_of
+from mavnav.scan import Floats, LaserSpec, runs_of
 from mavnav.units import DEG
-
-Floats = NDArray[np.float64]
 
 MOST_SCANS, LEAST_SCANS = 128, 20
 """Number of scans of a log that are compared, evenly over all of it, and fewest that show anything."""

@@ -16,10 +16,9 @@ from mavnav.logs.false_returns import without_beams, without_value
 from mavnav.logs.formats import detect
 from mavnav.logs.messages.decode import decoder, scan_topic
 from mavnav.logs.messages.records import DecodeError, LaserMessage
-from mavnav.logs.namespaces import topic_and_frame
 from mavnav.logs.preprocessing import ScanFilter
 from mavnav.logs.read_report import ReadReport
-from mavnav.logs.records import Channel, Gap, Imu, LogContents, Odometry, RecordedTruth, ScanCounts
+from mavnav.logs.records import Channel, Gap, Imu, LogContents, Odometry, RecordedTruth, ScanCounts, topic_and_frame
 from mavnav.logs.segments import Recorded, SweepJoiners
 from mavnav.logs.stamps import Clock, StampSource
 from mavnav.logs.topic_scans import KEPT_BYTES

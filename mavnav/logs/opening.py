@@ -15,9 +15,8 @@ from mavnav.logs.derived_scans import FRAME, ceiling_height_m, partners, virtual
 from mavnav.logs.false_returns import body_warning, no_return_m, no_return_warning, own_beams, without_value
 from mavnav.logs.log import Log
 from mavnav.logs.messages.decode import LASER_TYPES, OTHER_TYPES, scan_topics
-from mavnav.logs.namespaces import topic_and_frame
 from mavnav.logs.preprocessing import KINDS
-from mavnav.logs.records import LogContents, ScanCounts
+from mavnav.logs.records import LogContents, ScanCounts, topic_and_frame
 from mavnav.logs.stamps import comes_in_bursts, period_and_gaps
 from mavnav.logs.survey import Survey, survey
 from mavnav.logs.topic_scans import REPEATED_SHARE, Timeline, TopicScans

@@ -20,10 +20,9 @@ from mavnav.logs.formats import detect
 from mavnav.logs.messages.decode import OTHER_TYPES, Waiting, decoder, is_laser, scan_topic, scan_topics
 from mavnav.logs.messages.definitions import IMU, ODOMETRY, PATH, POSE
 from mavnav.logs.messages.records import DecodeError
-from mavnav.logs.namespaces import FRAME, laser_topics, namespace
 from mavnav.logs.preprocessing import ScanFilter
 from mavnav.logs.read_report import ReadReport
-from mavnav.logs.records import Channel, LogContents, RawMessage, Topic
+from mavnav.logs.records import FRAME, Channel, LogContents, RawMessage, Topic, laser_topics, namespace
 from mavnav.logs.segments import Recorded, SweepJoiners
 from mavnav.logs.topic_scans import TopicScans
 from mavnav.logs.trajectories import OdometryTracks, TruthTracks

@@ -13,9 +13,8 @@ from mavnav.logs.log import Log
 from mavnav.logs.messages.definitions import ODOMETRY, PATH, POSE, POSE_COVARIANCE, TRANSFORM
 from mavnav.logs.messages.fast_cdr import merge, merge_by
 from mavnav.logs.messages.records import Poses
-from mavnav.logs.namespaces import laser_topics, of_same_robot
 from mavnav.logs.odometry_chains import without_jumps
-from mavnav.logs.records import Channel, Odometry, RecordedTruth, Topic
+from mavnav.logs.records import Channel, Odometry, RecordedTruth, Topic, laser_topics, of_same_robot
 from mavnav.logs.transforms import TF_PREFIX, FramePoses, FrameTree, PoseTrack, frame_name, mounting
 from mavnav.pose import Pose
 

@@ -19,7 +19,7 @@ from mavnav.errors import TopicError
 from mavnav.logs.log import Log
 from mavnav.logs.messages.fast_cdr import merge, merge_by
 from mavnav.logs.messages.records import Poses, TransformMessage
-from mavnav.logs.namespaces import is_of_another_robot, namespace
+from mavnav.logs.records import is_of_another_robot, namespace
 from mavnav.logs.stamps import MessageTrack, clock_of, in_order, shift_s
 from mavnav.pose import Pose, Trajectory, between, yaw_of_quaternion
 from mavnav.units import LARGEST_COORDINATE_M, NS

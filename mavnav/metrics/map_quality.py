@@ -27,7 +27,7 @@ from mavnav.metrics.doubled_walls import doubled_walls, key_rows
 from mavnav.metrics.fields import Measured, number
 from mavnav.metrics.ghost_walls import GhostWalls, ghost_walls
 from mavnav.metrics.journey import Journey, PlacedScans, placed_scans, spread
-from mavnav.metrics.revisits import Revisits, pairs_of, revisits
+from mavnav.metrics.revisits import Pairs, Revisits, long_pairs, revisits, short_pairs
 from mavnav.metrics.wall_spread import WALL_SCANS, WallCuts, cut_walls, wall_spread
 from mavnav.metrics.walls import THRESHOLDS, Sections, StraightWall, straight_walls, wall_sections
 
@@ -143,7 +143,7 @@ def measure_map(grid: Grid, journey: Journey | None = None, *, counted: bool = T
 def _compare_scans(journey: Journey) -> tuple[Revisits, PlacedScans | None]:
     """Return the revisits of a run, and the scans that any metric needs: they are read once."""
     trajectory = journey.map_T_laser
-    pairs = pairs_of(trajectory)
+    pairs = Pairs(short_pairs(trajectory.stamps_ns), long_pairs(trajectory))
     evenly = spread(len(trajectory), max(SAMPLE_SCANS, WALL_SCANS))
     scans = placed_scans(journey, np.unique(np.concatenate((*map(np.ravel, pairs), evenly, key_rows(trajectory)))))
     return revisits(trajectory, pairs, scans), scans

@@ -57,11 +57,6 @@ class Pairs(NamedTuple):
     long: NDArray[np.intp]
 
 
-def pairs_of(trajectory: Trajectory) -> Pairs:
-    """Return the pairs of scans to compare; they depend on the trajectory alone."""
-    return Pairs(short_pairs(trajectory.stamps_ns), long_pairs(trajectory))
-
-
 def revisits(trajectory: Trajectory, pairs: Pairs, scans: PlacedScans | None) -> Revisits:
     """Return the self-consistency of a run; ``scans`` include those of the pairs' rows."""
     if scans is None:

@@ -44,16 +44,14 @@ class Sections(Struct, frozen=True):
     """Cuts through straight walls, (n,) each, along the grid axis nearest to the wall's normal.
 
     ``row`` and ``col`` are the middle of the cut in cells (halves occur), ``thickness_cells`` its depth along the
-    normal, ``length_m`` the length of wall that it represents. ``vertical`` cuts run along a column. ``direction_rad``
-    is the wall's direction from the row's, modulo pi. ``share`` is the share of the map's occupied cells that lies in a
-    section.
+    normal, ``length_m`` the length of wall that it represents. ``direction_rad`` is the direction of the wall from that
+    of the row, modulo pi. ``share`` is the share of the map's occupied cells that lies in a section.
     """
 
     row: NDArray[np.float64]
     col: NDArray[np.float64]
     thickness_cells: NDArray[np.float64]
     length_m: NDArray[np.float64]
-    vertical: NDArray[np.bool_]
     direction_rad: NDArray[np.float64]
     share: float
 
@@ -99,9 +97,8 @@ def wall_sections(hits: NDArray[Any], cell_m: float, min_hits: int) -> Sections:
     col, row, *sizes, angle_rad, cells = _axis_cuts(hits.T, cell_m, min_hits, diagonal=False)
     across = (row, col, *sizes, np.pi / 2.0 - angle_rad, cells)
     row, col, depth, length_m, angle_rad, cells = (np.concatenate(pair) for pair in zip(down, across, strict=True))
-    vertical = np.repeat((True, False), (len(down[0]), len(across[0])))
     occupied = count(hits, lambda some: some >= min_hits)
-    return Sections(row, col, depth, length_m, vertical, angle_rad, share=float(cells.sum()) / max(occupied, 1))
+    return Sections(row, col, depth, length_m, angle_rad, share=float(cells.sum()) / max(occupied, 1))
 
 
 def _axis_cuts(hits: NDArray[Any], cell_m: float, min_hits: int, *, diagonal: bool) -> tuple[NDArray[np.float64], ...]:

@@ -22,7 +22,7 @@ from mavnav.pose import Pose, Trajectory, rigid_fit
 from mavnav.profiling import Progress
 from mavnav.scan import Scan
 from mavnav.slam.findings import Edge
-from mavnav.slam.loop_closure.detection import LOOP_M, follow
+from mavnav.slam.loop_closure.detection import follow, nearest_old
 from mavnav.slam.loop_closure.key_frames import KEY_M, KEY_RAD, KeyFrame, KeyFrameMap, LocalMaps, Visibility, key_rows
 from mavnav.slam.loop_closure.pose_graph import PATH_SIGMA_M, PATH_SIGMA_RAD, root_information
 from mavnav.slam.matching.motion_model import USUAL_PERIOD_S, Motion, motions_along
@@ -143,11 +143,6 @@ class SessionGroup(Struct, frozen=True):
         return [key for k, key in enumerate(self.keys) if self.owner(k) == number]
 
 
-def group_of(session: Session) -> SessionGroup:
-    """Begin a group with a session."""
-    return SessionGroup((session,), session.keys, tuple(own_edges(session, 0)), (Join(session.name),))
-
-
 def group_in_frame(sessions: Sequence[Session]) -> SessionGroup:
     """Return sessions that are in one frame already as a group: each is held where it is by those before it."""
     keys, edges = list[KeyFrame](), list[Edge]()
@@ -186,9 +181,8 @@ def revisits(keys: Sequence[KeyFrame], begin: int) -> Iterator[tuple[int, int]]:
     """Pair key frames from number ``begin`` on with the nearest one of a long path before, if that is near."""
     xy_m, paths_m = np.array([key.map_T_laser[:2] for key in keys]), np.array([key.path_m for key in keys])
     for j, key in enumerate(keys[begin:], start=begin):
-        off_m = np.hypot(*(xy_m[: int(np.searchsorted(paths_m, key.path_m - LOOP_M))] - xy_m[j]).T)
-        i = int(np.argmin(off_m)) if len(off_m) else 0
-        if len(off_m) and off_m[i] <= NEAR_M:
+        i = nearest_old(xy_m, paths_m, xy_m[j], key.path_m)
+        if i is not None and np.hypot(*(xy_m[i] - xy_m[j])) <= NEAR_M:
             yield i, j
 
 

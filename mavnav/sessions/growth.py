@@ -14,7 +14,7 @@ import numpy as np
 from mavnav.config.models import Config
 from mavnav.pose import Pose
 from mavnav.sessions.closures import SOON_S, ended_before, join_at_end, join_session, pause_between_s
-from mavnav.sessions.group import GroupMap, Join, Session, SessionGroup, group_of
+from mavnav.sessions.group import GroupMap, Join, Session, SessionGroup, group_in_frame
 from mavnav.sessions.map_alignment import fit_transform
 from mavnav.slam.loop_closure.closure import AMBIGUITY_MARGIN, fits
 from mavnav.slam.loop_closure.key_frames import KeyFrame, KeyFrameMap
@@ -107,7 +107,7 @@ def join_sessions(
     while waiting and sum(len(s.keys) for s in waiting) > max((len(group.keys) for group in groups), default=0):
         first = first_of_recording(waiting[0], waiting)
         others = [session for session in waiting if session is not first]
-        group, waiting, tried = extend_group(group_of(first), others, config, report)
+        group, waiting, tried = extend_group(group_in_frame([first]), others, config, report)
         groups.append(group)
         refused |= {join.name: join for join in tried}
     best = max(groups, key=lambda group: len(group.keys))

@@ -124,7 +124,7 @@ def test_force_runs_again(copied: Path) -> None:
 
 def test_only_what_is_missing_is_run(copied: Path) -> None:
     wanted = plan(request(copied, grids=("5x5", "6x6")))
-    assert [str(case.run.config.grid) for case in wanted.missing if case.run] == ["6x6"]
+    assert [str(case.run.request.config.grid) for case in wanted.missing if case.run] == ["6x6"]
 
 
 def test_a_torn_run_is_run_again(copied: Path, finished: tuple[Path, dict]) -> None:

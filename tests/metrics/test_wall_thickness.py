@@ -27,13 +27,13 @@ def naive(walls, hits, min_hits, cell_m=CELL_M):
         hits, cell_m, min_hits, radius_m=radius_m, min_cells=module.MIN_CELLS, min_length_m=module.MIN_LENGTH_M,
         max_ratio=module.MAX_RATIO, max_gap=module.MAX_GAP_CELLS,
     )  # fmt: skip
-    return np.array(rows, float).reshape(-1, 5)
+    return np.array(rows, float).reshape(-1, 5)[:, :4]
 
 
 def table(hits, min_hits, cell_m=CELL_M):
     s = wall_sections(hits, cell_m, min_hits)
-    rows = zip(s.row, s.col, s.thickness_cells, s.length_m, s.vertical, strict=True)
-    return np.array(sorted(rows), float).reshape(-1, 5)
+    rows = zip(s.row, s.col, s.thickness_cells, s.length_m, strict=True)
+    return np.array(sorted(rows), float).reshape(-1, 4)
 
 
 @pytest.mark.parametrize(
@@ -211,5 +211,5 @@ def test_bands_of_a_map_are_cut_as_the_whole_map(hits, cell_m):
         patch.setattr(tiled_arrays, "BAND_CELLS", 1)
         patch.setattr(tiled_arrays, "LEAST_ROWS", 5)
         banded = wall_sections(hits, cell_m, 1)
-    for name in ("row", "col", "thickness_cells", "length_m", "vertical", "direction_rad"):
+    for name in ("row", "col", "thickness_cells", "length_m", "direction_rad"):
         np.testing.assert_array_equal(getattr(banded, name), getattr(whole, name))

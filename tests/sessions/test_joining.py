@@ -10,7 +10,7 @@ from mavnav.config.models import Config
 from mavnav.pose import Pose, Trajectory
 from mavnav.sessions import growth
 from mavnav.sessions.closures import count_contradicting
-from mavnav.sessions.group import Session, group_of, make_session, merged_map, own_edges, trajectories
+from mavnav.sessions.group import Session, group_in_frame, make_session, merged_map, own_edges, trajectories
 from mavnav.sessions.growth import join_sessions
 from mavnav.slam.loop_closure.key_frames import KeyFrameMap
 from support.sessions import CELLAR, TOURS, cut, errors_m, session, tour, twin_room
@@ -108,7 +108,7 @@ def test_a_session_that_came_back_is_held_together(sessions) -> None:
     edges = list(own_edges(replace(sessions["hall"], keys=(*keys, *back)), 5))
     assert len(edges) == 2 * len(keys) - 1 + len(keys)
     assert min(edge.start for edge in edges) == 5
-    assert group_of(sessions["hall"]).owner(0) == 0
+    assert group_in_frame([sessions["hall"]]).owner(0) == 0
 
 
 def test_scans_of_another_run_are_refused(tours) -> None:

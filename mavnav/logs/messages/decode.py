@@ -26,9 +26,8 @@ from mavnav.logs.messages import definitions, fast_cdr
 from mavnav.logs.messages.definitions import CLOUD, MULTI_ECHO
 from mavnav.logs.messages.fast_cdr import columns_of, read_blocks
 from mavnav.logs.messages.records import DecodeError, LaserMessage
-from mavnav.logs.namespaces import topic_and_frame
 from mavnav.logs.read_report import ReadReport
-from mavnav.logs.records import Channel
+from mavnav.logs.records import Channel, topic_and_frame
 from mavnav.logs.stamps import storable
 
 Array = NDArray[np.float64]

@@ -47,7 +47,7 @@ class _Translation(NamedTuple):
         """Return the message to write; raises DecodeError."""
         if self.check:
             self.check(data)
-        return self.convert(data) if self.convert else data
+        return bytes(self.convert(data)) if self.convert else data
 
 
 class Translator(Struct):
@@ -91,7 +91,7 @@ def _translations(channel: Channel) -> Iterator[_Translation]:
     if channel.encoding == ENCODING:
         yield _Translation(_ros2(channel, channel.type), check, _carmen_to_cdr(channel))
     elif channel.encoding == "ros1" and known and (check or _same_layout(channel, name)):
-        yield _Translation(_ros2(channel, name), check, partial(_to_cdr, name=name))
+        yield _Translation(_ros2(channel, name), check, partial(_read, ros.types_ros2().ros1_to_cdr, name=name))
         warning = f"{channel.topic}: messages that do not fit {name} of ROS 2 are copied as they are"
         yield _Translation(channel, check, partial(_read_ros1, name=name), warning)
     elif channel.encoding == "cdr" and name and not channel.schema.data:
@@ -147,10 +147,6 @@ def _read_ros1(data: bytes, name: str) -> bytes:
         raise DecodeError(f"{name} is not known in ROS 1")
     _read(ros.types_ros1().deserialize_ros1, data, name)
     return data
-
-
-def _to_cdr(data: bytes, name: str) -> bytes:
-    return bytes(_read(ros.types_ros2().ros1_to_cdr, data, name))
 
 
 def _read(read: Callable[[bytes, str], Any], data: bytes, name: str) -> Any:  # noqa: ANN401
