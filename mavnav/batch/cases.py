@@ -15,8 +15,7 @@ from typing import Any, Final
 from msgspec import Struct, field
 from msgspec.structs import replace
 
-from mavnav.batch.pinned import pinned_file
-from mavnav.batch.remote import download
+from mavnav.batch.remote import download, pinned_file
 from mavnav.batch.request import BatchLogs, BatchRequest, Setting, format_value
 from mavnav.config.options import OPTIONS, REFERENCES, reference_files, run_options
 from mavnav.errors import ExitCode, MavnavError, NoScansError, UsageError

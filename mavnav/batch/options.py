@@ -13,7 +13,7 @@ from mavnav.batch.baseline import Tolerance, parse_tolerance, read_baseline, tol
 from mavnav.batch.cases import BASELINE_GATE
 from mavnav.batch.document import BATCH_FILE, IDENTICAL_GATE
 from mavnav.batch.manifest import GATE_EXAMPLE, LogEntry, Manifest, Origins, errors_at, origins_of, read_manifest
-from mavnav.batch.pinned import Pin
+from mavnav.batch.remote import Pin
 from mavnav.config.layers import Layer
 from mavnav.config.options import ReplayOptions, given_options, restore_options, settings_of
 from mavnav.errors import UsageError

@@ -1,8 +1,8 @@
-"""Download of logs by address: any file that fsspec can open is copied to a temporary folder while it is needed.
+"""Logs at addresses: any file that fsspec can open is copied to a temporary folder while it is needed.
 
 Time, size and data rate of the copy are limited, because a server may never answer, never end, or be very slow.
-
-The client of web servers follows no redirection into private networks that the user did not name.
+The client of web servers follows no redirection into private networks that the user did not name. A log that is known
+by the SHA-256 of its file is one of a folder of copies, or fetched once into the cache and checked.
 """
 
 from __future__ import annotations
@@ -25,9 +25,13 @@ from urllib.parse import urlsplit
 
 from msgspec import Struct, field
 
+from mavnav.atomic_files import writing
 from mavnav.errors import MavnavError, OutputError, UsageError
 from mavnav.jobs.dask import in_cluster
+from mavnav.kernels.machine.cache import user_directory
+from mavnav.outputs.directory import file_sha256
 from mavnav.outputs.documents.addresses import public_address, public_text
+from mavnav.profiling import Progress
 
 _TIMEOUT: Final = "MAVNAV_FETCH_TIMEOUT_S"
 PIECE_BYTES: Final = 2**20
@@ -301,3 +305,51 @@ def _is_public(host: str) -> bool:
         return False
     mapped = getattr(address_info, "ipv4_mapped", None)
     return (mapped or address_info).is_global
+
+
+class Pin(Struct, frozen=True):
+    """The content of the file at an address: its SHA-256, in hexadecimal digits, and its size."""
+
+    sha256: str
+    size_bytes: int
+
+
+def pinned_file(address: str, pin: Pin, copies: Path | None, progress: Progress) -> Path:
+    """Return a file with the pinned content: one below the folder ``copies``, or that in the cache, fetched if need be.
+
+    An interrupted download goes on at the next call. Raises UsageError for an address that cannot be read, or has
+    other content, and OutputError if the cache cannot be written.
+    """
+    if copies and not copies.is_dir():
+        raise UsageError(f"{copies} is no folder; name that of your copies with --copies")
+    for path in sorted(copies.rglob("*")) if copies else ():
+        if _has(path, pin):
+            return path
+    if (cache := user_directory()) is None:
+        raise OutputError("no cache for logs is known; set MAVNAV_CACHE_DIR to an absolute path")
+    path = cache / "logs" / pin.sha256[:16] / Path(public_address(address)).name
+    if not _has(path, pin):
+        _fetch_checked(address, pin, path, progress)
+    return path
+
+
+def _has(path: Path, pin: Pin) -> bool:
+    return path.is_file() and path.stat().st_size == pin.size_bytes and file_sha256(path) == pin.sha256
+
+
+def _fetch_checked(address: str, pin: Pin, path: Path, progress: Progress) -> None:
+    """Download a file into the cache; one with other content is removed, one that is cut off is kept to go on with."""
+    shown, part = public_address(address), path.with_name(f"{path.name}.part")
+    phase, total_kb = f"fetching {path.name}, kB", pin.size_bytes // 1000
+    with writing(part, "make room, or set MAVNAV_CACHE_DIR to another directory"):
+        part.parent.mkdir(parents=True, exist_ok=True)
+        progress(phase, 0, total_kb)
+        fetch(address, part, pin.size_bytes, lambda there: progress(phase, there // 1000, total_kb))
+        if (size := part.stat().st_size) < pin.size_bytes:
+            what = f"it ended after {size} of {pin.size_bytes} bytes"
+            raise UsageError(f"{shown}: {what}; the same call goes on from there")
+        if (sha256 := file_sha256(part)) != pin.sha256:
+            part.unlink()
+            advice = "the file there was changed, or damaged on the way: try again, or give a copy with --copies"
+            raise UsageError(f"{shown}: its SHA-256 is {sha256}, not {pin.sha256}; {advice}")
+        part.replace(path)

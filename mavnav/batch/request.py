@@ -11,7 +11,7 @@ from msgspec import Struct, field
 
 from mavnav.batch.baseline import Baseline, Tolerance
 from mavnav.batch.manifest import Origins
-from mavnav.batch.pinned import Pin
+from mavnav.batch.remote import Pin
 from mavnav.config.layers import Key, Layer, leaves
 from mavnav.config.loading import load_config
 from mavnav.config.models import Config, MethodName

@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from mavnav.errors import TopicError
 from mavnav.logs.derived_scans import MOST_RAD, RecordedAttitude
 from mavnav.logs.log import Log
-from mavnav.logs.messages.definitions import IMU, ODOMETRY, POSE
+from mavnav.logs.messages.definitions import IMU, ODOMETRY, POSE, Measurements, Poses
 from mavnav.logs.messages.fast_cdr import merge
-from mavnav.logs.messages.records import Measurements, Poses
 from mavnav.logs.records import Channel, Imu, Topic, laser_topics, of_same_robot
 from mavnav.logs.stamps import MessageTrack, Stamps, StampSource, in_order
 from mavnav.logs.transforms import FrameTree, frame_name

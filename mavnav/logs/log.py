@@ -15,7 +15,7 @@ from mavnav.logs.derived_scans import Mounted, RecordedAttitude, virtual_scans
 from mavnav.logs.false_returns import without_beams, without_value
 from mavnav.logs.formats import detect
 from mavnav.logs.messages.decode import decoder, scan_topic
-from mavnav.logs.messages.records import DecodeError, LaserMessage
+from mavnav.logs.messages.definitions import DecodeError, LaserMessage
 from mavnav.logs.preprocessing import ScanFilter
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel, Gap, Imu, LogContents, Odometry, RecordedTruth, ScanCounts, topic_and_frame

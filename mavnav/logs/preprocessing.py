@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from mavnav.logs.messages.records import LaserMessage
+from mavnav.logs.messages.definitions import LaserMessage
 from mavnav.scan import LaserSpec
 
 KINDS: Final = ("valid", "zero", "below_min", "above_max", "nan", "plus_inf", "minus_inf", "negative")

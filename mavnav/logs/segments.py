@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from mavnav.logs.messages.records import LaserMessage
+from mavnav.logs.messages.definitions import LaserMessage
 from mavnav.logs.preprocessing import LONGEST_SWEEP_S, MOST_BEAMS
 from mavnav.scan import PLAUSIBLE_SWEEP
 from mavnav.units import DEG, NS

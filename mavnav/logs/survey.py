@@ -18,8 +18,7 @@ from mavnav.logs.attitude import AttitudeTracks, ImuTrack
 from mavnav.logs.content import check_file, check_files, check_window, reading, size_and_sha256
 from mavnav.logs.formats import detect
 from mavnav.logs.messages.decode import OTHER_TYPES, Waiting, decoder, is_laser, scan_topic, scan_topics
-from mavnav.logs.messages.definitions import IMU, ODOMETRY, PATH, POSE
-from mavnav.logs.messages.records import DecodeError
+from mavnav.logs.messages.definitions import IMU, ODOMETRY, PATH, POSE, DecodeError
 from mavnav.logs.preprocessing import ScanFilter
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import FRAME, Channel, LogContents, RawMessage, Topic, laser_topics, namespace

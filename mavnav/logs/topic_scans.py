@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mavnav.logs import stamps
 from mavnav.logs.false_returns import ScanSample
-from mavnav.logs.messages.records import LaserMessage
+from mavnav.logs.messages.definitions import LaserMessage
 from mavnav.logs.preprocessing import KINDS, ScanFilter
 from mavnav.logs.stamps import Clock, Stamps, StampSource, clock_of
 from mavnav.scan import LaserSpec

@@ -10,9 +10,8 @@ from msgspec import Struct, field
 
 from mavnav.errors import TopicError
 from mavnav.logs.log import Log
-from mavnav.logs.messages.definitions import ODOMETRY, PATH, POSE, POSE_COVARIANCE, TRANSFORM
+from mavnav.logs.messages.definitions import ODOMETRY, PATH, POSE, POSE_COVARIANCE, TRANSFORM, Poses
 from mavnav.logs.messages.fast_cdr import merge, merge_by
-from mavnav.logs.messages.records import Poses
 from mavnav.logs.odometry_chains import without_jumps
 from mavnav.logs.records import Channel, Odometry, RecordedTruth, Topic, laser_topics, of_same_robot
 from mavnav.logs.transforms import TF_PREFIX, FramePoses, FrameTree, PoseTrack, frame_name, mounting

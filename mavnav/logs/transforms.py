@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from mavnav.errors import TopicError
 from mavnav.logs.log import Log
+from mavnav.logs.messages.definitions import Poses, TransformMessage
 from mavnav.logs.messages.fast_cdr import merge, merge_by
-from mavnav.logs.messages.records import Poses, TransformMessage
 from mavnav.logs.records import is_of_another_robot, namespace
 from mavnav.logs.stamps import MessageTrack, clock_of, in_order, shift_s
 from mavnav.pose import Pose, Trajectory, between, yaw_of_quaternion

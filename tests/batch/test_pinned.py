@@ -11,11 +11,11 @@ from threading import Thread
 
 import pytest
 
-from mavnav.batch import pinned
+from mavnav.batch import remote
 from mavnav.batch.baseline import read_baseline
 from mavnav.batch.manifest import read_manifest
 from mavnav.batch.options import SETS, BatchOptions, request_of
-from mavnav.batch.pinned import Pin, pinned_file
+from mavnav.batch.remote import Pin, pinned_file
 from mavnav.errors import ConfigError, ExitCode, UsageError
 from support.html_page import Page
 from support.small_batch import NAME, batch
@@ -37,7 +37,7 @@ class Server:
 def server(home: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Server]:
     served = Server((home / "logs" / "good.mcap").read_bytes())
     served.cache = tmp_path / "cache"
-    monkeypatch.setattr(pinned, "user_directory", lambda: served.cache)  # kernels stay where they are
+    monkeypatch.setattr(remote, "user_directory", lambda: served.cache)  # kernels stay where they are
 
     class Handler(BaseHTTPRequestHandler):
         def do_HEAD(self) -> None:

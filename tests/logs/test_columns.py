@@ -9,8 +9,7 @@ import pytest
 
 from mavnav.logs.messages import fast_cdr
 from mavnav.logs.messages.decode import decode_together, decoder
-from mavnav.logs.messages.definitions import ODOMETRY, TF
-from mavnav.logs.messages.records import DecodeError, ImuMessage
+from mavnav.logs.messages.definitions import ODOMETRY, TF, DecodeError, ImuMessage
 from mavnav.logs.records import Channel
 from support.log_files import IMU, START_NS, Message, serialized
 

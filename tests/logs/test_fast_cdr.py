@@ -8,9 +8,8 @@ import pytest
 from msgspec.structs import replace
 
 from mavnav.logs.messages.decode import _deserialize, decoder
-from mavnav.logs.messages.definitions import ODOMETRY, POSE, SCAN, TF, TRANSFORM
+from mavnav.logs.messages.definitions import ODOMETRY, POSE, SCAN, TF, TRANSFORM, DecodeError, TransformMessage
 from mavnav.logs.messages.fast_cdr import COVARIANCE, TWIST, exactly, laser_of, read_pose, read_transforms
-from mavnav.logs.messages.records import DecodeError, TransformMessage
 from mavnav.logs.records import Channel
 from mavnav.scan import Attitude
 from support.log_files import PATH, POSE_COVARIANCE, START_NS, Message, build, drive, laser, serialized, store

@@ -9,8 +9,8 @@ import pytest
 
 from mavnav.logs import Log, open_log
 from mavnav.logs.messages.decode import decoder
+from mavnav.logs.messages.definitions import ImuMessage
 from mavnav.logs.messages.fast_cdr import exactly, read_imu
-from mavnav.logs.messages.records import ImuMessage
 from mavnav.logs.records import Channel
 from mavnav.logs.writing.convert import convert_log
 from support.log_files import IMU, PERIOD_NS, START_NS, Message, laser, serialized, write_mcap

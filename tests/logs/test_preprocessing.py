@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavnav.logs.messages.records import LaserMessage
+from mavnav.logs.messages.definitions import LaserMessage
 from mavnav.logs.preprocessing import FARTHEST_M, KINDS, ScanFilter, clean
 
 NAN, INF = math.nan, math.inf

@@ -19,8 +19,7 @@ import numpy as np
 from msgspec import Struct, field
 from numpy.typing import NDArray
 
-from mavnav.logs.messages.definitions import ODOMETRY, SCAN, TF, TRANSFORM
-from mavnav.logs.messages.records import DecodeError, LaserMessage, TransformMessage
+from mavnav.logs.messages.definitions import ODOMETRY, SCAN, TF, TRANSFORM, DecodeError, LaserMessage, TransformMessage
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel, RawMessage, Schema
 from mavnav.pose import Pose

@@ -14,9 +14,8 @@ from typing import IO, Final
 from msgspec import Struct, field
 
 from mavnav.logs.formats.decompress import Allowance
-from mavnav.logs.messages.definitions import SCAN
+from mavnav.logs.messages.definitions import SCAN, LaserMessage
 from mavnav.logs.messages.fast_cdr import laser_of
-from mavnav.logs.messages.records import LaserMessage
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel
 

@@ -23,9 +23,8 @@ from numpy.typing import NDArray
 from mavnav.logs.formats import carmen
 from mavnav.logs.formats.decompress import DecompressError, unpack_message
 from mavnav.logs.messages import definitions, fast_cdr
-from mavnav.logs.messages.definitions import CLOUD, MULTI_ECHO
+from mavnav.logs.messages.definitions import CLOUD, MULTI_ECHO, DecodeError, LaserMessage
 from mavnav.logs.messages.fast_cdr import columns_of, read_blocks
-from mavnav.logs.messages.records import DecodeError, LaserMessage
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel, topic_and_frame
 from mavnav.logs.stamps import storable

@@ -19,7 +19,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from mavnav.logs.messages.records import ImuMessage, LaserMessage, Measurements, Poses, TransformMessage
+from mavnav.logs.messages.definitions import ImuMessage, LaserMessage, Measurements, Poses, TransformMessage
 from mavnav.logs.stamps import storable
 
 _ENCAPSULATIONS = {0: (">", 0), 1: ("<", 0), 6: (">", 0), 7: ("<", 0), 8: (">", 4), 9: ("<", 4)}

@@ -14,7 +14,7 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.message import DecodeError as ProtobufError
 from numpy.typing import NDArray
 
-from mavnav.logs.messages.records import DecodeError, LaserMessage
+from mavnav.logs.messages.definitions import DecodeError, LaserMessage
 from mavnav.logs.records import Channel
 
 _NAN = float("nan")

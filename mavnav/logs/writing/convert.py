@@ -15,7 +15,7 @@ from mavnav.errors import NoScansError, OutputError, UsageError
 from mavnav.logs.content import check_file, reading
 from mavnav.logs.formats import detect
 from mavnav.logs.formats.decompress import DecompressError, unpack_message
-from mavnav.logs.messages.records import DecodeError
+from mavnav.logs.messages.definitions import DecodeError
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import LATCHING, QOS, AttachedFile, Channel, Damage, MetadataRecord, RawMessage, Schema, Topic
 from mavnav.logs.writing.mcap_writer import CHUNK_BYTES, OutputChannel, qos_text, writable_stamp, write_extra

@@ -15,8 +15,7 @@ from msgspec import Struct, field
 from mavnav.logs.formats.carmen import ENCODING, decode_pose, scan_decoder
 from mavnav.logs.messages import cdr, ros
 from mavnav.logs.messages.decode import decoder
-from mavnav.logs.messages.definitions import ODOMETRY, SCAN, TF, TF_ROS1, TRANSFORM
-from mavnav.logs.messages.records import DecodeError, LaserMessage
+from mavnav.logs.messages.definitions import ODOMETRY, SCAN, TF, TF_ROS1, TRANSFORM, DecodeError, LaserMessage
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel, Schema
 from mavnav.logs.transforms import planar_pose
