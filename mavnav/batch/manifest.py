@@ -28,6 +28,7 @@ GATE_EXAMPLE: Final = "write for example wall_thickness.p95_mm<=150, or baseline
 
 
 Size = Annotated[float, Meta(ge=-1e9, le=1e9)]
+_EMPTY: Final[Any] = field(default_factory=dict)
 
 
 def _list(entry: Struct, *names: str) -> None:
@@ -67,9 +68,7 @@ class LogEntry(_Options, frozen=True):
     ) = None
     size_bytes: Annotated[int, setting("size of that file", ge=1, le=10**13)] | None = None
     licence: Annotated[str, setting("licence of the log, shown on the page")] = ""
-    peers: Annotated[dict[str, dict[str, Size]], setting("program: its numbers of run.json, shown beside")] = field(
-        default_factory=dict
-    )
+    peers: Annotated[dict[str, dict[str, Size]], setting("program: its numbers of run.json, shown beside")] = _EMPTY
 
     def __post_init__(self) -> None:
         """Make lists of single items; raise ValueError if pose of the laser, name or digest cannot be meant."""
@@ -114,9 +113,7 @@ class Manifest(Strict, frozen=True):
         Accepted, setting("what counts as done: exit codes, and the worst verdict (default suspect)")
     ] = ()
     baseline: Annotated[str | None, setting("an earlier batch: its directory, batch.json, or a baseline file")] = None
-    tolerances: Annotated[dict[str, Size | str], setting("number: tolerance, as 5, 5% or 5%,high")] = field(
-        default_factory=dict
-    )
+    tolerances: Annotated[dict[str, Size | str], setting("number: tolerance, as 5, 5% or 5%,high")] = _EMPTY
     output: Annotated[str | None, setting("directory")] = None
     report: Annotated[bool, setting("write a report of every run")] = False
     jobs: Annotated[int, setting("runs at a time", ge=1)] | None = None

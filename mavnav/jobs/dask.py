@@ -26,7 +26,7 @@ from msgspec import Struct
 from msgspec.structs import asdict, replace
 
 from mavnav.errors import ExitCode, UsageError
-from mavnav.jobs.pool import Listener, run_with_retries
+from mavnav.jobs.pool import POLL_S, Listener, run_with_retries
 from mavnav.jobs.run_cache import source_sha256
 from mavnav.jobs.worker import Ended, Event, Job, Outcome, Progressed, Reporter, Started, Status, attempt, failure
 from mavnav.units import pluralize
@@ -38,7 +38,6 @@ LOCAL: Final = "local"
 LOCAL_SETTINGS: Final = {"worker.profile.enabled": False, "admin.tick.interval": "1s", "nanny.pre-spawn-environ": {}}
 """Settings of Dask for such workers: they do not watch themselves 100 times a second, nor return memory at once."""
 
-POLL_S: Final = 0.2
 CONNECT_S: Final = 20.0
 """Maximum time to wait for a scheduler, and for its first worker, in s."""
 

@@ -6,7 +6,7 @@ checked first.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from math import pi
 from typing import Final, Literal, NamedTuple
 
@@ -19,7 +19,7 @@ from mavnav.logs.derived_scans import MOST_RAD, RecordedAttitude
 from mavnav.logs.log import Log
 from mavnav.logs.messages.definitions import IMU, ODOMETRY, POSE, Measurements, Poses
 from mavnav.logs.messages.fast_cdr import merge
-from mavnav.logs.records import Channel, Imu, Topic, laser_topics, of_same_robot
+from mavnav.logs.records import Channel, Imu, Topic, Warn, laser_topics, of_same_robot
 from mavnav.logs.stamps import MessageTrack, Stamps, StampSource, in_order
 from mavnav.logs.transforms import FrameTree, frame_name
 from mavnav.pose import Rotation, ups_of_quaternions
@@ -53,7 +53,7 @@ class ImuTrack(MessageTrack):
         numbers = np.vstack((rates, accelerations, part.xyzw)).T
         self.extend(part.stamps_ns[possible], part.log_ns[possible], numbers[possible])
 
-    def rotation(self, stamp_source: StampSource, half_sweep_ns: int, warn: Callable[[str], None]) -> Rotation | None:
+    def rotation(self, stamp_source: StampSource, half_sweep_ns: int, warn: Warn) -> Rotation | None:
         """Return the rotation at mid-sweep by the stamps of scans; None of too few messages."""
         stamps, recorded = self.stamps.by(stamp_source)
         keep = in_order(stamps, recorded, self.topic, warn)
@@ -107,7 +107,7 @@ def usual_topic(names: list[str], scan_topic: str, scan_topics: Iterable[str]) -
     return next(usual, own[0] if len(own) == 1 else None)
 
 
-def laser_rotation(tracks: dict[str, ImuTrack], log: Log, odom: str, warn: Callable[[str], None]) -> Imu | None:
+def laser_rotation(tracks: dict[str, ImuTrack], log: Log, odom: str, warn: Warn) -> Imu | None:
     """Return the sensor to use of those of a log, by topic, at mid-sweep; None without one, or with ``odom`` off.
 
     Of several of the robot without a usual name none is used, with a warning.
@@ -217,7 +217,7 @@ def _of_imu(track: ImuTrack) -> TopicAttitude:
 
 
 def laser_attitude(
-    tracks: AttitudeTracks, imus: dict[str, ImuTrack], frames: FrameTree, log: Log, warn: Callable[[str], None]
+    tracks: AttitudeTracks, imus: dict[str, ImuTrack], frames: FrameTree, log: Log, warn: Warn
 ) -> RecordedAttitude | None:
     """Return the attitude of the laser of ``log`` from the first source that can be used; None without any.
 
@@ -263,7 +263,7 @@ def _mounting(source: TopicAttitude, frames: FrameTree, laser_frame: str) -> NDA
 
 
 def _recorded_attitude(
-    source: TopicAttitude, body_T_laser: NDArray[np.floating], log: Log, warn: Callable[[str], None]
+    source: TopicAttitude, body_T_laser: NDArray[np.floating], log: Log, warn: Warn
 ) -> RecordedAttitude:
     """Return the attitude of the laser, as seen from above, without messages that are not finite or not in order."""
     finite = _finite(source)

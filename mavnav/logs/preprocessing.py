@@ -8,7 +8,6 @@ millimeters.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import inf, isfinite, isnan, nextafter, tau
 from typing import Final
 
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavnav.logs.messages.definitions import LaserMessage
+from mavnav.logs.records import Warn
 from mavnav.scan import LaserSpec
 
 KINDS: Final = ("valid", "zero", "below_min", "above_max", "nan", "plus_inf", "minus_inf", "negative")
@@ -78,7 +78,7 @@ class ScanFilter:
     cannot be what it claims: its ranges or angles are of another unit.
     """
 
-    def __init__(self, topic: str, warn: Callable[[str], None]) -> None:
+    def __init__(self, topic: str, warn: Warn) -> None:
         self._topic = topic
         self._warn = warn
         self._key: tuple[float | None, ...] = ()

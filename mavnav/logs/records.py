@@ -5,7 +5,7 @@ There may be several robots, or several lasers, in one log.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from itertools import takewhile
 from pathlib import Path
 from string import digits
@@ -19,6 +19,9 @@ from numpy.typing import NDArray
 from mavnav.logs.messages.definitions import FOXGLOVE_SCAN, MULTI_ECHO, SCAN
 from mavnav.logs.odometry_chains import LeftOut
 from mavnav.pose import Rotation, Trajectory
+
+Warn = Callable[[str], None]
+"""Takes a line about something odd."""
 
 
 class Schema(Struct, frozen=True):

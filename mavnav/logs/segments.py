@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from itertools import chain, pairwise
 from math import pi, tau
@@ -13,6 +13,7 @@ import numpy as np
 
 from mavnav.logs.messages.definitions import LaserMessage
 from mavnav.logs.preprocessing import LONGEST_SWEEP_S, MOST_BEAMS
+from mavnav.logs.records import Warn
 from mavnav.scan import PLAUSIBLE_SWEEP
 from mavnav.units import DEG, NS
 
@@ -43,7 +44,7 @@ class Recorded(NamedTuple):
 class SweepJoiners:
     """The joiners of all frames of a topic."""
 
-    def __init__(self, topic: str, warn: Callable[[str], None]) -> None:
+    def __init__(self, topic: str, warn: Warn) -> None:
         self._by_frame = defaultdict[str, SweepJoiner](partial(SweepJoiner, topic, warn))
 
     def push(self, scan: Recorded) -> Iterator[Recorded]:
@@ -62,7 +63,7 @@ class SweepJoiner:
     sector that none covers. Beams of segments that are lost are NaN; such sweeps are counted and reported.
     """
 
-    def __init__(self, topic: str, warn: Callable[[str], None]) -> None:
+    def __init__(self, topic: str, warn: Warn) -> None:
         self._topic, self._warn = topic, warn
         self._waiting: list[Recorded] = []
         self._joins: bool | None = None

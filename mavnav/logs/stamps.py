@@ -14,7 +14,7 @@ import numpy as np
 from msgspec import Struct, field
 from numpy.typing import NDArray
 
-from mavnav.logs.records import Gap
+from mavnav.logs.records import Gap, Warn
 from mavnav.units import NS, pluralize
 
 StampSource = Literal["header", "log"]
@@ -126,9 +126,7 @@ def ascending(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
     return greedy if len(greedy) >= len(longest) else np.array(longest)
 
 
-def in_order(
-    stamps_ns: NDArray[np.int64], recorded_ns: NDArray[np.int64], topic: str, warn: Callable[[str], None]
-) -> NDArray[np.int64]:
+def in_order(stamps_ns: NDArray[np.int64], recorded_ns: NDArray[np.int64], topic: str, warn: Warn) -> NDArray[np.int64]:
     """Choose the most messages of ascending stamps, in the order of the file, or of recording where that keeps more.
 
     Returns their indices in the order of use, and warns of those left out; of equal stamps one is enough.

@@ -13,7 +13,7 @@ from mavnav.logs.log import Log
 from mavnav.logs.messages.definitions import ODOMETRY, PATH, POSE, POSE_COVARIANCE, TRANSFORM, Poses
 from mavnav.logs.messages.fast_cdr import merge, merge_by
 from mavnav.logs.odometry_chains import without_jumps
-from mavnav.logs.records import Channel, Odometry, RecordedTruth, Topic, laser_topics, of_same_robot
+from mavnav.logs.records import Channel, Odometry, RecordedTruth, Topic, Warn, laser_topics, of_same_robot
 from mavnav.logs.transforms import TF_PREFIX, FramePoses, FrameTree, PoseTrack, frame_name, mounting
 from mavnav.pose import Pose
 
@@ -53,7 +53,7 @@ class OdometryTracks(Struct):
             self.transforms.setdefault(key, PoseTrack(*key, source="tf")).add(poses)
 
     def choose(
-        self, warn: Callable[[str], None], leads_to_laser: Callable[[str], bool], topic: str, scan_topics: Sequence[str]
+        self, warn: Warn, leads_to_laser: Callable[[str], bool], topic: str, scan_topics: Sequence[str]
     ) -> PoseTrack | None:
         """Return the track to use: what is ``wanted``, a topic, ``off`` or ``auto``.
 
@@ -92,7 +92,7 @@ class OdometryTracks(Struct):
         return track
 
     def _choose_auto(
-        self, warn: Callable[[str], None], leads_to_laser: Callable[[str], bool], topic: str, scan_topics: Sequence[str]
+        self, warn: Warn, leads_to_laser: Callable[[str], bool], topic: str, scan_topics: Sequence[str]
     ) -> PoseTrack | None:
         own = of_same_robot(self.topics, topic, scan_topics)
         truths = [name for name in own if TRUTH_NAMES.search(name)]
@@ -118,7 +118,7 @@ class OdometryTracks(Struct):
 
 
 def laser_odometry(
-    track: PoseTrack, log: Log, base_frame: str | None, base_T_laser: Pose | None, warn: Callable[[str], None]
+    track: PoseTrack, log: Log, base_frame: str | None, base_T_laser: Pose | None, warn: Warn
 ) -> Odometry | None:
     """Return the odometry of a track, without jumps; None, with a warning, where it does not fit the scans."""
     odom_T_base, added_s = track.trajectory(log, warn)
@@ -207,7 +207,7 @@ def laser_truth(
     frames: FrameTree,
     base_T_laser: Pose | None,
     extrinsic: Pose | None,
-    warn: Callable[[str], None],
+    warn: Warn,
 ) -> RecordedTruth:
     """Return the true trajectory of the laser.
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from array import array
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from math import atan2, cos, isfinite, radians
 from typing import Final, Literal, NamedTuple
 
@@ -19,7 +19,7 @@ from mavnav.errors import TopicError
 from mavnav.logs.log import Log
 from mavnav.logs.messages.definitions import Poses, TransformMessage
 from mavnav.logs.messages.fast_cdr import merge, merge_by
-from mavnav.logs.records import is_of_another_robot, namespace
+from mavnav.logs.records import Warn, is_of_another_robot, namespace
 from mavnav.logs.stamps import MessageTrack, clock_of, in_order, shift_s
 from mavnav.pose import Pose, Trajectory, between, yaw_of_quaternion
 from mavnav.units import LARGEST_COORDINATE_M, NS
@@ -194,9 +194,7 @@ class Mounting(NamedTuple):
     upside_down: bool
 
 
-def mounting(
-    tree: FrameTree, laser_frame: str, base_frames: Iterable[str], warn: Callable[[str], None]
-) -> Mounting | None:
+def mounting(tree: FrameTree, laser_frame: str, base_frames: Iterable[str], warn: Warn) -> Mounting | None:
     """Return how the laser is mounted on the first base frame that leads to it."""
     laser = frame_name(laser_frame)
     for base in base_frames:
@@ -233,7 +231,7 @@ class PoseTrack(MessageTrack):
         self.unusable += int((~usable).sum())
         self.extend(poses.stamps_ns[usable], poses.log_ns[usable], xyyaw[usable])
 
-    def trajectory(self, log: Log, warn: Callable[[str], None]) -> tuple[Trajectory, float]:
+    def trajectory(self, log: Log, warn: Warn) -> tuple[Trajectory, float]:
         """Return ``fixed_T_base`` by the clock of the scans, and the time that was added to its stamps for it, s.
 
         Poses whose stamps do not ascend are left out. Stamps that are no times give way to those of recording.
@@ -289,7 +287,7 @@ class FramePoses(Struct):
             root = parents.pop(root)
         return root
 
-    def paths(self, log: Log, warn: Callable[[str], None]) -> list[Transfer]:
+    def paths(self, log: Log, warn: Warn) -> list[Transfer]:
         """Return the transforms on the way from the fixed frame to the body; raises TopicError without one."""
         still, fixed = self.frames.still, self.fixed_frame
         steps = shortest_way([*self.moving, *still], fixed, self.frame)
@@ -301,7 +299,7 @@ class FramePoses(Struct):
             for edge, upwards in steps
         ]
 
-    def trajectory(self, log: Log, warn: Callable[[str], None]) -> tuple[Trajectory, float]:
+    def trajectory(self, log: Log, warn: Warn) -> tuple[Trajectory, float]:
         """Return ``fixed_T_base`` at the stamps of the fastest of the transforms between; raises TopicError."""
         steps = self.paths(log, warn)
         moving = (step.path.stamps_ns for step in steps if isinstance(step.path, Trajectory))

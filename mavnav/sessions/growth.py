@@ -23,6 +23,9 @@ from mavnav.slam.matching.scan_matching import Match
 from mavnav.slam.matching.steps import evenly
 from mavnav.slam.recovery.parts import consensus
 
+Report = Callable[[str], None]
+"""Called with the name of the session that is searched."""
+
 WITNESSES, IN_TURN = 24, 3
 """So many key frames of a session, evenly along its path, are searched in the whole map of a group, a third at once."""
 
@@ -92,13 +95,10 @@ MOST_ALIKE = 0.5
 """A session with a larger share of the scans of another one is the same recording."""
 
 
-def join_sessions(
-    sessions: Sequence[Session], config: Config, report: Callable[[str], None]
-) -> tuple[SessionGroup, list[Join]]:
+def join_sessions(sessions: Sequence[Session], config: Config, report: Report) -> tuple[SessionGroup, list[Join]]:
     """Join sessions to groups; return the largest, and for each session outside of it why it is there.
 
-    ``report`` is called with the name of the session that is searched. There must be a session. Those whose track is
-    doubtful come last.
+    There must be a session. Those whose track is doubtful come last.
     """
     refused = {again: Join(again, why=f"it has the scans of {name}") for again, name in find_repeats(sessions)}
     waiting = [session for session in sessions if session.name not in refused]
@@ -147,11 +147,7 @@ def _left_out(name: str, group: list[str]) -> Join:
 
 
 def extend_group(
-    group: SessionGroup,
-    waiting: Sequence[Session],
-    config: Config,
-    report: Callable[[str], None],
-    pause_s: float = SOON_S,
+    group: SessionGroup, waiting: Sequence[Session], config: Config, report: Report, pause_s: float = SOON_S
 ) -> tuple[SessionGroup, list[Session], list[Join]]:
     """Join sessions to a group until none joins any more, the best witnessed first; return what is left, and why.
 
@@ -181,12 +177,7 @@ def _join_following(
 
 
 def _join_witnessed(
-    group: SessionGroup,
-    here: GroupMap,
-    waiting: Sequence[Session],
-    config: Config,
-    report: Callable[[str], None],
-    pause_s: float,
+    group: SessionGroup, here: GroupMap, waiting: Sequence[Session], config: Config, report: Report, pause_s: float
 ) -> tuple[SessionGroup, GroupMap, list[Join]]:
     """Join the sessions that are found in the map, or lie at the end of another; return also why others do not join."""
     places: list[tuple[Session, Join, Pose | None]] = []
