@@ -280,6 +280,6 @@ def test_every_gate_on_a_page_is_judged_on_a_run(tmp_path: Path) -> None:
     gates = [parse_gate(gate) for gate in shown_gates() - GATE_WORDS]
     assert len(gates) >= 12
     assert {"verdict", "verdict==good", "wall_thickness.p95_mm<=150"} <= {gate.text for gate in gates}
-    for result in judge(gates, document):
-        assert result.value is not None, result.gate.text
-        assert not renaming(result.gate.name), result.gate.text
+    for gate, row in zip(gates, judge(gates, document), strict=True):
+        assert row["value"] is not None, gate.text
+        assert not renaming(gate.name), gate.text

@@ -122,7 +122,7 @@ def _judge(run: _CheckedRun, bounds: list[Gate], given: frozenset[int | str]) ->
     return {
         "run": run.name,
         "verdict": verdict,
-        "gates": [each.row() for each in results],
+        "gates": results,
         "error": run.error or (f"it ended with exit code {code}" if code and not lost else None),
-        "exit_code": int(worst([code, *(ExitCode.GATE_FAILED for each in results if not each.passed)])),
+        "exit_code": int(worst([code, *(ExitCode.GATE_FAILED for each in results if not each["passed"])])),
     }

@@ -52,8 +52,7 @@ def judged_row(result: CaseResult, request: BatchRequest) -> dict[str, Any]:
     row["repeat"] = {"of": case.repeat_of, "differs": []} if case.repeat_of else None
     accept = rules.accept | case.accept
     bounds, run = (*rules.gates, *case.gates), result.document
-    results = [] if run is None else [*judge_verdict(accept, run), *judge_some(bounds, run)]
-    gates = [each.row() for each in results]
+    gates = [] if run is None else [*judge_verdict(accept, run), *judge_some(bounds, run)]
     change = None
     if rules.baseline:
         absent = [] if request.new_baseline else lacking(row, rules.baseline, rules.watched)

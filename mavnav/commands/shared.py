@@ -299,9 +299,9 @@ def gated_code(document: dict[str, Any], gates: list[Gate]) -> ExitCode:
     """
     from mavnav.metrics.gates import judge
 
-    failed = [result for result in judge(gates, document) if not result.passed]
-    for result in failed:
-        note(f"mavnav: error: gate {result.gate.text} failed: {result.why}")
+    failed = [row for row in judge(gates, document) if not row["passed"]]
+    for row in failed:
+        note(f"mavnav: error: gate {row['gate']} failed: {row['why']}")
     return worst([document["exit_code"], *(ExitCode.GATE_FAILED for _ in failed)])
 
 

@@ -85,7 +85,7 @@ def _logs(
 
 def _judge(gates: Sequence[Gate], run: dict[str, Any], costs: dict[str, list[Any]], k: int) -> list[dict[str, Any]]:
     document = run | {"price": {name: costs[name][k] for name in RELATIVE_COSTS}}
-    return [{"gate": verdict.gate.text, "cell": k, **verdict.row()} for verdict in judge_some(gates, document)]
+    return [{"gate": row["gate"], "cell": k} | row for row in judge_some(gates, document)]
 
 
 def best(runs: Sequence[Run | None]) -> dict[str, list[int]]:

@@ -83,21 +83,16 @@ class Gate(Struct, frozen=True):
     bound: Number
 
 
-class GateResult(Struct, frozen=True):
-    """Result of a gate: the value (None: null; a verdict is a word) and why it failed, empty if it passed."""
+GateRow = dict[str, Any]
+"""The result of a gate as documents have it.
 
-    gate: Gate
-    value: Number | str | None
-    why: str = ""
+``gate`` is its text, ``value`` what is compared (None: null; a verdict is a word), ``passed`` whether it holds, and
+``why`` the reason why it failed, empty if it passed.
+"""
 
-    @property
-    def passed(self) -> bool:
-        """Whether the gate holds."""
-        return not self.why
 
-    def row(self) -> dict[str, Any]:
-        """Return the verdict as documents have it."""
-        return {"gate": self.gate.text, "value": self.value, "passed": self.passed, "why": self.why}
+def _row(gate: Gate, value: Number | str | None, why: str = "") -> GateRow:
+    return {"gate": gate.text, "value": value, "passed": not why, "why": why}
 
 
 def failure_text(row: Mapping[str, Any]) -> str:
@@ -129,15 +124,15 @@ def _bound(text: str) -> Number | None:
     return None if value != value else value  # noqa: PLR0124  NaN compares with nothing
 
 
-def judge(gates: Iterable[Gate], document: Mapping[str, Any]) -> list[GateResult]:
+def judge(gates: Iterable[Gate], document: Mapping[str, Any]) -> list[GateRow]:
     """Return the verdicts of gates on a document; raises UsageError for a name that it does not have."""
     return [_judge(gate, document) for gate in gates]
 
 
-def judge_some(gates: Iterable[Gate], document: Mapping[str, Any]) -> list[GateResult]:
+def judge_some(gates: Iterable[Gate], document: Mapping[str, Any]) -> list[GateRow]:
     """Return the verdicts of gates on one of several documents; a missing number fails its gate."""
     return [
-        _judge(gate, document) if _has(document, gate.name) else GateResult(gate, None, "this run has no such number")
+        _judge(gate, document) if _has(document, gate.name) else _row(gate, None, "this run has no such number")
         for gate in gates
     ]
 
@@ -149,7 +144,7 @@ def stored_verdict(document: Mapping[str, Any]) -> dict[str, Any] | None:
     return dict(known) if all(isinstance(t, str) for t in texts) and texts[0] in VERDICTS else None  # type: ignore[arg-type]
 
 
-def judge_verdict(accept: Collection[int | str], document: Mapping[str, Any]) -> list[GateResult]:
+def judge_verdict(accept: Collection[int | str], document: Mapping[str, Any]) -> list[GateRow]:
     """Return whether the verdict of a run is accepted: `USUAL` or better without a word in ``accept``.
 
     That are words and exit codes; of several words the worst counts. Nothing is returned for a lost run where its exit
@@ -188,18 +183,18 @@ def _has(document: Mapping[str, Any], name: str) -> bool:
     return value is None or isinstance(value, Number)
 
 
-def _judge(gate: Gate, document: Mapping[str, Any]) -> GateResult:
+def _judge(gate: Gate, document: Mapping[str, Any]) -> GateRow:
     value = find(document, gate.name)
     if value is None:
-        return GateResult(gate, None, "it is not known for this run")
+        return _row(gate, None, "it is not known for this run")
     if gate.name == VERDICT:
         passed, known = OPERATORS[gate.comparison](value, gate.bound), document[VERDICT]
-        return GateResult(gate, known["word"], "" if passed else f"{known['word']}: {known['reason']}")
+        return _row(gate, known["word"], "" if passed else f"{known['word']}: {known['reason']}")
     about_map = gate.name.startswith(MAP_SECTIONS) and gate.name != "map_quality.meaningful"
     if about_map and (document.get("map_quality") or {}).get("meaningful", True) is False:
         reasons = "; ".join(map(str, document["map_quality"].get("why") or ["too little of it"]))
-        return GateResult(gate, value, f"it is {_format(value)}, but the map is not meaningful: {reasons}")
-    return GateResult(gate, value, "" if OPERATORS[gate.comparison](value, gate.bound) else f"it is {_format(value)}")
+        return _row(gate, value, f"it is {_format(value)}, but the map is not meaningful: {reasons}")
+    return _row(gate, value, "" if OPERATORS[gate.comparison](value, gate.bound) else f"it is {_format(value)}")
 
 
 def _format(value: Number) -> str:

@@ -44,7 +44,7 @@ EMPTY = RUN | {"map_quality": {"meaningful": False, "why": ["0.3 m of wall", "9 
 
 def verdict(text: str, document: dict[str, Any] = RUN) -> tuple[bool, str]:
     (found,) = judge([parse_gate(text)], document)
-    return found.passed, found.why
+    return found["passed"], found["why"]
 
 
 def test_parse() -> None:
@@ -141,10 +141,10 @@ def test_the_gate_on_the_verdict(text: str, passing: set[str]) -> None:
 
 def test_a_failed_gate_on_the_verdict_says_why() -> None:
     assert verdict("verdict", judged("wrong")) == (False, "wrong: the walls leave a direction open")
-    assert judge([parse_gate("verdict")], judged("good"))[0].row()["value"] == "good"
+    assert judge([parse_gate("verdict")], judged("good"))[0]["value"] == "good"
     with pytest.raises(UsageError, match="fine is no verdict; they are good, suspect, wrong, lost"):
         parse_gate("verdict==fine")
-    assert judge_some([parse_gate("verdict")], RUN)[0].why == "this run has no such number"
+    assert judge_some([parse_gate("verdict")], RUN)[0]["why"] == "this run has no such number"
 
 
 @pytest.mark.parametrize(
@@ -177,7 +177,7 @@ def test_names_of_today_need_no_note() -> None:
 def test_a_name_that_only_some_have() -> None:
     gates, other = [parse_gate("tracking.intervals.0.scans<5")], {"tracking": {"intervals": []}}
     check_known(gates, [other, RUN])
-    assert [found.why for found in judge_some(gates, other)] == ["this run has no such number"]
+    assert [found["why"] for found in judge_some(gates, other)] == ["this run has no such number"]
     assert judge_some(gates, RUN) == judge(gates, RUN)
     with pytest.raises(UsageError, match="no number tracking"):
         check_known(gates, [other, other])
