@@ -240,8 +240,7 @@ def on_bearings(
     """
     bearing_rad, range_m = np.arctan2(y, x), np.hypot(x, y)
     off = (bearing_rad - spec.angle_min_rad) / spec.angle_step_rad
-    turn = tau / abs(spec.angle_step_rad)
-    off = (off + 0.5) % turn - 0.5
+    off = (off + 0.5) % (tau / abs(spec.angle_step_rad)) - 0.5
     beam = np.round(off)
     aside_rad = (beam - off) * spec.angle_step_rad
     moved_m = _at_bearing(x, y, range_m, bearing_rad + aside_rad, aside_rad * step_rad > 0.0)

@@ -128,8 +128,7 @@ def _figures(cell: Mapping[str, Any]) -> dict[str, float | None] | None:
 
 def write_baseline(rows: Sequence[Mapping[str, Any]], path: Path, watched: Sequence[Tolerance]) -> None:
     """Write only the metrics that are compared, so that the file can be committed with the code."""
-    cells = [_baseline_row(row, watched) for row in rows]
-    document = {**DOCUMENT_HEAD, "cells": cells}
+    document = {**DOCUMENT_HEAD, "cells": [_baseline_row(row, watched) for row in rows]}
     with writing(path, "name another file"), beside(path) as partial:
         partial.write_text(to_json(document), encoding="utf-8")
 

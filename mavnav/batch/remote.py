@@ -303,8 +303,7 @@ def _is_public(host: str) -> bool:
         address_info = ip_address(host.partition("%")[0])
     except ValueError:
         return False
-    mapped = getattr(address_info, "ipv4_mapped", None)
-    return (mapped or address_info).is_global
+    return (getattr(address_info, "ipv4_mapped", None) or address_info).is_global
 
 
 class Pin(Struct, frozen=True):

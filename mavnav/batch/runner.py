@@ -244,8 +244,7 @@ def run_batch(
     rows, rules = run_cases(plan, on_event, judge, cluster), request.rules
     compare_repeats(rows, request.directory, gate=rules.identical_gate)
     missing_runs = [] if rules.baseline is None or request.part or request.only else missing(rows, rules.baseline)
-    wall_s = monotonic() - began_s
-    document = batch_document(rows, wall_s, rules, missing_runs)
+    document = batch_document(rows, monotonic() - began_s, rules, missing_runs)
     if request.part is None:
         document["unlisted"] = [] if request.only else unlisted_runs(rows, request.directory / BATCH_FILE)
         write_batch(document, request.directory)

@@ -288,8 +288,7 @@ def compare_with_poses(
         programs=tuple(programs),
         limit_s=limit_s,
     )
-    scored = score_log(given, progress)
-    return write_scores(log, scored, request.directory, own, request.rules.gates)
+    return write_scores(log, score_log(given, progress), request.directory, own, request.rules.gates)
 
 
 def _own_poses(own: Sequence[CaseResult]) -> list[TrajectorySource]:

@@ -86,8 +86,7 @@ def read_map(path: Path) -> MapFile:
         raise UsageError(f"{path}: resolution {cell_m:g} is no size of a cell; write meters, for example 0.05")
     if not isinstance(about["image"], str):
         raise UsageError(f"{path}: image {brief(about['image'])} is no name of a file; write one")
-    picture = path.parent / about["image"]
-    shades = _read_picture(picture, path)
+    shades = _read_picture(path.parent / about["image"], path)
     occupied, free = (shades.upwards(kind) for kind in _kinds(path, about, shades))
     if (count := np.count_nonzero(occupied)) > MAX_OCCUPIED:
         raise UsageError(

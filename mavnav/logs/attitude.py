@@ -87,13 +87,11 @@ def _smooth(stamps_ns: NDArray[np.int64], values: Floats) -> Floats:
     half_ns = round(0.5 * SMOOTHED_S / NS)
     start, end = (np.searchsorted(stamps_ns, stamps_ns + off) for off in (-half_ns, half_ns + 1))
     sums = np.vstack((np.zeros(3), np.cumsum(values, axis=0)))
-    means: Floats = (sums[end] - sums[start]) / (end - start)[:, None]
-    return means
+    return np.asarray((sums[end] - sums[start]) / (end - start)[:, None])
 
 
 def _unit(vectors: Floats) -> Floats:
-    lengths: Floats = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return vectors / np.maximum(lengths, 1e-9)
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9))
 
 
 def usual_topic(names: list[str], scan_topic: str, scan_topics: Iterable[str]) -> str | None:

@@ -118,8 +118,7 @@ def _sha256(path: Path) -> str:
             data_at = min(source.next_data(offset), source.size)
             for at in range(offset, data_at, len(_ZEROS)):
                 digest.update(_ZEROS[: data_at - at])
-            block = source.read(data_at, len(_ZEROS))
-            digest.update(block)
+            digest.update(source.read(data_at, len(_ZEROS)))
             offset = data_at + len(_ZEROS)
     return digest.hexdigest()
 

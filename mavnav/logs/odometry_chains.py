@@ -76,8 +76,7 @@ def without_jumps(odom_T_base: Trajectory) -> tuple[Trajectory, LeftOut | None]:
     if not _breaks(odom_T_base, usual).any():
         return odom_T_base, None
     chains = sorted(_longest_apart(list(_chains(odom_T_base, usual))))
-    kept = np.concatenate(chains)
-    dropped = np.setdiff1d(np.arange(len(odom_T_base)), kept)
+    dropped = np.setdiff1d(np.arange(len(odom_T_base)), np.concatenate(chains))
     if len(dropped) > MOST_LEFT_OUT * len(odom_T_base):
         return odom_T_base, None
     firsts = [*dropped[:1].tolist(), *(chain[0] for chain in chains[1:2])]

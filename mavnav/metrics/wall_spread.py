@@ -141,8 +141,7 @@ def cut_walls(grid: Grid, scans: PlacedScans | None, tracked: int) -> WallCuts:
     """
     stations, seen = _stations(*wall_points(scans)) if scans is not None else (np.zeros((0, 3)), np.zeros(0))
     sampled = 0 if scans is None else min(len(scans.poses), WALL_SCANS)
-    often = seen * tracked >= MIN_SEEN * sampled
-    stations = stations[often]
+    stations = stations[seen * tracked >= MIN_SEEN * sampled]
     middle_m, width_m = _widths(grid, stations)
     normals = np.column_stack((-np.sin(stations[:, 2]), np.cos(stations[:, 2])))
     xy_m = stations[:, :2] + middle_m[:, None] * normals

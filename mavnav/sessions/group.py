@@ -64,8 +64,7 @@ def make_session(
     stamps_ns, hashes = map_T_laser.stamps_ns.tolist(), set[int]()
     for row, (scan, stamp_ns) in enumerate(zip(scans(), stamps_ns, strict=True)):
         if scan.stamp_ns != stamp_ns:
-            msg = f"pose {row} is of another time than scan {row}"
-            raise ValueError(msg)
+            raise ValueError(f"pose {row} is of another time than scan {row}")
         hashes.add(crc32(scan.ranges_m.tobytes()))
         if row in path_of:
             keys.append(KeyFrame(row, path_of[row], method.match_points(scan).copy(), map_T_laser[row]))
@@ -272,8 +271,7 @@ def _all_scans(
     """Give every scan with its velocity and the pose at mid-sweep."""
     for session, poses in zip(sessions, placed, strict=True):
         for scan, motion in zip(session.scans(), motions_along(poses, session.at_rest), strict=True):
-            map_T_mid = motion.map_T_laser @ method.sweep_T_mid(scan, motion)
-            yield scan, motion._replace(map_T_laser=map_T_mid)
+            yield scan, motion._replace(map_T_laser=motion.map_T_laser @ method.sweep_T_mid(scan, motion))
 
 
 def _match_scans(session: Session, poses: Trajectory, method: Robust) -> Trajectory:

@@ -211,5 +211,4 @@ def _for_look_ups(grid: Grid, hits: NDArray[np.uint16]) -> GridBuilder:
 
 def _sample(xy_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return up to ``MOST_CELLS`` of the points (n, 2), shuffled, so that any prefix is a fair sample."""
-    mixed: NDArray[np.float64] = xy_m[np.random.default_rng(0).permutation(len(xy_m))[:MOST_CELLS]]
-    return mixed
+    return np.asarray(xy_m[np.random.default_rng(0).permutation(len(xy_m))[:MOST_CELLS]])

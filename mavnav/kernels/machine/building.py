@@ -73,8 +73,7 @@ def _compile(kernels: Sequence[Kernel]) -> Iterator[None]:
     """Compile kernels into the cache; yield at the start, and after each kernel."""
     paths = os.pathsep.join(map(os.path.abspath, sys.path))
     environment = os.environ | {"PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1"} | _FASTER
-    names = [f"{made.module}:{made.name}" for made in kernels]
-    command = [sys.executable, "-P", "-c", _SERVE, *names]
+    command = [sys.executable, "-P", "-c", _SERVE, *(f"{made.module}:{made.name}" for made in kernels)]
     yield
     null, group = subprocess.DEVNULL, 0 if hasattr(os, "killpg") else None
     with (

@@ -326,8 +326,7 @@ class Waiting(Struct):
         log_ns = np.array([*map(storable, self.log_ns)], np.int64)
         parts, errors = decode_together(self.channel, self.messages, log_ns, self.decode)
         for row, error in errors.items():
-            where = f"{self.channel.topic}, {self.log_ns[row]} ns"
-            report.damage(f"a message does not decode ({error})", where)
+            report.damage(f"a message does not decode ({error})", f"{self.channel.topic}, {self.log_ns[row]} ns")
         for take in self.takers if parts else ():
             take(parts)
         self.messages, self.log_ns = [], []
