@@ -24,7 +24,6 @@ from mavnav.logs.formats import carmen
 from mavnav.logs.formats.decompress import DecompressError, unpack_message
 from mavnav.logs.messages import definitions, fast_cdr
 from mavnav.logs.messages.definitions import CLOUD, MULTI_ECHO, DecodeError, LaserMessage
-from mavnav.logs.messages.fast_cdr import columns_of, read_blocks
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel, topic_and_frame
 from mavnav.logs.stamps import storable
@@ -185,7 +184,7 @@ def decode_together(
     """
     blocks, errors, left = [], dict[int, DecodeError](), np.ones(len(messages), np.bool_)
     if channel.encoding in ROS_ENCODINGS:
-        blocks = [*read_blocks(messages, channel.encoding, _FIELD_READERS[channel.type])]
+        blocks = [*fast_cdr.read_blocks(messages, channel.encoding, _FIELD_READERS[channel.type])]
     for rows, _ in blocks:
         left[rows] = False
     singles = dict[int, Any]()
@@ -194,7 +193,7 @@ def decode_together(
             singles[row] = decode(messages[row])
         except DecodeError as error:
             errors[row] = error
-    return [*columns_of(blocks, singles, log_ns)], errors
+    return [*fast_cdr.columns_of(blocks, singles, log_ns)], errors
 
 
 def _unpack_first(decode: Callable[[bytes], Any]) -> Callable[[bytes], Any]:
