@@ -4,18 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavnav.kernels.machine.jit import (
-    F64_2D,
-    I64_1D,
-    I64_2D,
-    U8_1D,
-    U8_2D,
-    U8_3D,
-    U16_2D,
-    U16_2D_STRIDED,
-    helper,
-    kernel,
-)
+from mavnav.kernels.machine.jit import F64_2D, I64_1D, I64_2D, U8_2D, U8_3D, U16_2D, U16_2D_STRIDED, helper, kernel
 
 
 @kernel
@@ -49,13 +38,6 @@ def column_runs(hits: U16_2D_STRIDED, min_hits: int, max_gap: int) -> I64_2D:
             runs[k, 2] = r
             runs[k, 3] += 1
     return runs[:n].copy()
-
-
-@helper
-def _keep_both(out: U8_1D, a: U8_1D, b: U8_1D) -> None:
-    """Write where both are set (n,)."""
-    for c in range(len(out)):
-        out[c] = a[c] & b[c]
 
 
 @helper
@@ -150,7 +132,9 @@ def run_moments(hits: U16_2D_STRIDED, runs: I64_2D, min_hits: int, max_gap: int,
         col, half = runs[k, 0], (runs[k, 1] + runs[k, 2]) % 2
         row, top = (runs[k, 1] + runs[k, 2]) // 2, runs[k, 1] - (runs[k, 1] + runs[k, 2]) // 2 + border
         for r in range(len(free)):
-            _keep_both(free[r], occupied[row + r, col : col + len(free)], discs[half, r])
+            here, near, disc = free[r], occupied[row + r, col : col + len(free)], discs[half, r]
+            for c in range(len(here)):
+                here[c] = near[c] & disc[c]
         depth = 0
         for r in range(max(top, 0), min(top + runs[k, 2] - runs[k, 1] + 1, len(free))):
             if free[r, border]:
