@@ -30,19 +30,8 @@ from mavnav.metrics.ghost_walls import GhostWall
 from mavnav.metrics.map_quality import measure_map
 from mavnav.metrics.reference import AlignedError, MapDistance, Reference
 from mavnav.metrics.walls import summary, wall_sections
-from mavnav.outputs.pictures.viewport import (
-    DPI,
-    GOAL_RED,
-    INK,
-    MUTED,
-    PATH_GREY,
-    POSE_MAGENTA,
-    START_BLUE,
-    Viewport,
-    wall_lines,
-    window_around,
-    window_of,
-)
+from mavnav.outputs.pictures.canvas import DPI, GOAL_RED, INK, MUTED, PATH_GREY, POSE_MAGENTA, START_BLUE
+from mavnav.outputs.pictures.map_axes import Viewport, wall_lines, window_around, window_of
 from mavnav.outputs.run import Truth
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import Scan

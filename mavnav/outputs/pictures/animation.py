@@ -17,8 +17,9 @@ from mavnav.mapping.occupancy_grid import known_area
 from mavnav.metrics.journey import spread
 from mavnav.outputs.directory import check_file, write_file
 from mavnav.outputs.files.replay_log import placed_scans
+from mavnav.outputs.pictures.canvas import GOAL_RED, POSE_MAGENTA, START_BLUE
+from mavnav.outputs.pictures.map_axes import Viewport, wall_lines, window_of
 from mavnav.outputs.pictures.map_picture import points_to_show
-from mavnav.outputs.pictures.viewport import GOAL_RED, POSE_MAGENTA, START_BLUE, Viewport, wall_lines, window_of
 from mavnav.outputs.run import RunResult, Truth
 from mavnav.pose import Pose, transform_points
 from mavnav.units import DEG, NS

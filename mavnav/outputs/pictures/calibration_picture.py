@@ -10,9 +10,8 @@ import numpy as np
 
 from mavnav.metrics.calibration.motion import Array, Motions
 from mavnav.metrics.calibration.solve import Estimate
-from mavnav.outputs.pictures.canvas import Canvas, stroke
+from mavnav.outputs.pictures.canvas import INK, MEASURED_BLUE, TRUE_ORANGE, Canvas, stroke
 from mavnav.outputs.pictures.plot import Axes, Style, label_ticks, legend, legend_width, ticks
-from mavnav.outputs.pictures.viewport import INK, MEASURED_BLUE, TRUE_ORANGE
 from mavnav.units import DEG, MM
 
 WIDTH, HEIGHT, LEFT, RIGHT = 1500, 1080, 110, 30

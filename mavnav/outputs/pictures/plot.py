@@ -13,8 +13,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from mavnav.outputs.pictures.canvas import POINT, SMOOTH, Box, Canvas, Points, font, on_mask
-from mavnav.outputs.pictures.viewport import INK, MUTED
+from mavnav.outputs.pictures.canvas import INK, MUTED, POINT, SMOOTH, Box, Canvas, Points, font, on_mask
 from mavnav.pose import Pose, transform_points
 
 XY = NDArray[np.float64]

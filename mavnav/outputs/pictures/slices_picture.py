@@ -17,10 +17,9 @@ from PIL import Image, ImageDraw
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, occupancy
 from mavnav.mapping.slices import Slices
 from mavnav.mapping.tiled_arrays import max_pool
-from mavnav.outputs.pictures.canvas import SMOOTH, Canvas, ramp, rgb_of, stroke
+from mavnav.outputs.pictures.canvas import FREE_GREY, INK, MUTED, POSE_MAGENTA, SMOOTH, Canvas, ramp, rgb_of, stroke
 from mavnav.outputs.pictures.map_axes import END, START
 from mavnav.outputs.pictures.plot import Style, centred_legend, heading, stamp
-from mavnav.outputs.pictures.viewport import FREE_GREY, INK, MUTED, POSE_MAGENTA
 from mavnav.outputs.run import RunResult
 
 Floats = NDArray[np.float64]

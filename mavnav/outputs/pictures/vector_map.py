@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mavnav.errors import UsageError
 from mavnav.mapping.occupancy_grid import OCCUPIED
 from mavnav.metrics.floor_plan import FloorPlan
-from mavnav.outputs.pictures.viewport import GOAL_RED, INK, MUTED, POSE_MAGENTA, START_BLUE
+from mavnav.outputs.pictures.canvas import GOAL_RED, INK, MUTED, POSE_MAGENTA, START_BLUE
 from mavnav.outputs.run import RunResult
 from mavnav.slam.result import parts_of_path
 

@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from PIL.Image import Image
 
 from mavnav.outputs.documents.quantities import number
-from mavnav.outputs.pictures.canvas import draw_dashes, stroke
+from mavnav.outputs.pictures.canvas import GOAL_RED, MUTED, draw_dashes, stroke
 from mavnav.outputs.pictures.plot import Axes, Mark, Style, cross, label_ticks, legend, ticks
-from mavnav.outputs.pictures.viewport import GOAL_RED, MUTED
 from mavnav.outputs.pictures.wall_picture import BAR_COLOUR, P95_COLOUR
 from mavnav.outputs.report.entry import Entry
 from mavnav.outputs.report.panels import CHART, CHART_MARGINS, FONT_PT, panel

@@ -25,7 +25,7 @@ from mavnav.outputs.directory import RUN_FILE, checked_file
 from mavnav.outputs.files import gridmap
 from mavnav.outputs.files.gridmap import read_npz
 from mavnav.outputs.files.trajectory import ATTITUDE_COLUMNS, TRUE_WALLS_FILE
-from mavnav.outputs.pictures.viewport import wall_lines
+from mavnav.outputs.pictures.map_axes import wall_lines
 from mavnav.outputs.run import RunResult, WallShapes
 
 FAILED: Final = "failed"

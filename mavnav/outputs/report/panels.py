@@ -21,9 +21,9 @@ from PIL import Image
 
 from mavnav.mapping.occupancy_grid import occupancy
 from mavnav.outputs.pictures import map_axes
-from mavnav.outputs.pictures.canvas import Box, Canvas, stroke
+from mavnav.outputs.pictures.canvas import GOAL_RED, INK, MUTED, POSE_MAGENTA, Box, Canvas, stroke
+from mavnav.outputs.pictures.map_axes import Viewport, window_of
 from mavnav.outputs.pictures.plot import Axes, Mark, Style, circle, legend
-from mavnav.outputs.pictures.viewport import GOAL_RED, INK, MUTED, POSE_MAGENTA, Viewport, window_of
 from mavnav.outputs.report.entry import Entry
 from mavnav.pose import Pose, transform_points
 from mavnav.units import DEG, MM

@@ -21,8 +21,8 @@ from mavnav.metrics.wall_spread import WallCuts
 from mavnav.outputs.documents.verdict import Verdict
 from mavnav.outputs.pictures import map_axes, map_picture, wall_picture
 from mavnav.outputs.pictures.canvas import Canvas, font, png, rgb_of
+from mavnav.outputs.pictures.map_axes import Viewport, window_of
 from mavnav.outputs.pictures.plot import Axes, legend_room, legend_width, ticks
-from mavnav.outputs.pictures.viewport import Viewport, window_of
 from mavnav.outputs.run import picture_turn_rad
 from mavnav.pose import Pose, Trajectory
 from mavnav.slam.findings import Doubt, Loop, Loops, Reason
