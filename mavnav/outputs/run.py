@@ -177,12 +177,6 @@ class RunResult(Struct, frozen=True, dict=True):
         return self.truth or (given if given and len(given.segments_map) + len(given.arcs_map) else None)
 
     @property
-    def map_T_base(self) -> Trajectory | None:
-        """The trajectory of the robot's base in the map frame, None where the mounting is not known."""
-        mounting = self.log.base_T_laser
-        return None if mounting is None else self.slam.path.compose(mounting.inverse())
-
-    @property
     def exit_code(self) -> ExitCode:
         """How the run ended: a stop outweighs lost for good, that a failed mission or a damaged input."""
         if self.stopped is not None:

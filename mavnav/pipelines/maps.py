@@ -139,12 +139,6 @@ def localisation(path: Path, start_pose: Pose | None, outcome: SlamResult) -> Lo
     )
 
 
-NO_WALLS: Final = (
-    "the map begins after the first scan of the mission, to which the walls of the scenario are relative: "
-    "it is not compared with them"
-)
-
-
 def rounded_pose(pose: Pose) -> dict[str, float]:
     """Describe a pose for a document, in m, m, deg; adding 0 turns -0.0 into 0.0."""
     values = round(pose.x_m, 4), round(pose.y_m, 4), round(pose.yaw_rad / DEG, 3)
@@ -174,7 +168,8 @@ def references_in_map(
     """
     references = _with_recorded_truth(references, log, begin_ns, map_T_begin)
     if references.of_first_scan and begin_ns not in {None, log.first_ns}:
-        return replace(references, true_map=None), (NO_WALLS,)
+        relative = "after the first scan of the mission, to which the walls of the scenario are relative"
+        return replace(references, true_map=None), (f"the map begins {relative}: it is not compared with them",)
     return with_walls_moved(references, map_T_begin), ()
 
 

@@ -20,11 +20,12 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from mavnav.kernels.maps.hits import show_ends
 from mavnav.logs.messages import cdr, definitions
 from mavnav.logs.messages.cdr import LINE_LIST, LINE_STRIP, TEXT, Marker
 from mavnav.logs.records import AttachedFile, MetadataRecord
 from mavnav.logs.writing.mcap_writer import OutputChannel, write_serialized
-from mavnav.mapping.occupancy_grid import UNKNOWN, Grid, show_ends
+from mavnav.mapping.occupancy_grid import UNKNOWN, Grid
 from mavnav.mapping.tiled_arrays import max_pool
 from mavnav.metrics.ghost_walls import GhostWall
 from mavnav.outputs.files.document import document_without_cost, plain, plain_json, to_json
@@ -143,7 +144,8 @@ class _GrowingMap:
 
     def add(self, scan: Scan, map_T_laser: Pose) -> bool:
         """Show what a scan saw; return whether it is time to publish."""
-        show_ends(scan.ranges_m, scan.spec.directions, map_T_laser, self.grid, self.finished, self.cells)
+        laser, lattice = map_T_laser.as_array(), self.grid.lattice
+        show_ends(scan.ranges_m, scan.spec.directions, laser, lattice, self.finished, self.cells)
         if self._period_ns is None or scan.stamp_ns < self._next_ns:
             return False
         self._next_ns = scan.stamp_ns + self._period_ns

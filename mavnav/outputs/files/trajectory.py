@@ -46,9 +46,9 @@ def write_tum(run: RunResult, path: Path) -> None:
 
 def write_base_tum(run: RunResult, path: Path) -> None:
     """Write map_T_base; raises ValueError where the run does not know the mounting."""
-    if (map_T_base := run.map_T_base) is None:
+    if (mounting := run.log.base_T_laser) is None:
         raise ValueError("the laser's mounting is not known")
-    write_poses(map_T_base, path)
+    write_poses(run.slam.path.compose(mounting.inverse()), path)
 
 
 def write_truth_tum(run: RunResult, path: Path) -> None:

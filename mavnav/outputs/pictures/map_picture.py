@@ -16,7 +16,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from mavnav.metrics.wall_spread import WallSpread
 from mavnav.outputs.documents.verdict import Verdict
 from mavnav.outputs.files.document import run_verdict
 from mavnav.outputs.files.gridmap import GridMap
@@ -47,7 +46,7 @@ def write(run: RunResult, path: Path) -> None:
     window = map_axes.window_of(run.known, points_to_show(run), run.turn_rad)
     some = thin_path(trajectory.xyyaw[:, :2], CIRCLE_SPACING * max(window.size_m))
     line, circles = (PATH, some) if len(some) <= MOST_CIRCLES else (LONG_PATH, some[:0])
-    ends = _ends(run, trajectory.stamps_ns[some].tolist())
+    ends = end_marks(run, trajectory.stamps_ns[some].tolist())
     shown = (len(trajectory), run.slam.loops.closed, run.true_walls, doubtful_parts(run.slam))
     signs = (map_axes.POSE if len(circles) else line, map_axes.LOOP, map_axes.TRUE_WALL, map_axes.DOUBTFUL)
     named: list[Sign] = [*compress(signs, shown), *(mark for mark, _ in ends), *map_axes.KNOWN]
@@ -72,23 +71,14 @@ def points_to_show(run: RunResult) -> NDArray[np.float64]:
     return np.vstack((xy_m, *mission, *walls))
 
 
-def _ends(run: RunResult, stamps_ns: list[int]) -> list[tuple[Mark, NDArray[np.float64]]]:
+def end_marks(run: RunResult, stamps_ns: list[int]) -> list[tuple[Mark, NDArray[np.float64]]]:
     """Mark start and end; where the truth is known the true poses at the stamps of the circles, start and goal."""
-    xy_m = run.slam.trajectory.xyyaw[:, :2]
-    if run.truth is not None:
-        return truth_marks(run.truth, stamps_ns)
-    return [(map_axes.START, xy_m[:1]), (map_axes.END, xy_m[-1:])] if len(xy_m) else []
-
-
-def truth_marks(truth: Truth, stamps_ns: list[int]) -> list[tuple[Mark, NDArray[np.float64]]]:
-    """Mark the true poses at the stamps, the true start and the goal."""
-    xy_m = truth.map_T_laser.xyyaw[:, :2]
-    at = np.isin(truth.map_T_laser.stamps_ns, stamps_ns)
-    return [
-        (map_axes.TRUE_POSE, xy_m[at]),
-        (map_axes.START, xy_m[:1]),
-        (map_axes.GOAL, np.array([truth.goal_xy_map_m])),
-    ]
+    if (truth := run.truth) is None:
+        xy_m = run.slam.trajectory.xyyaw[:, :2]
+        return [(map_axes.START, xy_m[:1]), (map_axes.END, xy_m[-1:])] if len(xy_m) else []
+    xy_m, at = truth.map_T_laser.xyyaw[:, :2], np.isin(truth.map_T_laser.stamps_ns, stamps_ns)
+    goal_xy_m = np.array([truth.goal_xy_map_m])
+    return [(map_axes.TRUE_POSE, xy_m[at]), (map_axes.START, xy_m[:1]), (map_axes.GOAL, goal_xy_m)]
 
 
 def thin_path(xy_m: NDArray[np.float64], spacing_m: float) -> NDArray[np.intp]:
@@ -106,15 +96,11 @@ def _subtitle(run: RunResult) -> str:
     cell_mm = run.slam.grid.cell_m / MM
     search = f"method {config.method}, {config.azimuth} yaw samples, search grid {config.grid}"
     how = f"{f'poses of {run.external.name}' if run.external else search}, cell {cell_mm:g} mm"
-    walls = "" if run.measures.cuts is None else f", {thickness_text(run.walls.spread)}"
-    return f"{how}\n{scans}{walls}"
-
-
-def thickness_text(spread: WallSpread) -> str:
-    """Return the wall thickness as text."""
-    if not spread.length_m:
-        return "no straight wall to measure"
-    return f"wall thickness median {spread.median_mm:.0f} mm, p95 {spread.p95_mm:.0f} mm"
+    if run.measures.cuts is None:
+        return f"{how}\n{scans}"
+    spread = run.walls.spread
+    thickness = f"wall thickness median {spread.median_mm:.0f} mm, p95 {spread.p95_mm:.0f} mm"
+    return f"{how}\n{scans}, {thickness if spread.length_m else 'no straight wall to measure'}"
 
 
 def write_merged(

@@ -106,7 +106,7 @@ def test_the_map_of_a_mission_shows_the_truth_on_top(run, mission, tmp_path):
 
 def test_true_poses_are_those_at_the_stamps_of_the_circles(mission):
     some = np.arange(0, len(mission.slam.trajectory), 3)
-    marks = map_picture.truth_marks(mission.truth, mission.slam.trajectory.stamps_ns[some].tolist())
+    marks = map_picture.end_marks(mission, mission.slam.trajectory.stamps_ns[some].tolist())
     drawn = {mark.name: xy_m for mark, xy_m in marks}
     apart = np.hypot(*(mission.slam.trajectory.xyyaw[some, :2] - drawn["true pose"]).T)
     np.testing.assert_allclose(apart, 0.05, atol=1e-12)
