@@ -20,7 +20,7 @@ from mavnav.ground_truth.references import References, in_time_of_truth, load_re
 from mavnav.logs import Log, check_log, open_log
 from mavnav.logs.formats.detect import log_name
 from mavnav.outputs.directory import check_directory
-from mavnav.outputs.documents.provenance import Typed, provenance, utc_now
+from mavnav.outputs.documents.provenance import Typed, provenance
 from mavnav.outputs.documents.sections import options_section
 from mavnav.outputs.run import RunResult, Timing, half_sweep_s
 from mavnav.outputs.writers import WITHOUT_MAP, check_groups, write_run
@@ -201,7 +201,7 @@ def replay_provenance(request: ReplayRequest) -> Provenance:
     logs = [request.address or str(request.log.absolute()), *(str(part.absolute()) for part in request.more)]
     again = replay_words(logs, request.options, request.config)
     options = options_section(request.options, request.config, request.typed.config, request.typed.sets)
-    return provenance(utc_now(), request.typed, again, options)
+    return provenance(request.typed, again, options)
 
 
 def _pose(values: Sequence[float] | None) -> Pose | None:

@@ -21,7 +21,7 @@ from mavnav.logs.writing.recorder import Recording, check_recording, record
 from mavnav.mapping.occupancy_grid import GridBuilder, occupied_xy_m
 from mavnav.metrics.reference import LEAST_POSES, absolute_error, position_errors
 from mavnav.outputs.directory import check_apart, check_directory, check_file, check_parent
-from mavnav.outputs.documents.provenance import Typed, provenance, utc_now
+from mavnav.outputs.documents.provenance import Typed, provenance
 from mavnav.outputs.documents.run_json import MissionResult, TruthErrors
 from mavnav.outputs.pictures.animation import animate
 from mavnav.outputs.run import MissionRecord, RunResult, Timing, Truth, WallShapes
@@ -77,7 +77,7 @@ def simulate_mission(
     NoScansError where no scan could even begin a map.
     """
     check_outputs(request)
-    origin = provenance(utc_now(), request.typed, ["mavnav", "simulate", "--again", str(request.directory.absolute())])
+    origin = provenance(request.typed, ["mavnav", "simulate", "--again", str(request.directory.absolute())])
     started_s = perf_counter()
     load_kernels(request.scenario.slam, progress)
     compile_s += perf_counter() - started_s

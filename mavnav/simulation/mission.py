@@ -178,7 +178,7 @@ class Pilot:
         if blind > 0:
             return MotionCommand()
         plan = self.planner.plan(grid, here, (self.goals[0].x_m, self.goals[0].y_m))
-        return End.STUCK if plan.stuck else plan.command
+        return End.STUCK if plan.reason else plan.command
 
 
 def _scans(scenario: Scenario, vehicle: Vehicle, scans: list[Scan]) -> Iterator[Scan]:

@@ -32,11 +32,8 @@ HIT_TICKS: Final = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000)
 TICK_ROOM: Final = (60, 30)
 """Of a label in x and in y, in pixels."""
 
-MARGINS: Final = (100, 110, 130, 120)
-"""Left, top, right and bottom of a map with a scale of hits in its picture, in pixels."""
-
 JUDGED_MARGINS: Final = (100, 150, 130, 120)
-"""The same of a map with its verdict."""
+"""Left, top, right and bottom of a map with a scale of hits and its verdict in its picture, in pixels."""
 
 CHARACTER: Final = 9
 """Width of a character of the text below a title, in pixels."""

@@ -284,7 +284,7 @@ def beams(
     for log, stamps in zip(logs, np.split(stamps_s, firsts[1:]), strict=True):
         first, recorded_s = len(ranges_mm), []
         for scan in log.scans() if log else ():
-            if _same_beams(scan.spec, spec):
+            if scan.spec.directions is spec.directions or np.array_equal(scan.spec.directions, spec.directions):
                 recorded_s.append(scan.stamp_ns * NS)
                 ranges_mm.append(_whole_mm(scan.ranges_m[::step]))
         row = _nearest(np.array(recorded_s), stamps)
@@ -300,10 +300,6 @@ def beams(
 
 def _whole_mm(ranges_m: NDArray[np.float64]) -> NDArray[np.uint16]:
     return np.fmin(np.fmax(ranges_m / MM, 0.0), MAX_RANGE_MM).round().astype(np.uint16)  # fmax turns NaN to 0
-
-
-def _same_beams(spec: LaserSpec, other: LaserSpec) -> bool:
-    return spec.directions is other.directions or np.array_equal(spec.directions, other.directions)
 
 
 def _nearest(sorted_s: NDArray[np.float64], wanted_s: NDArray[np.float64]) -> NDArray[np.intp]:
