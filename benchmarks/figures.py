@@ -36,7 +36,9 @@ from mavnav.outputs.run import Truth
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import Scan
 from mavnav.simulation.mission import Flight, fly
-from mavnav.simulation.world import Scenario, laser_model, load_scenario, take_scan
+from mavnav.simulation.world.laser import take_scan
+from mavnav.simulation.world.scenario import Scenario, laser_model
+from mavnav.simulation.world.scenario_file import load_scenario
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.result import SlamResult
 from mavnav.units import DEG, MM

@@ -194,8 +194,7 @@ def simulate(
     """
     from mavnav.outputs.documents.provenance import Typed  # noqa: PLC0415  heavy
     from mavnav.pipelines.simulate import SimulationRequest, simulate_mission  # noqa: PLC0415
-    from mavnav.simulation.world import load_scenario  # noqa: PLC0415
-    from mavnav.simulation.world.scenario_file import scenario_path  # noqa: PLC0415
+    from mavnav.simulation.world.scenario_file import load_scenario, scenario_path  # noqa: PLC0415
 
     overrides = {f"slam.{key}": value for key, value in settings_of(arguments.options_of(options)).items()}
     overrides |= {"seed": seed, "planner.technique": planner, "slam.attitude": attitude}

@@ -125,7 +125,7 @@ def typed_again(run: EarlierRun, words: Sequence[str]) -> Typed:
 
 def simulation_again(run: EarlierRun) -> dict[str, Any]:
     """Return the fields of the request that repeats a mission: its effective scenario, whatever became of the file."""
-    from mavnav.simulation.world import Scenario  # noqa: PLC0415  models take time to build
+    from mavnav.simulation.world.scenario import Scenario  # noqa: PLC0415  models take time to build
 
     file, source = run.directory / RUN_FILE, run.document["input"]
     return {

@@ -31,8 +31,8 @@ from mavnav.pose import Pose, correct_path, rigid_fit
 from mavnav.profiling import Progress, new_profile, scans_s
 from mavnav.simulation.mission import Flight, fly
 from mavnav.simulation.vehicle import mid_sweep_s
-from mavnav.simulation.world import Scenario
 from mavnav.simulation.world.laser import EDGE_M
+from mavnav.simulation.world.scenario import Scenario
 from mavnav.slam.methods.registry import load_kernels
 from mavnav.units import DEG, NS
 

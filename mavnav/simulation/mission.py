@@ -18,7 +18,8 @@ from mavnav.scan import Attitude, Scan, level_scan
 from mavnav.simulation.navigator import Navigator
 from mavnav.simulation.planner.potential_field import MotionCommand, Planner
 from mavnav.simulation.vehicle import Vehicle, disturbance, sweeping, tilts_over, vehicle_of
-from mavnav.simulation.world import LaserModel, Scenario, laser_model, take_scan
+from mavnav.simulation.world.laser import LaserModel, take_scan
+from mavnav.simulation.world.scenario import Scenario, laser_model
 from mavnav.simulation.world.shapes import XY
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.steps import Step, tracked_trajectory

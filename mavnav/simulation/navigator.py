@@ -10,7 +10,7 @@ from msgspec import Struct
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import Scan
-from mavnav.simulation.world import Scenario
+from mavnav.simulation.world.scenario import Scenario
 from mavnav.slam.findings import Loops
 from mavnav.slam.loop_closure.detection import LOOP_M, close_loops
 from mavnav.slam.matching.motion_model import motions_along

@@ -12,7 +12,7 @@ from mavnav.scan import Scan
 from mavnav.simulation import navigator as navigation
 from mavnav.simulation.mission import Flight, Pilot, fly
 from mavnav.simulation.navigator import Navigator
-from mavnav.simulation.world import load_scenario
+from mavnav.simulation.world.scenario_file import load_scenario
 from mavnav.slam.loop_closure.detection import rebuild_at
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.steps import tracked_trajectory
