@@ -9,9 +9,8 @@ import pytest
 
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import Scan
-from mavnav.simulation import navigator as navigation
-from mavnav.simulation.mission import Flight, Pilot, fly
-from mavnav.simulation.navigator import Navigator
+from mavnav.simulation import mission as flying
+from mavnav.simulation.mission import Flight, Navigator, Pilot, fly
 from mavnav.simulation.world.scenario_file import load_scenario
 from mavnav.slam.loop_closure.detection import rebuild_at
 from mavnav.slam.matching.motion_model import Motion
@@ -56,8 +55,8 @@ def navigate(flight: Flight) -> tuple[Navigator, list[Step]]:
 def test_a_vehicle_goes_on_at_the_pose_and_in_the_map_that_its_loops_correct(monkeypatch: pytest.MonkeyPatch) -> None:
     flight = fly(load_scenario("corner"))
     without, before = navigate(flight)
-    monkeypatch.setattr(navigation, "LOOP_M", 0.6 * tracked_trajectory(without.steps).length_m)
-    monkeypatch.setattr(navigation, "close_loops", turn)
+    monkeypatch.setattr(flying, "LOOP_M", 0.6 * tracked_trajectory(without.steps).length_m)
+    monkeypatch.setattr(flying, "close_loops", turn)
     navigator, after = navigate(flight)
     moved = [b.match.map_T_laser.gap(a.match.map_T_laser) > (0.0, 0.0) for a, b in zip(before, after, strict=True)]
     turned = moved.index(True)
@@ -80,8 +79,8 @@ def test_loops_are_sought_once_in_a_length_of_path(monkeypatch: pytest.MonkeyPat
         scans_then.append(len(track.steps))
         return track
 
-    monkeypatch.setattr(navigation, "LOOP_M", 1.0)
-    monkeypatch.setattr(navigation, "close_loops", note)
+    monkeypatch.setattr(flying, "LOOP_M", 1.0)
+    monkeypatch.setattr(flying, "close_loops", note)
     navigator, _ = navigate(flight)
     path = tracked_trajectory(navigator.steps)
     lengths_m = [Trajectory(path.stamps_ns[:n], path.xyyaw[:n]).length_m for n in (1, *scans_then)]
