@@ -102,9 +102,8 @@ def merge(request: MergeRequest, progress: Progress) -> dict[str, Any]:
         measured = measure_map(measured_area(grid), one_after_another(tracks, mapped_share(rows)))
         grid = known_area(grid)
         of_map = _map_document(grid, measured, request.config, mapped_share(rows))
-        document = _document(
-            request, rows, merge_verdict(rows, plain(of_map)), [each.run for each in inputs if each.run]
-        )
+        runs = [each.run for each in inputs if each.run]
+        document = _document(request, rows, merge_verdict(rows, plain(of_map)), runs)
         progress("writing", 0, None)
         return _write(request, grid, measured, members, document, of_map)
 

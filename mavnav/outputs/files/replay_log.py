@@ -203,11 +203,8 @@ def _metadata(run: RunResult) -> dict[str, str]:
 def markers_of(run: RunResult) -> list[Marker]:
     """Return the markers of a run, in the map frame."""
     ghosts = run.measures.quality.ghost_walls.places
-    return [
-        *(m for k, ghost in enumerate(ghosts) for m in _ghost(k, ghost)),
-        *_lost_markers(run),
-        *(Marker("doubtful", k, LINE_STRIP, xy, WIDTH_M, ORANGE) for k, xy in enumerate(doubtful_parts(run.slam))),
-    ]
+    doubtful = [Marker("doubtful", k, LINE_STRIP, xy, WIDTH_M, ORANGE) for k, xy in enumerate(doubtful_parts(run.slam))]
+    return [*(m for k, ghost in enumerate(ghosts) for m in _ghost(k, ghost)), *_lost_markers(run), *doubtful]
 
 
 def _ghost(number: int, ghost: GhostWall) -> tuple[Marker, Marker]:
@@ -216,10 +213,8 @@ def _ghost(number: int, ghost: GhostWall) -> tuple[Marker, Marker]:
     middle = np.array((ghost.x_m, ghost.y_m))
     front = middle + 0.5 * ghost.length_m * np.array(((-c, -s), (c, s)))
     text = f"ghost wall, {ghost.offset_mm:.0f} mm apart"
-    return (
-        Marker("ghost wall", 2 * number, LINE_LIST, front, WIDTH_M, MAGENTA),
-        Marker("ghost wall", 2 * number + 1, TEXT, middle[None], LETTERS_M, MAGENTA, text),
-    )
+    line = Marker("ghost wall", 2 * number, LINE_LIST, front, WIDTH_M, MAGENTA)
+    return line, Marker("ghost wall", 2 * number + 1, TEXT, middle[None], LETTERS_M, MAGENTA, text)
 
 
 def _lost_markers(run: RunResult) -> list[Marker]:

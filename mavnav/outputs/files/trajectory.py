@@ -121,9 +121,8 @@ def write_csv(run: RunResult, path: Path) -> None:
 
 def _csv_row(pose_and_error: Sequence[float], index: int, stamp_ns: int, *values: Any) -> tuple[object, ...]:  # noqa: ANN401
     """Return a row of the table, of x, y, yaw and position error, and what is known of the scan."""
-    cost_m2, beams, inliers, evaluations, iterations, *flags, threshold_m2, rule, doubtful, covariance, attitude = (
-        values
-    )
+    cost_m2, beams, inliers, evaluations, iterations, *flags = values[:-5]
+    threshold_m2, rule, doubtful, covariance, attitude = values[-5:]
     *pose, error_m = pose_and_error
     return (
         *(index, seconds(stamp_ns), *(_field(value, "z.9f") for value in pose)),

@@ -100,9 +100,7 @@ class Canvas(Struct, frozen=True):
         """Draw a rectangle with the pixels at its ends."""
         left, top, right, bottom = (v * self.density for v in box)
         last = self.density - 1
-        self.draw.rectangle(
-            (left, top, right + last, bottom + last), fill=fill, outline=outline, width=width * self.density
-        )
+        self.draw.rectangle((left, top, right + last, bottom + last), fill, outline, width * self.density)
 
     def text(
         self, xy: tuple[float, float], text: str, size_pt: float = 8.0, colour: str = INK, anchor: str = "mm",

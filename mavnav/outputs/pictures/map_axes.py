@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 from math import ceil, cos, pi, prod, sin
 from pathlib import Path
@@ -120,9 +120,8 @@ def window_of(grid: Grid, xy_m: NDArray[np.float64], turn_rad: float = 0.0) -> V
     hit = where(grid.hits, lambda hits: hits > 0)
     counts = grid.hits[tuple(hit.T)]
     seen = hit[counts >= np.median(counts)] if len(hit) else hit
-    whole, near = (
-        _window(grid, cells, share, xy_m, turn_rad) for cells, share in ((hit, STRAY_SHARE), (seen, FAR_SHARE))
-    )
+    whole = _window(grid, hit, STRAY_SHARE, xy_m, turn_rad)
+    near = _window(grid, seen, FAR_SHARE, xy_m, turn_rad)
     return near if prod(near.size_m) < WORTH_IT * prod(whole.size_m) else whole
 
 
@@ -173,11 +172,7 @@ def framed_map(window: Viewport, longest_in: float, margins: Box, least: tuple[i
 
 
 def draw_cells(
-    axes: Axes,
-    grid: Grid,
-    cells: NDArray[Any],
-    colour_of: Callable[[NDArray[Any]], NDArray[np.uint8]],
-    value_of: CellFunction = identity,
+    axes: Axes, grid: Grid, cells: NDArray[Any], colour_of: CellFunction, value_of: CellFunction = identity
 ) -> None:
     """Show an array of the grid's shape; zeros are transparent, ``colour_of`` gives (n, 3) or (3,) for the others.
 

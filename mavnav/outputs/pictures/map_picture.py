@@ -103,9 +103,7 @@ def _subtitle(run: RunResult) -> str:
     return f"{how}\n{scans}, {thickness if spread.length_m else 'no straight wall to measure'}"
 
 
-def write_merged(
-    drawn: GridMap, paths: dict[str, Trajectory], verdict: Verdict, path: Path, turn_rad: float = 0.0
-) -> None:
+def write_merged(drawn: GridMap, paths: dict[str, Trajectory], verdict: Verdict, path: Path, turn_rad: float) -> None:
     """Draw the map of several sessions, turned, with its verdict, and map_T_laser of each by its name."""
     window = map_axes.window_of(drawn.known, np.concatenate([poses.xyyaw[:, :2] for poses in paths.values()]), turn_rad)
     axes = map_axes.framed_map(window, 7.5, map_axes.JUDGED_MARGINS, least=(960, 420))

@@ -122,16 +122,12 @@ class Settings(Struct, frozen=True):
 
 def settings(entries: Sequence[Entry]) -> Settings:
     """Compare the configurations of runs, without the sections of methods that no run used."""
-    used = {e.document.get("method") for e in entries}
+    unused = {*METHODS} - {e.document.get("method") for e in entries}
     flat = [by_dotted_key(e.document.get("config") or {}) for e in entries]
-    keys = [
-        key for key in dict.fromkeys(k for f in flat for k in f) if key.partition(".")[0] not in set(METHODS) - used
-    ]
+    keys = [key for key in dict.fromkeys(k for f in flat for k in f) if key.partition(".")[0] not in unused]
     rows = [(key, [str(f.get(key, MISSING)) for f in flat]) for key in keys]
-    return Settings(
-        common=[(key, values[0]) for key, values in rows if len(set(values)) == 1],
-        differing=[(key, values) for key, values in rows if len(set(values)) > 1],
-    )
+    common = [(key, values[0]) for key, values in rows if len(set(values)) == 1]
+    return Settings(common, [(key, values) for key, values in rows if len(set(values)) > 1])
 
 
 def inputs(entries: Sequence[Entry]) -> list[tuple[str, str]]:
@@ -187,8 +183,6 @@ def _thickness(layer: dict[str, Any]) -> list[str]:
 def ghost_rows(entries: Sequence[Entry]) -> list[tuple[str, ...]]:
     """Return run, x, y, direction, length and offset of each ghost wall, as text; the longest of each run first."""
     keys = (("x_m", 2), ("y_m", 2), ("direction_deg", 0), ("length_m", 2), ("offset_mm", 0))
-    return [
-        (entry.name, *(text(place.get(key), digits) for key, digits in keys))
-        for entry in entries
-        for place in sorted(ghosts(entry), key=lambda p: -p["length_m"])[:MAX_GHOSTS]
-    ]
+    longest = [(e.name, sorted(ghosts(e), key=lambda p: -p["length_m"])[:MAX_GHOSTS]) for e in entries]
+    places = [(name, place) for name, several in longest for place in several]
+    return [(name, *(text(place.get(key), digits) for key, digits in keys)) for name, place in places]

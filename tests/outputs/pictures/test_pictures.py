@@ -216,7 +216,7 @@ def test_the_title_of_a_merged_map_counts_its_sessions(run, tmp_path, monkeypatc
     drawn = []
     monkeypatch.setattr(Canvas, "text", lambda _, xy, text, *args, **options: drawn.append(text))
     verdict = Verdict("suspect", "a session did not join", "")
-    map_picture.write_merged(run, dict.fromkeys(names, run.slam.trajectory), verdict, tmp_path / "map.png")
+    map_picture.write_merged(run, dict.fromkeys(names, run.slam.trajectory), verdict, tmp_path / "map.png", 0.0)
     assert f"{title}: suspect" in drawn
     assert any(text.startswith("a session did not join\n") for text in drawn)
 
