@@ -265,24 +265,17 @@ def _draw_graticule(axes: Axes, steps: tuple[float, float]) -> None:
     axes.lines(GRATICULE, [*upright, *(np.array([(low_x, y), (high_x, y)]) for y in at_y)])
 
 
-def finish(
-    axes: Axes,
-    named: Sequence[Sign],
-    title: str,
-    about: str,
-    path: Path,
-    *,
-    title_pt: float = 12.0,
-    about_y: int = 74,
-    colour: str = canvas.INK,
-) -> None:
-    """Draw axes, legend and heading of a picture of a map, and write it; lines that are too long are broken."""
+def finish(axes: Axes, named: Sequence[Sign], title: str, about: str, path: Path, **style: Any) -> None:  # noqa: ANN401
+    """Draw axes, legend and heading of a picture of a map, and write it; lines that are too long are broken.
+
+    ``style`` is that of `plot.heading`.
+    """
     draw_axes(axes)
     name_axes(axes)
     plot.centred_legend(axes.canvas, named)
     width = axes.canvas.width // CHARACTER
     lines = [part for line in about.split("\n") for part in wrap(line, width)]
-    plot.heading(axes.canvas, title, "\n".join(lines), title_pt, about_y, colour)
+    plot.heading(axes.canvas, title, "\n".join(lines), **style)
     axes.canvas.save(path)
 
 
