@@ -221,11 +221,9 @@ def measured_area(grid: Grid) -> Grid:
     Metrics of this part do not depend on how far the grid extends beyond. The arrays are views of the grid's.
     """
     known = known_area(grid)
-    spans = [
-        _in_blocks(round((known.origin_xy_m[k] - grid.origin_xy_m[k]) / grid.cell_m), known.hits.shape[1 - k], size, at)
-        for k, (size, at) in enumerate(zip(grid.hits.shape[::-1], _corner(grid), strict=True))
-    ]
-    return part_of(grid, spans[1], spans[0])
+    (col, row), (known_col, known_row) = _corner(grid), _corner(known)
+    rows = _in_blocks(known_row - row, known.hits.shape[0], grid.hits.shape[0], row)
+    return part_of(grid, rows, _in_blocks(known_col - col, known.hits.shape[1], grid.hits.shape[1], col))
 
 
 def _in_blocks(first: int, count: int, size: int, at: int) -> slice:

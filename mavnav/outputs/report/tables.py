@@ -168,16 +168,13 @@ def _lines(document: dict[str, Any]) -> Iterator[str]:
 
 def slice_rows(entries: Sequence[Entry]) -> list[tuple[str, ...]]:
     """Return run, heights, occupied cells, and median and p95 of the wall thickness of each slice, and its length."""
-    return [
-        (entry.name, f"{layer['from_m']:.2f} to {layer['to_m']:.2f}", text(layer["occupied"], 0), *_thickness(layer))
-        for entry in entries
-        for layer in entry.document.get("slices") or []
-    ]
+    return [(e.name, *_slice_texts(layer)) for e in entries for layer in e.document.get("slices") or []]
 
 
-def _thickness(layer: dict[str, Any]) -> list[str]:
-    walls = layer["wall_thickness"].get("2") or {}
-    return [text(walls.get(key), digits) for key, digits in (("median_mm", 0), ("p95_mm", 0), ("length_m", 1))]
+def _slice_texts(layer: dict[str, Any]) -> list[str]:
+    walls, heights = layer["wall_thickness"].get("2") or {}, f"{layer['from_m']:.2f} to {layer['to_m']:.2f}"
+    thickness = [text(walls.get(key), digits) for key, digits in (("median_mm", 0), ("p95_mm", 0), ("length_m", 1))]
+    return [heights, text(layer["occupied"], 0), *thickness]
 
 
 def ghost_rows(entries: Sequence[Entry]) -> list[tuple[str, ...]]:
