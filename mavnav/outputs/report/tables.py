@@ -72,17 +72,13 @@ def table(runs: Sequence[NamedRun]) -> RunTable:
     documents = [run.document for run in runs]
     columns = tuple(c for c in COLUMNS if any(c.of(document) is not None for document in documents))
     best = {c: quantities.winners(c, documents) for c in columns}
-    rows = tuple(
-        RunRow(
-            run.name,
-            quantities.verdict_texts(run.document)[0],
-            tuple(Field(text(c.of(run.document), c.digits), k in best[c]) for c in columns),
-            (relative_cost(runs, run), relative_cost(runs, run, "timing.cpu_s")),
-            quantities.why_not_meaningful(run.document),
-        )
-        for k, run in enumerate(runs)
-    )
-    return RunTable(columns, rows, quantities.size_note(documents))
+    rows = []
+    for k, run in enumerate(runs):
+        word, why_not = quantities.verdict_texts(run.document)[0], quantities.why_not_meaningful(run.document)
+        fields = tuple(Field(text(c.of(run.document), c.digits), k in best[c]) for c in columns)
+        costs = relative_cost(runs, run), relative_cost(runs, run, "timing.cpu_s")
+        rows.append(RunRow(run.name, word, fields, costs, why_not))
+    return RunTable(columns, tuple(rows), quantities.size_note(documents))
 
 
 def text(value: float | None, digits: int) -> str:
