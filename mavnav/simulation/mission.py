@@ -23,7 +23,7 @@ from mavnav.simulation.world.shapes import XY
 from mavnav.slam.findings import Loops
 from mavnav.slam.loop_closure.detection import LOOP_M, close_loops
 from mavnav.slam.matching.motion_model import Motion, motions_along
-from mavnav.slam.matching.steps import Step, Steps, tracked_trajectory
+from mavnav.slam.matching.steps import Step, tracked_trajectory
 from mavnav.slam.methods.registry import make_method
 from mavnav.slam.pipeline import finish
 from mavnav.slam.result import SlamResult
@@ -102,12 +102,12 @@ def fly(scenario: Scenario, on_step: OnStep | None = None) -> Flight:
         flown = navigator.flown
         step = navigator.locate()
         if navigator.flown is not flown:
-            pilot.review(tracked_trajectory(navigator.steps))
+            pilot.review(tracked_trajectory(navigator.flown.steps))
         if on_step:
             on_step("fly", step.index + 1)
         here = pilot.locate(step, vehicle.odometry(step.stamp_ns))
         if next(executing, DONE) is DONE:
-            decision = pilot.decide(step, here, navigator.obstacles)
+            decision = pilot.decide(step, here, navigator.obstacles.grid)
             if isinstance(decision, End):
                 end = decision
                 break
@@ -169,24 +169,14 @@ class Navigator:
         """Begin with the first of the scans, which are in ``seen`` once they came; ``start`` has no steps yet."""
         self.flown, self._scenario, self._coming, self._seen = start, scenario, coming, seen
         self._tracking = track(coming, start.method, start.motion)
-        self._obstacles = Obstacles.of(scenario, start.method.grid)
+        self.obstacles = Obstacles.of(scenario, start.method.grid)
         self._here, self._path_m, self._search_m = Pose(), 0.0, LOOP_M
-
-    @property
-    def obstacles(self) -> GridBuilder:
-        """The map that the planner uses."""
-        return self._obstacles.grid
-
-    @property
-    def steps(self) -> Steps:
-        """The steps so far, at the corrected poses."""
-        return self.flown.steps
 
     def locate(self) -> Step:
         """Return the step of the next scan."""
         step, here = next(self._tracking), self._here
-        self.steps.append(step)
-        self._obstacles.note(self._seen[-1], step)
+        self.flown.steps.append(step)
+        self.obstacles.note(self._seen[-1], step)
         if not step.tracked:
             return step
         self._here = step.match.map_T_laser
@@ -194,20 +184,20 @@ class Navigator:
         if self._path_m >= self._search_m:
             self._search_m = self._path_m + LOOP_M
             self._close_loops()
-        return self.steps[-1]
+        return self.flown.steps[-1]
 
     def _close_loops(self) -> None:
         """Close the loops of the path so far, and go on in the map at its corrected poses, if that changes them."""
-        refiner, steps = self.flown.refiner, self.steps
+        refiner, steps = self.flown.refiner, self.flown.steps
         closed = close_loops(self.flown, refiner) if refiner else self.flown
         if closed.method is self.flown.method:
             return
         *_, here = motions_along(tracked_trajectory(closed.steps), closed.motion)
         self._here = here.map_T_laser
         self._tracking = track(self._coming, closed.method, here._replace(odometry=closed.motion.odometry), len(steps))
-        self._obstacles = Obstacles.of(self._scenario, closed.method.grid)
+        self.obstacles = Obstacles.of(self._scenario, closed.method.grid)
         for scan, step in zip(self._seen, closed.steps, strict=True):
-            self._obstacles.note(scan, step)
+            self.obstacles.note(scan, step)
         self.flown = closed.with_findings(loops=Loops())
 
 

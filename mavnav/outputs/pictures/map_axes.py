@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from mavnav.mapping.occupancy_grid import FREE, Grid
-from mavnav.mapping.tiled_arrays import CellFunction, identity, max_pool, where
+from mavnav.mapping.tiled_arrays import CellFunction, max_pool, where
 from mavnav.outputs.documents.verdict import Verdict
 from mavnav.outputs.pictures import canvas, plot
 from mavnav.outputs.pictures.canvas import DPI, FREE_GREY, Box, Canvas, draw_dashes, ramp, rgb_of, stroke
@@ -172,7 +172,7 @@ def framed_map(window: Viewport, longest_in: float, margins: Box, least: tuple[i
 
 
 def draw_cells(
-    axes: Axes, grid: Grid, cells: NDArray[Any], colour_of: CellFunction, value_of: CellFunction = identity
+    axes: Axes, grid: Grid, cells: NDArray[Any], colour_of: CellFunction, value_of: CellFunction = np.asarray
 ) -> None:
     """Show an array of the grid's shape; zeros are transparent, ``colour_of`` gives (n, 3) or (3,) for the others.
 
