@@ -276,12 +276,8 @@ def _in_log(kind: QuantityKind, log: Log) -> float | None:
 
 def _switch(value: bool | None, in_log: bool, why: str) -> dict[str, Any]:
     """Describe a finding of yes or no; ``why`` it is refused where it is None."""
-    return {
-        "value": value,
-        "in_log": in_log,
-        "agrees": None if value is None else value == in_log,
-        "refused": why if value is None else None,
-    }
+    agrees, refused = (None, why) if value is None else (value == in_log, None)
+    return {"value": value, "in_log": in_log, "agrees": agrees, "refused": refused}
 
 
 def _is_reversed(log: Log, outcome: SlamResult, result: Calibration) -> bool | None:

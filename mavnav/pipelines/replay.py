@@ -168,12 +168,9 @@ def replay_log(
     check_groups(request.outputs or ())
     _check_alignment(request)
     check_directory(request.directory, force=True, inputs=request.inputs)
-    given = Given(
-        load_references(**reference_files(options)),
-        maps.known_map(options.get("map"), _pose(options.get("start_pose")), request.config.method),
-        replay_provenance(request),
-        *_to_continue(request),
-    )
+    references = load_references(**reference_files(options))
+    known = maps.known_map(options.get("map"), _pose(options.get("start_pose")), request.config.method)
+    given = Given(references, known, replay_provenance(request), *_to_continue(request))
     wall_s, cpu_s, stages = perf_counter(), process_time(), new_profile(loading=compile_s, starting=startup_s)
     odom = request.config.odom if uses_odometry(request.config) else "off"
     log = open_request(request, progress, odom=odom, truth=request.recorded_truth)
