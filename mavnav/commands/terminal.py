@@ -44,8 +44,7 @@ def printable(text: object) -> str:
     Control, format and bidirectional characters are replaced by escapes, and so is the beginning of a workflow command,
     at the start of a line or within it.
     """
-    shown = _visible(text)
-    return re.sub(r"^( *):(?=:)", r"\1\\x3a", shown)
+    return re.sub(r"^( *):(?=:)", r"\1\\x3a", _visible(text))
 
 
 def _visible(text: object) -> str:

@@ -168,8 +168,7 @@ def _set_layer(assignment: str) -> Layer:
 
 def _option_layer(overrides: Overrides) -> Layer:
     values = {tuple(name.split(".")): value for name, value in (overrides or {}).items() if value is not None}
-    flags = {key: OPTIONS.get(key[-1], f"--{key[-1].replace('_', '-')}") for key in values}
-    return Layer(values, flags)
+    return Layer(values, {key: OPTIONS.get(key[-1], f"--{key[-1].replace('_', '-')}") for key in values})
 
 
 def key_now(key: Key) -> Key:

@@ -106,8 +106,7 @@ def write_run(
         empty = [name for name in _WHY_EMPTY if name in (groups or ()) and digests.keys().isdisjoint(GROUPS[name])]
         document["warnings"] += [f"no {name} written: {_WHY_EMPTY[name]}" for name in empty]
         document["verdict"]["advice"] = with_picture(document["verdict"]["advice"], digests)
-        path = folder / RUN_FILE
-        path.write_text(plain_json(document), encoding="utf-8")
+        (folder / RUN_FILE).write_text(plain_json(document), encoding="utf-8")
         if report:
             with Stage("page"):
                 pages = import_module("mavnav.outputs.report.page")

@@ -195,8 +195,7 @@ def _attitude_numbers(flight: Flight) -> dict[str, Any]:
 def truth_errors(flight: Flight) -> TruthErrors:
     """Compare the tracked poses with the truth."""
     estimate = flight.slam.trajectory
-    rows = np.searchsorted(flight.map_T_laser.stamps_ns, estimate.stamps_ns)
-    truth = flight.map_T_laser.xyyaw[rows]
+    truth = flight.map_T_laser.xyyaw[np.searchsorted(flight.map_T_laser.stamps_ns, estimate.stamps_ns)]
     if len(estimate) < LEAST_POSES:
         return TruthErrors(len(estimate))
     aligned = absolute_error(estimate.xyyaw[:, :2], truth[:, :2])

@@ -93,8 +93,7 @@ def _frames(run: RunResult) -> Iterator[Image.Image]:
     """Draw a frame at up to `MAX_FRAMES` of the tracked scans, evenly spread; the last one is the end."""
     window = window_of(known_area(run.slam.grid), points_to_show(run))
     canvas = _Raster(window, max(window.size_m) / LONGEST_PIXELS)
-    count = len(run.slam.trajectory)
-    shown = set(spread(count, MAX_FRAMES).tolist())
+    shown = set(spread(len(run.slam.trajectory), MAX_FRAMES).tolist())
     poses: list[tuple[int, Pose]] = []
     for k, (scan, map_T_laser) in enumerate(placed_scans(run)):
         poses.append((scan.stamp_ns, map_T_laser))

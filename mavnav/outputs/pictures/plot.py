@@ -61,8 +61,7 @@ class Axes(Struct, frozen=True):
 
     def to_mask(self, xy: XY, box: Box) -> Points:
         """Bring points (n, 2) to pixels of the mask over a box."""
-        on_mask_xy = (self.to_canvas(xy) - box[:2]) * SMOOTH
-        return [(x, y) for x, y in on_mask_xy.tolist()]
+        return [(x, y) for x, y in ((self.to_canvas(xy) - box[:2]) * SMOOTH).tolist()]
 
     def _ink_box(self, parts: list[XY]) -> Box | None:
         """Return the part of the box that lines or marks at points (n, 2) may reach; None where there is nothing."""

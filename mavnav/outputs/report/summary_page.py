@@ -112,8 +112,7 @@ def calibration_summary(document: dict[str, Any], title: str, picture: bytes | N
     """Return the page of the document of ``mavnav calibrate``."""
     switches = [{"name": name, **document[name]} for name in ("upside_down", "beams_reversed", "range_bias")]
     every = [*document["quantities"], *switches]
-    measured = [each for each in every if not each["refused"]]
-    rows = tuple(map(_calibrated_row, measured))
+    rows = tuple(_calibrated_row(each) for each in every if not each["refused"])
     refused = tuple((_quantity_name(each)[0], each["refused"]) for each in every if each["refused"])
     head = ("quantity", "value", "95 % interval", "log or configuration", "difference")
     missing = PageTable("Not determined", ("quantity", "reason"), refused, prose=True)
