@@ -30,24 +30,15 @@ from mavnav.metrics.ghost_walls import GhostWall
 from mavnav.metrics.map_quality import measure_map
 from mavnav.metrics.reference import AlignedError, MapDistance, Reference
 from mavnav.metrics.walls import summary, wall_sections
-from mavnav.outputs.pictures.viewport import (
-    DPI,
-    GOAL_RED,
-    INK,
-    MUTED,
-    PATH_GREY,
-    POSE_MAGENTA,
-    START_BLUE,
-    Viewport,
-    wall_lines,
-    window_around,
-    window_of,
-)
+from mavnav.outputs.pictures.canvas import DPI, GOAL_RED, INK, MUTED, PATH_GREY, POSE_MAGENTA, START_BLUE
+from mavnav.outputs.pictures.map_axes import Viewport, wall_lines, window_around, window_of
 from mavnav.outputs.run import Truth
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import Scan
 from mavnav.simulation.mission import Flight, fly
-from mavnav.simulation.world import Scenario, laser_model, load_scenario, take_scan
+from mavnav.simulation.world.laser import take_scan
+from mavnav.simulation.world.scenario import Scenario, laser_model
+from mavnav.simulation.world.scenario_file import load_scenario
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.result import SlamResult
 from mavnav.units import DEG, MM

@@ -29,9 +29,9 @@ from mavnav.outputs.run import RunResult
 from mavnav.pipelines.simulate import SimulationRequest, simulate_mission
 from mavnav.pose import transform_points
 from mavnav.simulation.mission import Flight, fly
-from mavnav.simulation.world import World, load_scenario
+from mavnav.simulation.world.geometry import World
 from mavnav.simulation.world.laser import tilted_directions
-from mavnav.simulation.world.scenario_file import scenario_path
+from mavnav.simulation.world.scenario_file import load_scenario, scenario_path
 
 LEVEL: Final = ("flight.tilt_noise_deg=0", "flight.max_tilt_deg=0", "flight.height_noise_mm=0")
 REPEATS: Final = 5

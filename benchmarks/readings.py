@@ -43,7 +43,10 @@ from mavnav.pipelines.simulate import truth_errors
 from mavnav.pose import Pose
 from mavnav.scan import Scan
 from mavnav.simulation.mission import End, fly
-from mavnav.simulation.world import World, laser_model, load_scenario, take_scan
+from mavnav.simulation.world.geometry import World
+from mavnav.simulation.world.laser import take_scan
+from mavnav.simulation.world.scenario import laser_model
+from mavnav.simulation.world.scenario_file import load_scenario
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.scan_matching import MatchVerdict
 from mavnav.slam.matching.steps import Step, Steps, refused_by

@@ -27,7 +27,7 @@ from mavnav.config.loading import fields, load_config
 from mavnav.metrics.gates import check_names, judge, parse_gate, renaming
 from mavnav.outputs.documents.schema import number_names, run_keys
 from mavnav.pipelines.diff import NUMBERS as DIFF_NUMBERS
-from mavnav.simulation.world import load_scenario
+from mavnav.simulation.world.scenario_file import load_scenario
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"

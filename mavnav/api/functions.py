@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Unpack
+from typing import Unpack
 
 from msgspec.structs import replace as changed
 
@@ -20,9 +20,6 @@ from mavnav.config.loading import load_config
 from mavnav.config.options import OPTIONS, SEARCHING, File, ReplayOptions, SearchOptions, fields_of_outputs, settings_of
 from mavnav.errors import UsageError
 from mavnav.profiling import Progress, silent
-
-if TYPE_CHECKING:
-    from mavnav.outputs.documents.provenance import Typed
 
 
 @arguments.with_python_names
@@ -122,7 +119,8 @@ def replay(
         UsageError, ConfigError, TopicError, NoScansError or OutputError. A run whose track was lost for good is
         returned: see `Run.lost`.
     """
-    from mavnav.pipelines.again import run_layer  # noqa: PLC0415  heavy
+    from mavnav.outputs.documents.provenance import Typed  # noqa: PLC0415  heavy
+    from mavnav.pipelines.again import run_layer  # noqa: PLC0415
     from mavnav.pipelines.replay import ReplayRequest, replay_log  # noqa: PLC0415
 
     given = arguments.options_of(options)
@@ -131,7 +129,7 @@ def replay(
     continued = given.get("continue_from")
     base = run_layer(continued) if continued and config is None else None
     chosen = load_config(arguments.config_of(config), arguments.sets_of(settings), settings_of(given), base)
-    path, typed = arguments.path_of(log, "log"), _typed_config(config)
+    path, typed = arguments.path_of(log, "log"), Typed(config=arguments.config_of(config))
     request = ReplayRequest(path, Path(), chosen, given, force, report, typed=typed)
     if outputs is not None:
         request = changed(request, **fields_of_outputs(arguments.values_of(outputs, "outputs"), report=report))
@@ -194,18 +192,18 @@ def simulate(
     MavnavError
         UsageError, ConfigError, NoScansError or OutputError. ``metrics["mission"]`` says how the mission ended.
     """
-    from mavnav.pipelines.simulate import SimulationRequest, simulate_mission  # noqa: PLC0415  heavy
-    from mavnav.simulation.world import load_scenario  # noqa: PLC0415
-    from mavnav.simulation.world.scenario_file import scenario_path  # noqa: PLC0415
+    from mavnav.outputs.documents.provenance import Typed  # noqa: PLC0415  heavy
+    from mavnav.pipelines.simulate import SimulationRequest, simulate_mission  # noqa: PLC0415
+    from mavnav.simulation.world.scenario_file import load_scenario, scenario_path  # noqa: PLC0415
 
     overrides = {f"slam.{key}": value for key, value in settings_of(arguments.options_of(options)).items()}
     overrides |= {"seed": seed, "planner.technique": planner, "slam.attitude": attitude}
     name, log = arguments.name_or_path(scenario, "scenario"), arguments.optional_path(record, "record")
     chosen = load_scenario(name, arguments.sets_of(settings), overrides, arguments.config_of(config))
-    path = scenario_path(name)
+    path, typed = scenario_path(name), Typed(config=arguments.config_of(config))
 
     def work(target: Path) -> Run:
-        request = SimulationRequest(chosen, path, target, log, force=force, report=report, typed=_typed_config(config))
+        request = SimulationRequest(chosen, path, target, log, force=force, report=report, typed=typed)
         simulate_mission(request, progress or silent, 0.0)
         return Run(target)
 
@@ -282,9 +280,3 @@ def compare(
         return Comparison(target, document)
 
     return in_directory(work, directory)
-
-
-def _typed_config(config: File | None) -> Typed:
-    from mavnav.outputs.documents.provenance import Typed  # noqa: PLC0415  heavy
-
-    return Typed(config=arguments.config_of(config))

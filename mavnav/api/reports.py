@@ -140,9 +140,8 @@ def check(
     from mavnav.metrics.gates import parse_gate, read_accept  # noqa: PLC0415
 
     bounds = [parse_gate(text) for text in arguments.values_of(gates, "gates")]
-    return check_runs(
-        arguments.paths_of(runs, "runs"), bounds, frozenset(map(read_accept, arguments.values_of(accept, "accept")))
-    )[0]
+    accepted = frozenset(map(read_accept, arguments.values_of(accept, "accept")))
+    return check_runs(arguments.paths_of(runs, "runs"), bounds, accepted)[0]
 
 
 @arguments.with_python_names

@@ -114,9 +114,7 @@ class Run:
 
         columns = self.columns()
         stamps_ns = [int(text.replace(".", "")) for text in columns.pop("stamp")]  # nine decimals
-        numbers = {
-            name: values if name in TEXTS else [float(text) for text in values] for name, values in columns.items()
-        }
+        numbers = {name: texts if name in TEXTS else [*map(float, texts)] for name, texts in columns.items()}
         return pd.DataFrame(numbers, index=pd.to_datetime(stamps_ns, unit="ns", utc=True)).astype(
             {name: kind for name, kind in KINDS.items() if name in numbers}
         )

@@ -167,6 +167,5 @@ def calibrate(
     chosen = load_config(config_of(config), sets_of(settings), settings_of(options))
     files = optional_path(document, "document"), optional_path(picture, "picture"), optional_path(report, "report")
     config_file = optional_path(config, "config")
-    given = path_of(log, "log"), chosen, options, *files
-    request = pipeline.CalibrationRequest(*given, force=force, config_file=config_file)
+    request = pipeline.CalibrationRequest(path_of(log, "log"), chosen, options, *files, force, config_file)
     return pipeline.calibrate(request, progress or silent)

@@ -152,7 +152,6 @@ def _state(cell: dict[str, Any]) -> str:
         return "failed"
     remarks = ["reused"] if cell["status"] == "cached" else []
     remarks += [] if "map" in cell["run"] else ["no map"]
-    quality = cell["run"].get("map_quality") or {}
-    if quality.get("meaningful", True) is False:
+    if (cell["run"].get("map_quality") or {}).get("meaningful", True) is False:
         remarks.append("not meaningful")
     return ", ".join(remarks)

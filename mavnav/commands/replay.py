@@ -17,7 +17,7 @@ from __future__ import annotations
 from contextlib import nullcontext
 from pathlib import Path
 from time import perf_counter, process_time
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -25,7 +25,7 @@ from mavnav.commands import shared, signals
 from mavnav.commands.progress import REPLAY, loading_modules, reporting
 from mavnav.commands.run_screen import log_rows, map_rows, print_run, reference_rows, scan_time_text
 from mavnav.commands.sources import LocalLog, local_log
-from mavnav.commands.terminal import Rows, emit, note
+from mavnav.commands.terminal import Json, Rows, emit, note
 from mavnav.config.options import OPTIONS, REFERENCES, ReplayOptions, read_options, settings_of
 from mavnav.errors import UsageError, missing
 from mavnav.units import pluralize
@@ -102,9 +102,7 @@ def replay(
         raise typer.Exit(shared.gated_code(document, bounds))
 
 
-def _earlier_fields(
-    context: typer.Context, again: Path, source: LocalLog | None, directory: Path | None
-) -> dict[str, Any]:
+def _earlier_fields(context: typer.Context, again: Path, source: LocalLog | None, directory: Path | None) -> Json:
     """Return the fields of a request that repeat a run, and report what differs; its log is given if it has moved."""
     from mavnav.pipelines.again import replay_again, typed_again
 
@@ -137,7 +135,7 @@ def _check_files(logs: list[Path], options: ReplayOptions[Path]) -> None:
     shared.check_logs(logs)
 
 
-def _note_continued(continued: dict[str, Any]) -> None:
+def _note_continued(continued: Json) -> None:
     """Print the warning where the run to which a log was added is of another version."""
     from mavnav.pipelines.sessions import run_to_continue
     from mavnav.version import __version__
@@ -148,7 +146,7 @@ def _note_continued(continued: dict[str, Any]) -> None:
         note(f"mavnav: warning: {text}")
 
 
-def _measures(document: dict[str, Any]) -> Rows:
+def _measures(document: Json) -> Rows:
     """Yield the rows below the map."""
     yield from map_rows(document)
     if "continued" in document and document["continued"]["joined"]:
@@ -158,21 +156,21 @@ def _measures(document: dict[str, Any]) -> Rows:
     yield from reference_rows(document.get("reference"))
 
 
-def _continuation_text(continued: dict[str, Any]) -> str:
+def _continuation_text(continued: Json) -> str:
     evidence = continued["evidence"]
     place = f", at the end of {evidence['after']}" if evidence["after"] else ""
     agree = f"{evidence['closures']} of {evidence['tested']} key frames agree, {evidence['residual_mm']:.0f} mm"
     return f"{continued['run']}, {pluralize(len(continued['sessions']), 'session')}{place}: {agree}"
 
 
-def _pose_text(localisation: dict[str, Any]) -> str:
+def _pose_text(localisation: Json) -> str:
     pose = localisation["found"]
     if not pose:
         return "nowhere"
     return f"x {pose['x_m']:z.2f} m, y {pose['y_m']:z.2f} m, yaw {pose['yaw_deg']:z.1f} deg, scan {pose['scan']}"
 
 
-def print_profile(timing: dict[str, Any], *, stderr: bool) -> None:
+def print_profile(timing: Json, *, stderr: bool) -> None:
     """Print the seconds by stage, the longest first, and each one's share; then what a scan takes."""
     stages, put = timing["stages"], note if stderr else emit
     total_s = max(sum(stages.values()), 1e-9)

@@ -13,10 +13,10 @@ import sys
 from collections.abc import Iterable
 from itertools import chain
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from mavnav.commands import shared
-from mavnav.commands.terminal import Rows, emit_json, note, print_table, verdict_mark, verdict_rows
+from mavnav.commands.terminal import Json, Rows, emit_json, note, print_table, verdict_mark, verdict_rows
 from mavnav.errors import ExitCode
 from mavnav.units import MM, pluralize
 
@@ -31,14 +31,7 @@ MOST_WARNINGS: Final = 4
 
 
 def print_run(
-    document: dict[str, Any],
-    directory: Path,
-    about: Rows,
-    measures: Rows,
-    *,
-    json: bool,
-    preview: bool | None,
-    verbose: bool,
+    document: Json, directory: Path, about: Rows, measures: Rows, *, json: bool, preview: bool | None, verbose: bool
 ) -> None:
     """Print a run on stdout: run.json with ``json``, else its screen.
 
@@ -64,7 +57,7 @@ def print_run(
     note_run(document, verdict=json or (bad and not terminal), all_=verbose)
 
 
-def log_rows(document: dict[str, Any]) -> Rows:
+def log_rows(document: Json) -> Rows:
     """Yield the rows on what was read, and what was used of it."""
     log, scans, tracking = document["input"], document["scans"], document["tracking"]
     loops = len(document["loop_closure"]["closures"])
@@ -77,13 +70,13 @@ def log_rows(document: dict[str, Any]) -> Rows:
     yield from refusal_rows(document)
 
 
-def refusal_rows(document: dict[str, Any]) -> Rows:
+def refusal_rows(document: Json) -> Rows:
     """Yield the row on the scans that the paper's method refused, by rule."""
     if refused := document["scans"].get("refused"):
         yield "refused", "; ".join(_refusal_text(each) for each in refused)
 
 
-def _refusal_text(refused: dict[str, Any]) -> str:
+def _refusal_text(refused: Json) -> str:
     """Describe the scans that one rule refused: how many, and the median and the worst of what was refused."""
     median, worst = refused["median"], refused["worst"]
     why = {
@@ -94,7 +87,7 @@ def _refusal_text(refused: dict[str, Any]) -> str:
     return f"{pluralize(refused['scans'], 'scan')} by {refused['rule']} ({why[refused['rule']]} at worst)"
 
 
-def _without_pose(intervals: list[dict[str, Any]]) -> str:
+def _without_pose(intervals: list[Json]) -> str:
     """Name the stretches of scans without a pose; a jump of the path is none."""
     lost = [each for each in intervals if each["scans"]]
     named = [f"{each['start_s']:.1f} to {each['end_s']:.1f} s" for each in lost[:MOST_NAMED]]
@@ -102,7 +95,7 @@ def _without_pose(intervals: list[dict[str, Any]]) -> str:
     return f", none from {', '.join(named)}{more}" if lost else ""
 
 
-def _odometry_text(document: dict[str, Any]) -> str:
+def _odometry_text(document: Json) -> str:
     """Describe what was corrected of the odometry, and its errors."""
     odometry = document["tracking"].get("odometry")
     if odometry is None and document["config"]["method"] == "paper":
@@ -121,7 +114,7 @@ def _odometry_text(document: dict[str, Any]) -> str:
     return text + (f", off the track by {100 * noise:.0f} % of the distance" if noise is not None else "")
 
 
-def map_rows(document: dict[str, Any]) -> Rows:
+def map_rows(document: Json) -> Rows:
     """Yield the rows on the size of the map, its walls and the path."""
     if "map" in document:
         drawn, ghosts = document["map"], document["map_quality"]["ghost_walls"]
@@ -135,7 +128,7 @@ def map_rows(document: dict[str, Any]) -> Rows:
     yield "path", f"{document['tracking']['path_length_m']:.2f} m"
 
 
-def _more(document: dict[str, Any]) -> Rows:
+def _more(document: Json) -> Rows:
     """Yield the rows that only ``-v`` shows."""
     timing = document["timing"]
     if quality := document.get("map_quality"):
@@ -145,7 +138,7 @@ def _more(document: dict[str, Any]) -> Rows:
         yield "a scan takes", scan_time_text(timing)
 
 
-def scan_time_text(timing: dict[str, Any]) -> str:
+def scan_time_text(timing: Json) -> str:
     """Say what a scan takes in the tracker, beside the time until the next one, and what memory the process took."""
     scan, memory_mb = timing["scan"], timing["peak_memory_mb"]
     times = f"{scan['median_ms']:.1f} ms, 95 % within {scan['p95_ms']:.1f}, at most {scan['max_ms']:.1f}"
@@ -154,7 +147,7 @@ def scan_time_text(timing: dict[str, Any]) -> str:
     return f"{times}{period}{memory}"
 
 
-def _closing_rows(directory: Path, document: dict[str, Any]) -> Rows:
+def _closing_rows(directory: Path, document: Json) -> Rows:
     """Yield the rows that end a screen: what to open, and the next command."""
     here, outputs = shlex.quote(str(directory)), document["outputs"]
     page = ["report.html"] if (directory / "report.html").exists() else []
@@ -167,7 +160,7 @@ def _closing_rows(directory: Path, document: dict[str, Any]) -> Rows:
     yield "next", f"mavnav metrics {here}" if measurable else check
 
 
-def note_run(document: dict[str, Any], *, verdict: bool, all_: bool = False) -> None:
+def note_run(document: Json, *, verdict: bool, all_: bool = False) -> None:
     """Print on stderr what the user must not miss of a run: its ``verdict`` if that is wanted, and the warnings."""
     known = document["verdict"]
     if verdict and known["word"] != "good":
@@ -196,7 +189,7 @@ def note_warnings(warnings: Iterable[str], *, all_: bool = False) -> None:
         note(f"mavnav: {pluralize(hidden, 'more warning')} in run.json; -v prints them")
 
 
-def wall_rows(document: dict[str, Any]) -> Rows:
+def wall_rows(document: Json) -> Rows:
     """Yield the rows on wall thickness of a summary table."""
     walls = document["wall_thickness"]
     if "spread" in walls:
@@ -210,7 +203,7 @@ def wall_rows(document: dict[str, Any]) -> Rows:
     yield "walls in map.pgm", f"{_thickness(published)} ({length})" if published["sections"] else "no straight wall"
 
 
-def spread_text(spread: dict[str, Any]) -> str:
+def spread_text(spread: Json) -> str:
     """Describe the wall thickness, and the length and share of the walls that it was measured on."""
     if spread["median_mm"] is None:
         return "no straight wall to measure"
@@ -218,11 +211,11 @@ def spread_text(spread: dict[str, Any]) -> str:
     return f"{_thickness(spread)} ({share})"
 
 
-def _thickness(walls: dict[str, Any]) -> str:
+def _thickness(walls: Json) -> str:
     return f"median {walls['median_mm']:.0f} mm, p95 {walls['p95_mm']:.0f} mm"
 
 
-def quality_rows(quality: dict[str, Any]) -> Rows:
+def quality_rows(quality: Json) -> Rows:
     """Yield the rows on ``map_quality`` of a document that a summary shows."""
     ghosts, revisits = quality["ghost_walls"], quality["revisits"]
     apart = f"{ghosts['length_m']:.1f} m, up to {ghosts['worst_offset_mm']:.0f} mm apart" if ghosts["count"] else ""
@@ -234,7 +227,7 @@ def quality_rows(quality: dict[str, Any]) -> Rows:
         yield "not meaningful", why
 
 
-def more_rows(quality: dict[str, Any]) -> Rows:
+def more_rows(quality: Json) -> Rows:
     """Yield the other rows on ``map_quality``."""
     crisp, areas, support = quality["crispness"], quality["enclosed_areas"], quality["support"]
     if crisp["occupied_cells_per_m"] is not None:
@@ -256,7 +249,7 @@ MOST_COMPARED: Final = 0.95
 """Share of the poses with a true one from which on the errors are taken for those of the whole path."""
 
 
-def reference_rows(reference: dict[str, Any] | None) -> Rows:
+def reference_rows(reference: Json | None) -> Rows:
     """Yield the rows on the comparison with references."""
     errors = reference or {}
     if errors.get("ate"):
@@ -277,7 +270,7 @@ def reference_rows(reference: dict[str, Any] | None) -> Rows:
         yield "relations", f"{mean}{r['scored']} of {r['relations']}"
 
 
-def _relative(rpe: dict[str, Any]) -> str:
+def _relative(rpe: Json) -> str:
     if rpe["translation_rmse_m"] is None:
         return f"{rpe['distance_rmse_m'] / MM:.1f} mm of distance (the truth has no headings)"
     return f"{rpe['translation_rmse_m'] / MM:.1f} mm, {rpe['rotation_rmse_deg']:.2f} deg"

@@ -82,7 +82,7 @@ def simulate(
         Also write an animation.
     """
     from mavnav.config.loading import scenarios
-    from mavnav.simulation.world import load_scenario, scenario_schema
+    from mavnav.simulation.world.scenario_file import load_scenario, scenario_path, scenario_schema
 
     if schema:
         emit_json(scenario_schema())
@@ -103,7 +103,6 @@ def simulate(
         with loading_modules():
             from mavnav.outputs.documents.provenance import Typed
             from mavnav.pipelines.simulate import SimulationRequest, simulate_mission, simulation_directory
-            from mavnav.simulation.world.scenario_file import scenario_path
         compile_s = perf_counter() - started_s
         usual = shared.again_directory(again) if again else simulation_directory(chosen)
         target = directory or shared.free_directory(context, usual, force=force)

@@ -12,6 +12,9 @@ from typing import TYPE_CHECKING, Any, Final, TextIO
 if TYPE_CHECKING:
     from rich.console import Console
 
+Json = dict[str, Any]
+"""A document of a result, or a part of it."""
+
 Rows = Iterable[tuple[str, str]]
 """Names and values of a summary table."""
 
@@ -41,8 +44,7 @@ def printable(text: object) -> str:
     Control, format and bidirectional characters are replaced by escapes, and so is the beginning of a workflow command,
     at the start of a line or within it.
     """
-    shown = _visible(text)
-    return re.sub(r"^( *):(?=:)", r"\1\\x3a", shown)
+    return re.sub(r"^( *):(?=:)", r"\1\\x3a", _visible(text))
 
 
 def _visible(text: object) -> str:
@@ -111,7 +113,7 @@ def print_traceback(error: BaseException) -> None:
         sys.stderr.write(public_line("".join(format_exception(error))))
 
 
-def note_problems(document: dict[str, Any]) -> None:
+def note_problems(document: Json) -> None:
     """Print the ``warnings`` and the first items of ``damage`` of a document on stderr, one line each."""
     for warning in document["warnings"]:
         note(f"mavnav: warning: {warning}")
@@ -127,19 +129,19 @@ def emit(text: str) -> None:
     sys.stdout.flush()
 
 
-def emit_json(document: dict[str, Any]) -> None:
+def emit_json(document: Json) -> None:
     """Write a document to stdout as indented JSON."""
     emit(json_text(document, indent=2))
 
 
-def json_text(document: dict[str, Any], *, indent: int | None = None) -> str:
+def json_text(document: Json, *, indent: int | None = None) -> str:
     """Return a document as JSON, with the beginnings of workflow commands of a CI runner escaped."""
     from json import dumps
 
     return re.sub(r"##(?=\w*\[)", r"#\\u0023", dumps(document, indent=indent))
 
 
-def print_result(document: dict[str, Any], rows: Rows, *, json: bool) -> None:
+def print_result(document: Json, rows: Rows, *, json: bool) -> None:
     """Print a result on stdout: the document with ``json``, else its rows as a table."""
     if json:
         emit_json(document)
@@ -147,7 +149,7 @@ def print_result(document: dict[str, Any], rows: Rows, *, json: bool) -> None:
         print_table(rows)
 
 
-def print_verdict(document: dict[str, Any], rows: Rows) -> None:
+def print_verdict(document: Json, rows: Rows) -> None:
     """Print the verdict of a document, its headline and its rows as one table."""
     name, style = verdict_mark(document["verdict"]["word"])
     print_table([*verdict_rows(document["verdict"]), ("result", document["headline"]), *rows], styles={name: style})

@@ -15,7 +15,7 @@ from mavnav.logs.writing.recorder import record
 from mavnav.pipelines.simulate import recording_of
 from mavnav.profiling import Progress
 from mavnav.simulation.mission import fly
-from mavnav.simulation.world import load_scenario
+from mavnav.simulation.world.scenario_file import load_scenario
 from mavnav.version import __version__
 
 SCENARIO: Final = "corridor"

@@ -40,10 +40,8 @@ class Layer(Struct, frozen=True):
 
     def rename_keys(self, name: Callable[[Key], Key]) -> Layer:
         """Return the layer with other keys."""
-        return Layer(
-            {name(key): value for key, value in self.values.items()},
-            {name(key): origin for key, origin in self.origins.items()},
-        )
+        values = {name(key): value for key, value in self.values.items()}
+        return Layer(values, {name(key): origin for key, origin in self.origins.items()})
 
     def tree(self) -> dict[str, Any]:
         """Return the values as nested dictionaries."""

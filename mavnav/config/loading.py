@@ -24,6 +24,9 @@ from mavnav.config.models import Config, MethodName, PaperExpert, RobustExpert
 from mavnav.errors import ConfigError, brief, missing
 from mavnav.units import MM
 
+Overrides = Mapping[str, object] | None
+"""Values of command line options by the name of the field; None for an option that was not given."""
+
 Model = TypeVar("Model", bound=Struct)
 Part = TypeVar("Part")
 
@@ -85,10 +88,7 @@ def file_layer(file: str | Path | None) -> Layer:
 
 
 def load_config(
-    file: str | Path | None = None,
-    sets: Iterable[str] = (),
-    overrides: Mapping[str, object] | None = None,
-    values: Layer | None = None,
+    file: str | Path | None = None, sets: Iterable[str] = (), overrides: Overrides = None, values: Layer | None = None
 ) -> Config:
     """Load the effective configuration.
 
@@ -108,13 +108,11 @@ def load_config(
     ConfigError
         A value is wrong. The message is one line: file and line, dotted key, problem, nearest known name.
     """
-    top = overlay((values or Layer()).over(file_layer(file)), sets, overrides or {})
+    top = overlay((values or Layer()).over(file_layer(file)), sets, overrides)
     return read_model(Config, top.over(method_layer(top.values.get(("method",)))))
 
 
-def overlay(
-    layer: Layer, sets: Iterable[str], overrides: Mapping[str, object], short: tuple[Key, str] | None = None
-) -> Layer:
+def overlay(layer: Layer, sets: Iterable[str], overrides: Overrides, short: tuple[Key, str] | None = None) -> Layer:
     """Merge ``--set`` and then the command line options over a layer.
 
     ``short`` is a section that has a short form, and the key within it that the short form gives.
@@ -168,10 +166,9 @@ def _set_layer(assignment: str) -> Layer:
     return Layer({key: value["value",]}, {key: f"--set {assignment}"})
 
 
-def _option_layer(overrides: Mapping[str, object]) -> Layer:
-    values = {tuple(name.split(".")): value for name, value in overrides.items() if value is not None}
-    flags = {key: OPTIONS.get(key[-1], f"--{key[-1].replace('_', '-')}") for key in values}
-    return Layer(values, flags)
+def _option_layer(overrides: Overrides) -> Layer:
+    values = {tuple(name.split(".")): value for name, value in (overrides or {}).items() if value is not None}
+    return Layer(values, {key: OPTIONS.get(key[-1], f"--{key[-1].replace('_', '-')}") for key in values})
 
 
 def key_now(key: Key) -> Key:
@@ -259,9 +256,8 @@ def _nearest(key: Key, keys: list[Key], given: Key) -> str:
     by_last_name = {path[-1]: ".".join(path) for path in keys}
     proposal = [by_last_name[key[-1]]] if key[-1] in by_last_name else []
     proposal = proposal or difflib.get_close_matches(".".join(key), known, n=1, cutoff=0.8)
-    proposal = proposal or [
-        by_last_name[name] for name in difflib.get_close_matches(key[-1], by_last_name, n=1, cutoff=0.75)
-    ]
+    alike = difflib.get_close_matches(key[-1], by_last_name, n=1, cutoff=0.75)
+    proposal = proposal or [by_last_name[name] for name in alike]
     return f"did you mean {_add_indices(proposal[0].split('.'), given)}?" if proposal else ""
 
 

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
     from mavnav.ground_truth.map_file import MapFile
     from mavnav.metrics.reference import Relations
-    from mavnav.simulation.world import Scenario, World
+    from mavnav.simulation.world.geometry import World
+    from mavnav.simulation.world.scenario import Scenario
 
 START_POSE: Final = "start pose"
 """Alignment of the walls of a scenario, which are relative to the laser's pose at the first scan of the mission."""

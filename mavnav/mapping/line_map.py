@@ -161,17 +161,10 @@ class LineMap(Struct):
             self._cover(extent_m)
             self._covered_m = covered_extent(self.origin_xy_m, self.nearest.shape, self.cell_m, MARGIN_CELLS)
         self._reserve(self.count + len(xy_map_m))
+        arrays = self.nearest, self.cells, self.moments, self.lines, self.waiting
         for first in range(0, len(xy_map_m), MOST_WAITING):
-            self.count = insert_points(
-                np.ascontiguousarray(xy_map_m[first : first + MOST_WAITING]),
-                self.geometry,
-                self.count,
-                self.nearest,
-                self.cells,
-                self.moments,
-                self.lines,
-                self.waiting,
-            )
+            some = np.ascontiguousarray(xy_map_m[first : first + MOST_WAITING])
+            self.count = insert_points(some, self.geometry, self.count, *arrays)
 
     def insert_between(self, points: Array, step_rad: float, map_T_laser: Pose) -> None:
         """Insert points on the walls between beams that are too far apart for lines through their end points.

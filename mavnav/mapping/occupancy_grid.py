@@ -170,16 +170,6 @@ def counts(values: NDArray[Any]) -> NDArray[np.uint16]:
     return (values if values.dtype.itemsize < 2 else np.minimum(values, MOST)).astype(np.uint16)
 
 
-def show_ends(
-    ranges_m: Array, directions: Array, laser: Pose, grid: Grid, walls: NDArray[np.int8], cells: NDArray[np.int8]
-) -> None:
-    """Copy the occupied cells of ``walls`` (rows, cols) in which beams of one scan ended to ``cells``.
-
-    ``ranges_m`` (beams,) are NaN without a return, ``directions`` (beams, 2) cosines and sines in the laser's frame.
-    """
-    hits_kernel.show_ends(ranges_m, directions, laser.as_array(), grid.lattice, walls, cells)
-
-
 def occupancy(grid: Grid) -> NDArray[np.int8]:
     """Return free (0), occupied (100) and unknown (-1) cells as in nav_msgs/OccupancyGrid, (rows, cols).
 
@@ -214,15 +204,14 @@ def occupied_cells(grid: Grid) -> NDArray[np.int64]:
     return np.concatenate(by_band)
 
 
-def known_area(grid: Grid, *, hits_only: bool = False) -> Grid:
-    """Return the part of the grid with cells that a beam reached (or ended in) and a small margin; else one cell.
+def known_area(grid: Grid) -> Grid:
+    """Return the part of the grid with cells that a beam reached and a small margin; else one cell.
 
     The arrays are views of the grid's.
     """
-    counts = [grid.hits] if hits_only else [grid.hits, grid.passes]
-    if not any(part.any() for part in counts):
+    if not (grid.hits.any() or grid.passes.any()):
         return Grid(grid.cell_m, grid.origin_xy_m, np.zeros((1, 1), np.uint16), np.zeros((1, 1), np.uint16))
-    rows, cols = (_extent(np.flatnonzero(sum(np.any(p, axis=axis) for p in counts))) for axis in (1, 0))
+    rows, cols = (_extent(np.flatnonzero(grid.hits.any(axis=axis) | grid.passes.any(axis=axis))) for axis in (1, 0))
     return part_of(grid, rows, cols)
 
 
@@ -232,11 +221,9 @@ def measured_area(grid: Grid) -> Grid:
     Metrics of this part do not depend on how far the grid extends beyond. The arrays are views of the grid's.
     """
     known = known_area(grid)
-    spans = [
-        _in_blocks(round((known.origin_xy_m[k] - grid.origin_xy_m[k]) / grid.cell_m), known.hits.shape[1 - k], size, at)
-        for k, (size, at) in enumerate(zip(grid.hits.shape[::-1], _corner(grid), strict=True))
-    ]
-    return part_of(grid, spans[1], spans[0])
+    (col, row), (known_col, known_row) = _corner(grid), _corner(known)
+    rows = _in_blocks(known_row - row, known.hits.shape[0], grid.hits.shape[0], row)
+    return part_of(grid, rows, _in_blocks(known_col - col, known.hits.shape[1], grid.hits.shape[1], col))
 
 
 def _in_blocks(first: int, count: int, size: int, at: int) -> slice:

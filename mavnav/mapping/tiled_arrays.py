@@ -185,12 +185,7 @@ def crop(cells: NDArray[Any], known: NDArray[np.bool_]) -> NDArray[Any]:
     return cells[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1] if len(rows) else cells[:1, :1]
 
 
-def identity(cells: NDArray[Any]) -> NDArray[Any]:
-    """Return the cells themselves."""
-    return cells
-
-
-def max_pool(cells: NDArray[Any], factor: int, fill: int = 0, value_of: CellFunction = identity) -> NDArray[Any]:
+def max_pool(cells: NDArray[Any], factor: int, fill: int = 0, value_of: CellFunction = np.asarray) -> NDArray[Any]:
     """Return the maximum of ``value_of(cells)`` over each ``factor`` x ``factor`` block, which keeps walls of one cell.
 
     Blocks that reach beyond the cells are padded with ``fill``.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias, TypeVar
 
 import numpy as np
 from msgspec import Struct, field
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from mavnav.sessions.group import Session
 
 Walls: TypeAlias = "Truth | TrueMap | WallShapes"
+Value = TypeVar("Value")
 
 KEPT_CELLS: Final = 1 << 24
 """What is known of so many cells is kept from one writer to the next."""
@@ -89,6 +90,13 @@ def picture_turn_rad(cuts: WallCuts | None, options: object) -> float:
     """Return how far the pictures of a run are turned to its walls; 0 where its ``options`` name a frame."""
     framing = [getattr(options, name, None) for name in ("align", "map", "continue_from")]
     return 0.0 if any(isinstance(value, str) for value in framing) else turn_to_cuts(cuts)
+
+
+def needed(value: Value | None, name: str) -> Value:
+    """Return what a writer needs of a run; raises ValueError where the run does not have it."""
+    if value is None:
+        raise ValueError(f"{name} is not known")
+    return value
 
 
 def half_sweep_s(log: Log, outcome: SlamResult) -> float:
@@ -175,12 +183,6 @@ class RunResult(Struct, frozen=True, dict=True):
         """The true walls to draw on top of the map, None where they are not known."""
         given = self.true_map
         return self.truth or (given if given and len(given.segments_map) + len(given.arcs_map) else None)
-
-    @property
-    def map_T_base(self) -> Trajectory | None:
-        """The trajectory of the robot's base in the map frame, None where the mounting is not known."""
-        mounting = self.log.base_T_laser
-        return None if mounting is None else self.slam.path.compose(mounting.inverse())
 
     @property
     def exit_code(self) -> ExitCode:

@@ -19,6 +19,7 @@ from mavnav.outputs.run import RunResult
 from mavnav.profiling import Stage
 
 Writer = Callable[[RunResult, Path], None]
+FileWriter = Callable[[Path], None]
 
 REPORT_FILE: Final = "report.html"
 
@@ -105,8 +106,7 @@ def write_run(
         empty = [name for name in _WHY_EMPTY if name in (groups or ()) and digests.keys().isdisjoint(GROUPS[name])]
         document["warnings"] += [f"no {name} written: {_WHY_EMPTY[name]}" for name in empty]
         document["verdict"]["advice"] = with_picture(document["verdict"]["advice"], digests)
-        path = folder / RUN_FILE
-        path.write_text(plain_json(document), encoding="utf-8")
+        (folder / RUN_FILE).write_text(plain_json(document), encoding="utf-8")
         if report:
             with Stage("page"):
                 pages = import_module("mavnav.outputs.report.page")
@@ -120,7 +120,7 @@ def write_page(comparison: dict[str, Any], folder: Path) -> None:
     import_module("mavnav.outputs.report.page").write_report(comparison, folder, folder / REPORT_FILE)
 
 
-def _writers(run: RunResult, groups: Collection[str] | None) -> dict[str, Callable[[Path], None]]:
+def _writers(run: RunResult, groups: Collection[str] | None) -> dict[str, FileWriter]:
     """Return the wanted files that can be written, with their writers: some need more than every log contains.
 
     A continued run has files of its earlier sessions too, of the groups that are written.
@@ -136,9 +136,7 @@ def _writers(run: RunResult, groups: Collection[str] | None) -> dict[str, Callab
         "map_3d.png": run.slices,
     }
     names -= {name for name, value in needed.items() if value is None}
-    writers: dict[str, Callable[[Path], None]] = {
-        name: partial(write, run) for name, write in WRITERS.items() if name in names
-    }
+    writers: dict[str, FileWriter] = {name: partial(write, run) for name, write in WRITERS.items() if name in names}
     if run.slices and "slices" in chosen:
         writers |= dict.fromkeys(gridmap.slice_files(run.slices.layers), partial(gridmap.write_slice, run))
     for session in run.earlier:
@@ -150,7 +148,7 @@ def _writers(run: RunResult, groups: Collection[str] | None) -> dict[str, Callab
     return writers
 
 
-def _write(write: Callable[[Path], None], path: Path) -> str:
+def _write(write: FileWriter, path: Path) -> str:
     """Write one file and return its SHA-256."""
     with Stage("pictures" if path.suffix == ".png" else "outputs"):
         write(path)

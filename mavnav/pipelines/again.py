@@ -40,11 +40,8 @@ class EarlierRun(Struct, frozen=True):
     def differences(self) -> list[str]:
         """Return what may keep the repetition from being the same, a line each."""
         made, now = _versions(self.document), {"mavnav": __version__, "Python": platform.python_version()}
-        changed = [
-            f"{name} {then} then, {installed} now"
-            for name, then in made.items()
-            if (installed := now.get(name) or installed_version(name)) != then
-        ]
+        now |= {name: installed_version(name) for name in made if name not in now}
+        changed = [f"{name} {then} then, {now[name]} now" for name, then in made.items() if now[name] != then]
         lines = [f"other versions than in {self.directory}, results may differ: {', '.join(changed)}"] * bool(changed)
         if self.document["partial"]:
             lines.append(f"{self.directory} was stopped before the log ended; this run goes on to its end")
@@ -95,10 +92,8 @@ def _check_document(document: dict[str, Any]) -> str:
     if not all(isinstance(section, dict) for section in needed):
         raise TypeError
     convert(document["provenance"], Provenance)
-    kind, *_ = convert(
-        (*(document["input"][name] for name in ("format", "path", "sha256", "size_bytes")), document["partial"]),
-        tuple[str, str, str, int, bool],
-    )
+    values = [document["input"][name] for name in ("format", "path", "sha256", "size_bytes")]
+    kind, *_ = convert((*values, document["partial"]), tuple[str, str, str, int, bool])
     return kind
 
 
@@ -125,7 +120,7 @@ def typed_again(run: EarlierRun, words: Sequence[str]) -> Typed:
 
 def simulation_again(run: EarlierRun) -> dict[str, Any]:
     """Return the fields of the request that repeats a mission: its effective scenario, whatever became of the file."""
-    from mavnav.simulation.world import Scenario  # noqa: PLC0415  models take time to build
+    from mavnav.simulation.world.scenario import Scenario  # noqa: PLC0415  models take time to build
 
     file, source = run.directory / RUN_FILE, run.document["input"]
     return {

@@ -16,6 +16,7 @@ from mavnav.config.options import ReplayOptions
 from mavnav.errors import ExitCode, TopicError, UsageError, worst
 from mavnav.logs import Log, check_log, open_log
 from mavnav.logs.formats.detect import log_name
+from mavnav.logs.records import Odometry
 from mavnav.metrics.calibration.motion import Motions, motions_of
 from mavnav.metrics.calibration.quantities import (
     LEAST_TURN_RAD,
@@ -72,11 +73,9 @@ def calibrate(request: CalibrationRequest, progress: Progress) -> dict[str, Any]
     Raises UsageError, TopicError (no odometry, too), NoScansError and OutputError.
     """
     _check(request)
-    log = _open(request, progress)
+    log, odometry = _open(request, progress)
     load_kernels(request.config, progress)
     config, warnings = config_for_log(request.config, log)
-    odometry = log.odometry
-    assert odometry  # noqa: S101  checked by `_open`
     outcome = run_slam(
         log.scans,
         config,
@@ -92,7 +91,7 @@ def calibrate(request: CalibrationRequest, progress: Progress) -> dict[str, Any]
     )
     outcome = replace(outcome, warnings=(*warnings, *outcome.warnings))
     progress("calibrating", 0, None)
-    motions = _motions(log, outcome)
+    motions = _motions(log, odometry, outcome)
     verdict = track_verdict(outcome, log, request.config)
     verdict = replace(verdict, advice=with_picture(verdict.advice, ()))
     doubtful = outcome.doubt is not None and outcome.doubt.high
@@ -124,8 +123,8 @@ def _check(request: CalibrationRequest) -> None:
     check_apart(files, (request.log, request.config_file))
 
 
-def _open(request: CalibrationRequest, progress: Progress) -> Log:
-    """Survey the log; raises TopicError where it has no odometry to use."""
+def _open(request: CalibrationRequest, progress: Progress) -> tuple[Log, Odometry]:
+    """Survey the log, and return it with its odometry; raises TopicError where it has no odometry to use."""
     options = request.options
     log = open_log(
         request.log,
@@ -140,16 +139,15 @@ def _open(request: CalibrationRequest, progress: Progress) -> Log:
         known = [text for text in log.warnings if "odometry" in text]
         text = known[0] if known else "no odometry; record nav_msgs/Odometry or the transform odom -> base_link in /tf"
         raise TopicError(f"{request.log}: {text}")
-    return log
+    return log, log.odometry
 
 
-def _motions(log: Log, outcome: SlamResult) -> Motions:
+def _motions(log: Log, odometry: Odometry, outcome: SlamResult) -> Motions:
     """Return the motions of the track, at the stamps that fit the odometry better: recorded, or averaged."""
-    assert log.odometry  # noqa: S101  checked by `_open`
-    odometry = LogOdometry(log.odometry.odom_T_base, log.base_T_laser or Pose(), log.stamps_ns)
-    fit = fit_odometry(odometry, outcome.trajectory, GOOD_ODOMETRY)
-    track = odometry.with_mean_stamps(outcome.trajectory) if fit and fit.mean_stamps else None
-    return motions_of(track or outcome.trajectory, log.odometry.odom_T_base, 2.0 * half_sweep_s(log, outcome))
+    known = LogOdometry(odometry.odom_T_base, log.base_T_laser or Pose(), log.stamps_ns)
+    fit = fit_odometry(known, outcome.trajectory, GOOD_ODOMETRY)
+    track = known.with_mean_stamps(outcome.trajectory) if fit and fit.mean_stamps else None
+    return motions_of(track or outcome.trajectory, odometry.odom_T_base, 2.0 * half_sweep_s(log, outcome))
 
 
 def _document(request: CalibrationRequest, log: Log, outcome: SlamResult, result: Calibration) -> dict[str, Any]:
@@ -278,12 +276,8 @@ def _in_log(kind: QuantityKind, log: Log) -> float | None:
 
 def _switch(value: bool | None, in_log: bool, why: str) -> dict[str, Any]:
     """Describe a finding of yes or no; ``why`` it is refused where it is None."""
-    return {
-        "value": value,
-        "in_log": in_log,
-        "agrees": None if value is None else value == in_log,
-        "refused": why if value is None else None,
-    }
+    agrees, refused = (None, why) if value is None else (value == in_log, None)
+    return {"value": value, "in_log": in_log, "agrees": agrees, "refused": refused}
 
 
 def _is_reversed(log: Log, outcome: SlamResult, result: Calibration) -> bool | None:

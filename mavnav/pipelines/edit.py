@@ -47,12 +47,9 @@ def read_edits(erase: Sequence[str], unknown: Sequence[str], crop: str | None, *
     """Read the edits as the command line has them; raises UsageError where there is none, or one that is none."""
     if not (erase or unknown or crop or keep_largest):
         raise UsageError("nothing to change; give --crop, --erase, --unknown or --keep-largest")
-    return MapEdits(
-        tuple(_rectangle("--erase", text) for text in erase),
-        tuple(_rectangle("--unknown", text) for text in unknown),
-        _rectangle("--crop", crop) if crop else None,
-        keep_largest,
-    )
+    erased = tuple(_rectangle("--erase", text) for text in erase)
+    forgotten = tuple(_rectangle("--unknown", text) for text in unknown)
+    return MapEdits(erased, forgotten, _rectangle("--crop", crop) if crop else None, keep_largest)
 
 
 def _rectangle(option: str, text: str) -> Rectangle:

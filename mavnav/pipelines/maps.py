@@ -132,17 +132,9 @@ def localisation(path: Path, start_pose: Pose | None, outcome: SlamResult) -> Lo
     """Return the section of run.json on localization in a known map: the given start pose, and the one found."""
     first = next((step for step in outcome.steps if step.tracked), None)
     pose = first and first.match.map_T_laser
-    return Localisation(
-        map=str(path),
-        start_pose=start_pose and StartPose(start_pose.x_m, start_pose.y_m, start_pose.yaw_rad / DEG),
-        found=FoundPose(first.index, pose.x_m, pose.y_m, pose.yaw_rad / DEG) if first and pose else None,
-    )
-
-
-NO_WALLS: Final = (
-    "the map begins after the first scan of the mission, to which the walls of the scenario are relative: "
-    "it is not compared with them"
-)
+    start = start_pose and StartPose(start_pose.x_m, start_pose.y_m, start_pose.yaw_rad / DEG)
+    found_at = FoundPose(first.index, pose.x_m, pose.y_m, pose.yaw_rad / DEG) if first and pose else None
+    return Localisation(str(path), start, found_at)
 
 
 def rounded_pose(pose: Pose) -> dict[str, float]:
@@ -174,7 +166,8 @@ def references_in_map(
     """
     references = _with_recorded_truth(references, log, begin_ns, map_T_begin)
     if references.of_first_scan and begin_ns not in {None, log.first_ns}:
-        return replace(references, true_map=None), (NO_WALLS,)
+        relative = "after the first scan of the mission, to which the walls of the scenario are relative"
+        return replace(references, true_map=None), (f"the map begins {relative}: it is not compared with them",)
     return with_walls_moved(references, map_T_begin), ()
 
 
@@ -215,11 +208,9 @@ def comparison_fields(references: References, held: Trajectory, outcome: SlamRes
     """
     references = with_true_map_placed(references, outcome.grid, config)
     truth = references.truth
-    return {
-        "reference": compare_to(references, held, occupied_xy_m(outcome.grid)),
-        "true_map": references.true_map,
-        "position_errors_m": position_errors(held, truth, aligned=True) if truth else None,
-    }
+    reference = compare_to(references, held, occupied_xy_m(outcome.grid))
+    errors_m = position_errors(held, truth, aligned=True) if truth else None
+    return {"reference": reference, "true_map": references.true_map, "position_errors_m": errors_m}
 
 
 def _with_recorded_truth(

@@ -45,6 +45,9 @@ from mavnav.slam.methods.registry import load_kernels
 from mavnav.units import pluralize
 from mavnav.version import DOCUMENT_HEAD
 
+Json = dict[str, Any]
+"""A document, or a row of one."""
+
 TRACKING: Final = ("lost", "tracked_share", "intervals", "doubt")
 """What merge.json repeats of the tracking of each session."""
 
@@ -72,11 +75,11 @@ class Input(Struct, frozen=True):
     name: str
     path: Path
     session: Session | None = None
-    run: dict[str, Any] | None = None
+    run: Json | None = None
     why: str = ""
 
 
-def merge(request: MergeRequest, progress: Progress) -> dict[str, Any]:
+def merge(request: MergeRequest, progress: Progress) -> Json:
     """Join sessions, write their map and return the document, which is merge.json.
 
     The exit code in it is the worst of those of the sessions, and 1 where one did not join. Raises UsageError,
@@ -102,9 +105,8 @@ def merge(request: MergeRequest, progress: Progress) -> dict[str, Any]:
         measured = measure_map(measured_area(grid), one_after_another(tracks, mapped_share(rows)))
         grid = known_area(grid)
         of_map = _map_document(grid, measured, request.config, mapped_share(rows))
-        document = _document(
-            request, rows, merge_verdict(rows, plain(of_map)), [each.run for each in inputs if each.run]
-        )
+        runs = [each.run for each in inputs if each.run]
+        document = _document(request, rows, merge_verdict(rows, plain(of_map)), runs)
         progress("writing", 0, None)
         return _write(request, grid, measured, members, document, of_map)
 
@@ -152,9 +154,7 @@ def _input(name: str, path: Path, request: MergeRequest, folder: Path, progress:
     return Input(name, path, session if session.keys else None, run, "no scan was tracked")
 
 
-def _replay(
-    name: str, log: Path, request: MergeRequest, folder: Path, progress: Progress
-) -> tuple[RunResult, dict[str, Any]]:
+def _replay(name: str, log: Path, request: MergeRequest, folder: Path, progress: Progress) -> tuple[RunResult, Json]:
     """Replay a log; return its run, without a map of its own, and run.json."""
     wanted = ReplayRequest(log, folder / name, request.config, outputs=("trajectory",))
     try:
@@ -181,13 +181,8 @@ def _read(name: str, run: FinishedRun, config: Config) -> Session:
 
 
 def _write(
-    request: MergeRequest,
-    grid: Grid,
-    measured: MeasuredMap,
-    members: list[Session],
-    document: dict[str, Any],
-    of_map: dict[str, Any],
-) -> dict[str, Any]:
+    request: MergeRequest, grid: Grid, measured: MeasuredMap, members: list[Session], document: Json, of_map: Json
+) -> Json:
     """Write all files, ``of_map`` in run.json; return the document with their digests."""
     drawn = GridMap(grid)
     paths = {session.name: session.map_T_laser for session in members}
@@ -213,7 +208,7 @@ def _write(
     return document
 
 
-def _map_document(grid: Grid, measured: MeasuredMap, config: Config, accepted_share: float) -> dict[str, Any]:
+def _map_document(grid: Grid, measured: MeasuredMap, config: Config, accepted_share: float) -> Json:
     """Return the keys of run.json for a map alone: what it was made with, and how good it is."""
     return {
         **DOCUMENT_HEAD,
@@ -230,9 +225,7 @@ def _map_document(grid: Grid, measured: MeasuredMap, config: Config, accepted_sh
     }
 
 
-def _document(
-    request: MergeRequest, rows: list[dict[str, Any]], verdict: Verdict, runs: list[dict[str, Any]]
-) -> dict[str, Any]:
+def _document(request: MergeRequest, rows: list[Json], verdict: Verdict, runs: list[Json]) -> Json:
     joined = [row for row in rows if row["joined"]]
     codes = [run["exit_code"] for run in runs if run["exit_code"] in OF_LOGS]
     refused = len(rows) - len(joined)
@@ -249,7 +242,7 @@ def _document(
     }
 
 
-def merge_verdict(sessions: list[dict[str, Any]], of_map: dict[str, Any]) -> Verdict:
+def merge_verdict(sessions: list[Json], of_map: Json) -> Verdict:
     """Return the verdict on the map of sessions: the worst of theirs and its own; suspect where one did not join."""
     known = [each for each in sessions if each["joined"] and each["verdict"]]
     own = [Verdict(**each["verdict"] | {"reason": f"{each['name']}: {each['verdict']['reason']}"}) for each in known]
@@ -261,7 +254,7 @@ def merge_verdict(sessions: list[dict[str, Any]], of_map: dict[str, Any]) -> Ver
     return worst if worst and worst.word != "good" else Verdict("good", "every session joined and is good", "")
 
 
-def merge_headline(sessions: list[dict[str, Any]]) -> str:
+def merge_headline(sessions: list[Json]) -> str:
     """Say how many of the sessions are in one map."""
     joined = [each for each in sessions if each["joined"]]
     scans = pluralize(sum(each["scans"] for each in joined), "scan")
@@ -270,7 +263,7 @@ def merge_headline(sessions: list[dict[str, Any]]) -> str:
     return f"{len(joined)} of {len(sessions)} sessions are in one map, with {scans}."
 
 
-def _row(given: Input, join: Join, paths: dict[str, Trajectory]) -> dict[str, Any]:
+def _row(given: Input, join: Join, paths: dict[str, Trajectory]) -> Json:
     """Describe what became of an input."""
     own, run, joined = given.session and given.session.map_T_laser, given.run or {}, given.name in paths
     return {

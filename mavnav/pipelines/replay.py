@@ -20,7 +20,7 @@ from mavnav.ground_truth.references import References, in_time_of_truth, load_re
 from mavnav.logs import Log, check_log, open_log
 from mavnav.logs.formats.detect import log_name
 from mavnav.outputs.directory import check_directory
-from mavnav.outputs.documents.provenance import Typed, provenance, utc_now
+from mavnav.outputs.documents.provenance import Typed, provenance
 from mavnav.outputs.documents.sections import options_section
 from mavnav.outputs.run import RunResult, Timing, half_sweep_s
 from mavnav.outputs.writers import WITHOUT_MAP, check_groups, write_run
@@ -168,12 +168,9 @@ def replay_log(
     check_groups(request.outputs or ())
     _check_alignment(request)
     check_directory(request.directory, force=True, inputs=request.inputs)
-    given = Given(
-        load_references(**reference_files(options)),
-        maps.known_map(options.get("map"), _pose(options.get("start_pose")), request.config.method),
-        replay_provenance(request),
-        *_to_continue(request),
-    )
+    references = load_references(**reference_files(options))
+    known = maps.known_map(options.get("map"), _pose(options.get("start_pose")), request.config.method)
+    given = Given(references, known, replay_provenance(request), *_to_continue(request))
     wall_s, cpu_s, stages = perf_counter(), process_time(), new_profile(loading=compile_s, starting=startup_s)
     odom = request.config.odom if uses_odometry(request.config) else "off"
     log = open_request(request, progress, odom=odom, truth=request.recorded_truth)
@@ -201,7 +198,7 @@ def replay_provenance(request: ReplayRequest) -> Provenance:
     logs = [request.address or str(request.log.absolute()), *(str(part.absolute()) for part in request.more)]
     again = replay_words(logs, request.options, request.config)
     options = options_section(request.options, request.config, request.typed.config, request.typed.sets)
-    return provenance(utc_now(), request.typed, again, options)
+    return provenance(request.typed, again, options)
 
 
 def _pose(values: Sequence[float] | None) -> Pose | None:

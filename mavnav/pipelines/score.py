@@ -20,7 +20,7 @@ from mavnav.ground_truth.tables import read_trajectory
 from mavnav.logs import Log
 from mavnav.logs.formats.detect import log_name
 from mavnav.outputs.directory import check_directory
-from mavnav.outputs.documents.provenance import provenance, utc_now
+from mavnav.outputs.documents.provenance import provenance
 from mavnav.outputs.documents.run_json import External, StartPose
 from mavnav.outputs.documents.sections import PoseJump
 from mavnav.outputs.run import RunResult, Timing, half_sweep_s
@@ -231,7 +231,7 @@ def _score(
         slam=outcome,
         metrics=measured_map(outcome, log),
         timing=Timing(perf_counter() - wall_s, process_time() - cpu_s, 0.0, stages),
-        provenance=provenance(utc_now(), request.typed, [*_again(request, source)]),
+        provenance=provenance(request.typed, [*_again(request, source)]),
         external=External(
             name=source.name,
             frame=poses.frame,

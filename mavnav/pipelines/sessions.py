@@ -158,8 +158,7 @@ def _join(
         why = f"it has the scans of {same[0]}" if same else "no scan was tracked"
         return None, Join(session.name, why=why)
     progress("joining", 0, None)
-    start = group_in_frame(earlier)
-    group, _, tried = extend_group(start, [session], config, lambda _: None, ANY_PAUSE_S)
+    group, _, tried = extend_group(group_in_frame(earlier), [session], config, lambda _: None, ANY_PAUSE_S)
     return (None, tried[0]) if tried else (group, group.joins[-1])
 
 

@@ -21,7 +21,7 @@ from mavnav.logs.writing.recorder import Recording, check_recording, record
 from mavnav.mapping.occupancy_grid import GridBuilder, occupied_xy_m
 from mavnav.metrics.reference import LEAST_POSES, absolute_error, position_errors
 from mavnav.outputs.directory import check_apart, check_directory, check_file, check_parent
-from mavnav.outputs.documents.provenance import Typed, provenance, utc_now
+from mavnav.outputs.documents.provenance import Typed, provenance
 from mavnav.outputs.documents.run_json import MissionResult, TruthErrors
 from mavnav.outputs.pictures.animation import animate
 from mavnav.outputs.run import MissionRecord, RunResult, Timing, Truth, WallShapes
@@ -31,8 +31,8 @@ from mavnav.pose import Pose, correct_path, rigid_fit
 from mavnav.profiling import Progress, new_profile, scans_s
 from mavnav.simulation.mission import Flight, fly
 from mavnav.simulation.vehicle import mid_sweep_s
-from mavnav.simulation.world import Scenario
 from mavnav.simulation.world.laser import EDGE_M
+from mavnav.simulation.world.scenario import Scenario
 from mavnav.slam.methods.registry import load_kernels
 from mavnav.units import DEG, NS
 
@@ -77,7 +77,7 @@ def simulate_mission(
     NoScansError where no scan could even begin a map.
     """
     check_outputs(request)
-    origin = provenance(utc_now(), request.typed, ["mavnav", "simulate", "--again", str(request.directory.absolute())])
+    origin = provenance(request.typed, ["mavnav", "simulate", "--again", str(request.directory.absolute())])
     started_s = perf_counter()
     load_kernels(request.scenario.slam, progress)
     compile_s += perf_counter() - started_s
@@ -195,8 +195,7 @@ def _attitude_numbers(flight: Flight) -> dict[str, Any]:
 def truth_errors(flight: Flight) -> TruthErrors:
     """Compare the tracked poses with the truth."""
     estimate = flight.slam.trajectory
-    rows = np.searchsorted(flight.map_T_laser.stamps_ns, estimate.stamps_ns)
-    truth = flight.map_T_laser.xyyaw[rows]
+    truth = flight.map_T_laser.xyyaw[np.searchsorted(flight.map_T_laser.stamps_ns, estimate.stamps_ns)]
     if len(estimate) < LEAST_POSES:
         return TruthErrors(len(estimate))
     aligned = absolute_error(estimate.xyyaw[:, :2], truth[:, :2])

@@ -13,19 +13,22 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from mavnav.mapping.occupancy_grid import GridBuilder
-from mavnav.pose import Pose, Trajectory
+from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.scan import Attitude, Scan, level_scan
-from mavnav.simulation.navigator import Navigator
 from mavnav.simulation.planner.potential_field import MotionCommand, Planner
 from mavnav.simulation.vehicle import Vehicle, disturbance, sweeping, tilts_over, vehicle_of
-from mavnav.simulation.world import LaserModel, Scenario, laser_model, take_scan
+from mavnav.simulation.world.laser import LaserModel, take_scan
+from mavnav.simulation.world.scenario import Scenario, laser_model
 from mavnav.simulation.world.shapes import XY
-from mavnav.slam.matching.motion_model import Motion
+from mavnav.slam.findings import Loops
+from mavnav.slam.loop_closure.detection import LOOP_M, close_loops
+from mavnav.slam.matching.motion_model import Motion, motions_along
 from mavnav.slam.matching.steps import Step, tracked_trajectory
 from mavnav.slam.methods.registry import make_method
 from mavnav.slam.pipeline import finish
 from mavnav.slam.result import SlamResult
 from mavnav.slam.track import OnStep, Track
+from mavnav.slam.tracker import track
 from mavnav.units import NS
 
 
@@ -99,12 +102,12 @@ def fly(scenario: Scenario, on_step: OnStep | None = None) -> Flight:
         flown = navigator.flown
         step = navigator.locate()
         if navigator.flown is not flown:
-            pilot.review(tracked_trajectory(navigator.steps))
+            pilot.review(tracked_trajectory(navigator.flown.steps))
         if on_step:
             on_step("fly", step.index + 1)
         here = pilot.locate(step, vehicle.odometry(step.stamp_ns))
         if next(executing, DONE) is DONE:
-            decision = pilot.decide(step, here, navigator.obstacles)
+            decision = pilot.decide(step, here, navigator.obstacles.grid)
             if isinstance(decision, End):
                 end = decision
                 break
@@ -127,6 +130,75 @@ SPACING_RADII = 0.5
 
 TOLERANCE_RADII = 2.0
 """Distance from a position in truth at which it still counts as reached, in radii of the goal."""
+
+
+class Obstacles(Struct, frozen=True):
+    """What the planner goes round: the whole map, or of an aerial vehicle that knows its attitude a slice of it.
+
+    ``slice_m`` are the lower and upper end of the slice, None for the whole map.
+    """
+
+    grid: GridBuilder
+    slice_m: tuple[float, float] | None = None
+
+    @classmethod
+    def of(cls, scenario: Scenario, whole: GridBuilder) -> Obstacles:
+        """Take the map of the SLAM method as it is, or begin a slice of the same cells where scans are levelled."""
+        if scenario.flight is None or not scenario.levels_scans:
+            return cls(whole)
+        return cls(GridBuilder(whole.cell_m), scenario.flight.slice_m)
+
+    def note(self, scan: Scan, step: Step) -> None:
+        """Count the returns of an accepted scan in the slice; their beams have not left it, as the laser is in it."""
+        if self.slice_m is None or scan.heights_m is None or not step.tracked:
+            return
+        low_m, high_m = self.slice_m
+        with np.errstate(invalid="ignore"):  # NaN: no return
+            within = (scan.heights_m > low_m) & (scan.heights_m < high_m)
+        xy_m = scan.ranges_m[within, None] * scan.spec.directions[within]
+        self.grid.insert(step.match.map_T_laser, transform_points(step.match.map_T_laser, xy_m))
+
+
+class Navigator:
+    """Tracks a vehicle through its scans as they come; ``flown`` is the track so far, ``obstacles`` what it must avoid.
+
+    Loops are closed as after a log ("Loop closure"), once every ``LOOP_M`` of path: path and map change then.
+    """
+
+    def __init__(self, scenario: Scenario, coming: Iterator[Scan], seen: Sequence[Scan], start: Track) -> None:
+        """Begin with the first of the scans, which are in ``seen`` once they came; ``start`` has no steps yet."""
+        self.flown, self._scenario, self._coming, self._seen = start, scenario, coming, seen
+        self._tracking = track(coming, start.method, start.motion)
+        self.obstacles = Obstacles.of(scenario, start.method.grid)
+        self._here, self._path_m, self._search_m = Pose(), 0.0, LOOP_M
+
+    def locate(self) -> Step:
+        """Return the step of the next scan."""
+        step, here = next(self._tracking), self._here
+        self.flown.steps.append(step)
+        self.obstacles.note(self._seen[-1], step)
+        if not step.tracked:
+            return step
+        self._here = step.match.map_T_laser
+        self._path_m += here.gap(self._here)[0]
+        if self._path_m >= self._search_m:
+            self._search_m = self._path_m + LOOP_M
+            self._close_loops()
+        return self.flown.steps[-1]
+
+    def _close_loops(self) -> None:
+        """Close the loops of the path so far, and go on in the map at its corrected poses, if that changes them."""
+        refiner, steps = self.flown.refiner, self.flown.steps
+        closed = close_loops(self.flown, refiner) if refiner else self.flown
+        if closed.method is self.flown.method:
+            return
+        *_, here = motions_along(tracked_trajectory(closed.steps), closed.motion)
+        self._here = here.map_T_laser
+        self._tracking = track(self._coming, closed.method, here._replace(odometry=closed.motion.odometry), len(steps))
+        self.obstacles = Obstacles.of(self._scenario, closed.method.grid)
+        for scan, step in zip(self._seen, closed.steps, strict=True):
+            self.obstacles.note(scan, step)
+        self.flown = closed.with_findings(loops=Loops())
 
 
 class Pilot:
@@ -178,7 +250,7 @@ class Pilot:
         if blind > 0:
             return MotionCommand()
         plan = self.planner.plan(grid, here, (self.goals[0].x_m, self.goals[0].y_m))
-        return End.STUCK if plan.stuck else plan.command
+        return End.STUCK if plan.reason else plan.command
 
 
 def _scans(scenario: Scenario, vehicle: Vehicle, scans: list[Scan]) -> Iterator[Scan]:

@@ -129,8 +129,7 @@ def disturbance(scenario: Scenario, rng: np.random.Generator, command: MotionCom
 def sweeping(vehicle: Vehicle, here: Pose, spec: LaserSpec) -> Callable[[float], Pose]:
     """Return the laser's pose over a sweep, as the last step goes on: ``here`` is the pose at mid-sweep."""
     period_s, mid_s = vehicle.period_ns * NS, mid_sweep_s(spec)
-    before = vehicle.world_T_base[-2:][0] @ vehicle.base_T_laser
-    step = before.between(here)
+    step = (vehicle.world_T_base[-2:][0] @ vehicle.base_T_laser).between(here)
 
     def at(seconds: float) -> Pose:
         share = (seconds - mid_s) / period_s

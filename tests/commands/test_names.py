@@ -14,7 +14,7 @@ from mavnav.comparison.pipeline import comparison_settings
 from mavnav.config.layers import Layer
 from mavnav.config.loading import load_config
 from mavnav.errors import ConfigError, ExitCode
-from mavnav.simulation.world import load_scenario
+from mavnav.simulation.world.scenario_file import load_scenario
 
 if TYPE_CHECKING:
     from tests.commands.conftest import Mavnav

@@ -27,8 +27,8 @@ from mavnav.config.models import (
     RobustExpert,
 )
 from mavnav.errors import ConfigError
-from mavnav.simulation.world import Scenario, load_scenario, scenario_schema
-from mavnav.simulation.world.scenario import FlightConfig, VehicleConfig
+from mavnav.simulation.world.scenario import FlightConfig, Scenario, VehicleConfig
+from mavnav.simulation.world.scenario_file import load_scenario, scenario_schema
 from mavnav.units import DEG
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from mavnav.ground_truth.references import (
 from mavnav.ground_truth.tables import read_relations, read_trajectory, read_tum
 from mavnav.metrics.reference import Reference
 from mavnav.pose import Pose, Trajectory
-from mavnav.simulation.world import load_scenario
+from mavnav.simulation.world.scenario_file import load_scenario
 from support.map_files import pgm
 
 TUM = (

@@ -10,7 +10,7 @@ import pytest
 from mavnav.mapping.occupancy_grid import Grid, GridBuilder
 from mavnav.metrics.floor_plan import FloorPlan, floor_plan, turn_to_walls
 from mavnav.pose import Pose, transform_points
-from mavnav.simulation.world import World
+from mavnav.simulation.world.geometry import World
 from mavnav.simulation.world.scenario_file import load_scenario
 
 NOISE_M = 0.01

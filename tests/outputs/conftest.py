@@ -110,7 +110,8 @@ def run_of(recorded, poses, cell_m: float = 0.02) -> RunResult:
     log = FabricatedLog(recorded, cleaning={"valid": 600, "zero": 7})
     result = SlamResult(Steps(steps), trajectory, grid, lost)
     typed = Typed(("mavnav", "replay", "room [1].mcap"), folder="/logs")
-    made = provenance("2026-01-31T12:00:00Z", typed, ["mavnav", "replay", "/logs/room [1].mcap"])
+    now = provenance(typed, ["mavnav", "replay", "/logs/room [1].mcap"])
+    made = replace(now, started="2026-01-31T12:00:00Z")
     return RunResult(log, Config(), result, measured, Timing(2.0, 1.5, 0.5, scans_s=(0.125, 0.25, 0.75)), made)
 
 

@@ -18,8 +18,8 @@ from mavnav.outputs.report.page import single
 from mavnav.outputs.run import RunResult
 from mavnav.pipelines.simulate import SimulationRequest, simulate_mission
 from mavnav.pose import Pose
-from mavnav.simulation.world import Scenario, load_scenario
-from mavnav.simulation.world.scenario_file import scenario_path
+from mavnav.simulation.world.scenario import Scenario
+from mavnav.simulation.world.scenario_file import load_scenario, scenario_path
 from mavnav.units import DEG
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ import pytest
 import mavnav as api
 from mavnav.config.loading import load_config
 from mavnav.pipelines.again import earlier_run, replay_again, run_layer, simulation_again
-from mavnav.simulation.world import load_scenario
+from mavnav.simulation.world.scenario_file import load_scenario
 
 SETTINGS = {"robust.expert.truncate_mm": 140, "robust.cell_mm": 25, "paper.expert.shrink": 0.4}
 

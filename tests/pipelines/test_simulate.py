@@ -26,7 +26,8 @@ from mavnav.pipelines.simulate import (
 )
 from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.simulation.mission import Flight, fly
-from mavnav.simulation.world import World, load_scenario
+from mavnav.simulation.world.geometry import World
+from mavnav.simulation.world.scenario_file import load_scenario
 from mavnav.units import DEG
 
 

@@ -14,7 +14,7 @@ from mavnav.scan import Attitude
 from mavnav.simulation.mission import Flight, fly
 from mavnav.simulation.planner.potential_field import MotionCommand
 from mavnav.simulation.vehicle import vehicle_of
-from mavnav.simulation.world import load_scenario
+from mavnav.simulation.world.scenario_file import load_scenario
 from mavnav.units import DEG
 
 if TYPE_CHECKING:

@@ -17,7 +17,8 @@ from mavnav.simulation import mission as flying
 from mavnav.simulation.mission import End, Flight, count_passed, fly
 from mavnav.simulation.planner.potential_field import MotionCommand, Planner
 from mavnav.simulation.vehicle import START_NS, Vehicle, disturbance, sweeping
-from mavnav.simulation.world import Scenario, load_scenario
+from mavnav.simulation.world.scenario import Scenario
+from mavnav.simulation.world.scenario_file import load_scenario
 from mavnav.slam.doubt.judge import RESAMPLED
 from mavnav.units import DEG
 

@@ -9,10 +9,9 @@ import pytest
 
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import Scan
-from mavnav.simulation import navigator as navigation
-from mavnav.simulation.mission import Flight, Pilot, fly
-from mavnav.simulation.navigator import Navigator
-from mavnav.simulation.world import load_scenario
+from mavnav.simulation import mission as flying
+from mavnav.simulation.mission import Flight, Navigator, Pilot, fly
+from mavnav.simulation.world.scenario_file import load_scenario
 from mavnav.slam.loop_closure.detection import rebuild_at
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.steps import tracked_trajectory
@@ -56,8 +55,8 @@ def navigate(flight: Flight) -> tuple[Navigator, list[Step]]:
 def test_a_vehicle_goes_on_at_the_pose_and_in_the_map_that_its_loops_correct(monkeypatch: pytest.MonkeyPatch) -> None:
     flight = fly(load_scenario("corner"))
     without, before = navigate(flight)
-    monkeypatch.setattr(navigation, "LOOP_M", 0.6 * tracked_trajectory(without.steps).length_m)
-    monkeypatch.setattr(navigation, "close_loops", turn)
+    monkeypatch.setattr(flying, "LOOP_M", 0.6 * tracked_trajectory(without.flown.steps).length_m)
+    monkeypatch.setattr(flying, "close_loops", turn)
     navigator, after = navigate(flight)
     moved = [b.match.map_T_laser.gap(a.match.map_T_laser) > (0.0, 0.0) for a, b in zip(before, after, strict=True)]
     turned = moved.index(True)
@@ -67,10 +66,10 @@ def test_a_vehicle_goes_on_at_the_pose_and_in_the_map_that_its_loops_correct(mon
         off_m, off_rad = (CORRECTION @ a.match.map_T_laser).gap(b.match.map_T_laser)
         assert off_m < 0.02
         assert off_rad < 0.5 * DEG
-    corrected = (CORRECTION @ before[5].match.map_T_laser).gap(navigator.steps[5].match.map_T_laser)
+    corrected = (CORRECTION @ before[5].match.map_T_laser).gap(navigator.flown.steps[5].match.map_T_laser)
     assert corrected == pytest.approx((0.0, 0.0), abs=1e-9)
-    assert navigator.obstacles is navigator.flown.method.grid
-    assert navigator.obstacles is not without.obstacles
+    assert navigator.obstacles.grid is navigator.flown.method.grid
+    assert navigator.obstacles.grid is not without.obstacles.grid
 
 
 def test_loops_are_sought_once_in_a_length_of_path(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -80,10 +79,10 @@ def test_loops_are_sought_once_in_a_length_of_path(monkeypatch: pytest.MonkeyPat
         scans_then.append(len(track.steps))
         return track
 
-    monkeypatch.setattr(navigation, "LOOP_M", 1.0)
-    monkeypatch.setattr(navigation, "close_loops", note)
+    monkeypatch.setattr(flying, "LOOP_M", 1.0)
+    monkeypatch.setattr(flying, "close_loops", note)
     navigator, _ = navigate(flight)
-    path = tracked_trajectory(navigator.steps)
+    path = tracked_trajectory(navigator.flown.steps)
     lengths_m = [Trajectory(path.stamps_ns[:n], path.xyyaw[:n]).length_m for n in (1, *scans_then)]
     assert len(scans_then) >= 3
     assert all(1.0 <= b - a < 1.3 for a, b in pairwise(lengths_m))

@@ -134,7 +134,7 @@ def test_a_goal_behind_closed_walls_is_given_up_in_words(technique: str, reason:
 def test_wavefront_looks_round_before_it_gives_up() -> None:
     flight = fly(CLOSED)
     turned = sum(plan.command.dyaw_rad for plan in flight.plans)
-    assert flight.plans[-1].stuck
+    assert flight.plans[-1].reason
     assert turned >= 2 * np.pi - 1e-9
     assert flight.length_m == 0
 
@@ -229,16 +229,16 @@ def test_an_empty_map_and_a_goal_at_hand_are_no_trouble() -> None:
         assert plan.command.dx_m > 0
         there = Planner(PlannerConfig(technique=technique)).plan(GridBuilder(0.02), Pose(2.0, 0.0, 0.0), (2.0, 0.0))
         assert there.command == MotionCommand()
-        assert not there.stuck
+        assert not there.reason
 
 
 def test_a_new_goal_begins_a_new_memory() -> None:
     grid, planner = grid_of(CLOSED.walls), Planner(PlannerConfig())
     pose = CLOSED.start
-    while not planner.plan(grid, pose, CLOSED.goal_m).stuck:
+    while not planner.plan(grid, pose, CLOSED.goal_m).reason:
         pass
     plan = planner.plan(grid, pose, (3.0, 1.5))
-    assert not plan.stuck
+    assert not plan.reason
     assert plan.command.dx_m > 0
 
 

@@ -110,7 +110,7 @@ def fly(
         if not known:
             insert_scan(grid, world.walls, pose, rng, 0.015 if noisy else 0.0)
         plans.append(planner.plan(grid, pose, world.goal_m))
-        if plans[-1].stuck:
+        if plans[-1].reason:
             break
         c = plans[-1].command
         shake = rng.standard_normal(3) * (0.02, 0.02, 5 * synthetic.DEG) if noisy else np.zeros(3)

@@ -38,13 +38,12 @@ class Typed(Struct, frozen=True):
     folder: str | None = field(default_factory=_folder)
 
 
-def utc_now() -> str:
-    """Return the time as ISO 8601, in UTC, to the second: ``2026-01-31T12:00:00Z``."""
-    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+def provenance(typed: Typed, again: Sequence[str], options: Options | None = None) -> Provenance:
+    """Describe a run that starts now; ``again`` are the words of a command line that repeats it.
 
-
-def provenance(started: str, typed: Typed, again: Sequence[str], options: Options | None = None) -> Provenance:
-    """Describe a run that was ``started`` at a time; ``again`` are the words of a command line that repeats it."""
+    The time is ISO 8601, in UTC, to the second: ``2026-01-31T12:00:00Z``.
+    """
+    started = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     command = shell_line(typed.words) if typed.words else None
     return Provenance(started, command, shell_line(again), typed.folder, options, host())
 

@@ -170,8 +170,6 @@ def ranked_values(quantity: Quantity, runs: Sequence[Run | None]) -> dict[int, f
 
 
 def _best(quantity: Quantity, values: dict[int, float]) -> list[int]:
-    if len(values) < 2:
-        return []
     top = max(values.values(), key=lambda value: quantity.better * value, default=0.0)
     best = [k for k, value in values.items() if quantity.same(value, top)]
     return best if len(best) < len(values) else []

@@ -99,11 +99,8 @@ def _keys(node: Schema, name: str = "") -> Iterator[tuple[str, Schema]]:
 def number_names(*, reference: bool = False) -> list[str]:
     """Return the names of the numbers and truth values of a replay's run.json, with those of references if asked."""
     sections = {*run_schema()["required"], *OF_MAP, *(["reference"] if reference else [])}
-    return [
-        name
-        for name, node in run_keys().items()
-        if name.partition(".")[0] in sections and (_is_number(node) or node.get("type") == "boolean")
-    ]
+    keys = {name: node for name, node in run_keys().items() if name.partition(".")[0] in sections}
+    return [name for name, node in keys.items() if _is_number(node) or node.get("type") == "boolean"]
 
 
 def number_schema(name: str) -> Schema:

@@ -142,10 +142,8 @@ def _lost(run: Run) -> Cause:
     since = _since(tracking["intervals"])
     if known := run.get("localisation"):
         another = "another" if known["start_pose"] else "a"
-        return (
-            f"the laser was lost in the map{since}, {poses}",
-            f"check that the map is of this place; give {another} --start-pose",
-        )
+        advice = f"check that the map is of this place; give {another} --start-pose"
+        return f"the laser was lost in the map{since}, {poses}", advice
     beams = _usable_beams(run)
     if beams < FEW_BEAMS:
         seen = f"the scans see too little to be matched ({pluralize(round(beams), 'usable beam')} in the median)"
@@ -189,9 +187,8 @@ def _without_changes(run: Run) -> str:
         return LOOK
     usual = by_dotted_key(load_config(None, [], {"method": method}).document())
     used = by_dotted_key({method: run["config"].get(method, {})})
-    names = [
-        name for name, value in used.items() if value != usual.get(name, value) and not _is_looser(name, value, usual)
-    ]
+    changed = [name for name, value in used.items() if value != usual.get(name, value)]
+    names = [name for name in changed if not _is_looser(name, used[name], usual)]
     named = ", ".join(f"{name}={used[name]} (default {usual[name]})" for name in names[:MOST_NAMED])
     return named and f"leave out {named}"
 
@@ -285,10 +282,8 @@ def _left_out(run: Run) -> Cause:
     start_s, end_s = floor(100.0 * from_s) / 100.0, ceil(100.0 * to_s) / 100.0
     which, are = ("it", "is") if len(parts) == 1 else ("the first", "are")
     scans = pluralize(sum(part["scans"] for part in parts), "scan")
-    return (
-        f"{pluralize(len(parts), 'part')} of the log, {scans}, {are} not in the map",
-        f"replay {which} alone with --start {start_s:.2f} --end {end_s:.2f}",
-    )
+    advice = f"replay {which} alone with --start {start_s:.2f} --end {end_s:.2f}"
+    return f"{pluralize(len(parts), 'part')} of the log, {scans}, {are} not in the map", advice
 
 
 def _meaningless(run: Run) -> Cause:

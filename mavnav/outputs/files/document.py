@@ -219,12 +219,8 @@ def _refusals(steps: Steps) -> list[model.Refusals]:
         "share": steps.column("inliers"),
         "beams": steps.column("beams_used"),
     }
-    of_rule = ((rule, value[rules == rule]) for rule, value in values.items())
-    return [
-        model.Refusals(rule, len(value), abs(float(np.median(value))), abs(float(value.min())))
-        for rule, value in of_rule
-        if len(value)
-    ]
+    of_rule = ((rule, value[rules == rule]) for rule, value in values.items() if (rules == rule).any())
+    return [model.Refusals(rule, len(v), abs(float(np.median(v))), abs(float(v.min()))) for rule, v in of_rule]
 
 
 def _tracking(slam: SlamResult, log: Log, config: Config) -> sections.Tracking:

@@ -143,10 +143,9 @@ class MergeRecord(Struct, frozen=True):
     @property
     def stored_sessions(self) -> list[Stored]:
         """The sessions in the map, in the order in which they were added."""
-        joined = [
-            (each.name, bool(each.tracking and each.tracking.is_doubtful)) for each in self.sessions if each.joined
-        ]
-        return [Stored(name, *session_files(name), doubtful) for name, doubtful in joined]
+        joined = [each for each in self.sessions if each.joined]
+        doubtful = [bool(each.tracking and each.tracking.is_doubtful) for each in joined]
+        return [Stored(s.name, *session_files(s.name), doubt) for s, doubt in zip(joined, doubtful, strict=True)]
 
 
 class RunRecord(Struct, frozen=True):

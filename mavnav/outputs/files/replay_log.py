@@ -20,11 +20,12 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from mavnav.kernels.maps.hits import show_ends
 from mavnav.logs.messages import cdr, definitions
 from mavnav.logs.messages.cdr import LINE_LIST, LINE_STRIP, TEXT, Marker
 from mavnav.logs.records import AttachedFile, MetadataRecord
 from mavnav.logs.writing.mcap_writer import OutputChannel, write_serialized
-from mavnav.mapping.occupancy_grid import UNKNOWN, Grid, show_ends
+from mavnav.mapping.occupancy_grid import UNKNOWN, Grid
 from mavnav.mapping.tiled_arrays import max_pool
 from mavnav.metrics.ghost_walls import GhostWall
 from mavnav.outputs.files.document import document_without_cost, plain, plain_json, to_json
@@ -143,7 +144,8 @@ class _GrowingMap:
 
     def add(self, scan: Scan, map_T_laser: Pose) -> bool:
         """Show what a scan saw; return whether it is time to publish."""
-        show_ends(scan.ranges_m, scan.spec.directions, map_T_laser, self.grid, self.finished, self.cells)
+        laser, lattice = map_T_laser.as_array(), self.grid.lattice
+        show_ends(scan.ranges_m, scan.spec.directions, laser, lattice, self.finished, self.cells)
         if self._period_ns is None or scan.stamp_ns < self._next_ns:
             return False
         self._next_ns = scan.stamp_ns + self._period_ns
@@ -201,11 +203,8 @@ def _metadata(run: RunResult) -> dict[str, str]:
 def markers_of(run: RunResult) -> list[Marker]:
     """Return the markers of a run, in the map frame."""
     ghosts = run.measures.quality.ghost_walls.places
-    return [
-        *(m for k, ghost in enumerate(ghosts) for m in _ghost(k, ghost)),
-        *_lost_markers(run),
-        *(Marker("doubtful", k, LINE_STRIP, xy, WIDTH_M, ORANGE) for k, xy in enumerate(doubtful_parts(run.slam))),
-    ]
+    doubtful = [Marker("doubtful", k, LINE_STRIP, xy, WIDTH_M, ORANGE) for k, xy in enumerate(doubtful_parts(run.slam))]
+    return [*(m for k, ghost in enumerate(ghosts) for m in _ghost(k, ghost)), *_lost_markers(run), *doubtful]
 
 
 def _ghost(number: int, ghost: GhostWall) -> tuple[Marker, Marker]:
@@ -214,10 +213,8 @@ def _ghost(number: int, ghost: GhostWall) -> tuple[Marker, Marker]:
     middle = np.array((ghost.x_m, ghost.y_m))
     front = middle + 0.5 * ghost.length_m * np.array(((-c, -s), (c, s)))
     text = f"ghost wall, {ghost.offset_mm:.0f} mm apart"
-    return (
-        Marker("ghost wall", 2 * number, LINE_LIST, front, WIDTH_M, MAGENTA),
-        Marker("ghost wall", 2 * number + 1, TEXT, middle[None], LETTERS_M, MAGENTA, text),
-    )
+    line = Marker("ghost wall", 2 * number, LINE_LIST, front, WIDTH_M, MAGENTA)
+    return line, Marker("ghost wall", 2 * number + 1, TEXT, middle[None], LETTERS_M, MAGENTA, text)
 
 
 def _lost_markers(run: RunResult) -> list[Marker]:

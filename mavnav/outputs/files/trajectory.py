@@ -13,7 +13,7 @@ import numpy as np
 
 from mavnav.logs.messages import cdr, definitions
 from mavnav.logs.writing.mcap_writer import OutputChannel, write_serialized
-from mavnav.outputs.run import RunResult, Walls, half_sweep_s
+from mavnav.outputs.run import RunResult, Walls, half_sweep_s, needed
 from mavnav.pose import Trajectory, correct_path
 from mavnav.scan import Scan
 from mavnav.slam.findings import Edge
@@ -46,16 +46,13 @@ def write_tum(run: RunResult, path: Path) -> None:
 
 def write_base_tum(run: RunResult, path: Path) -> None:
     """Write map_T_base; raises ValueError where the run does not know the mounting."""
-    if (map_T_base := run.map_T_base) is None:
-        raise ValueError("the laser's mounting is not known")
-    write_poses(map_T_base, path)
+    write_poses(run.slam.path.compose(needed(run.log.base_T_laser, "the laser's mounting").inverse()), path)
 
 
 def write_truth_tum(run: RunResult, path: Path) -> None:
     """Write the true map_T_laser of every scan with the time of it; raises ValueError where the run is no mission."""
-    if run.truth is None:
-        raise ValueError("the truth is not known")
-    write_poses(correct_path(run.truth.map_T_laser, round(half_sweep_s(run.log, run.slam) / NS)), path)
+    truth = needed(run.truth, "the truth")
+    write_poses(correct_path(truth.map_T_laser, round(half_sweep_s(run.log, run.slam) / NS)), path)
 
 
 def write_true_walls(run: RunResult, path: Path) -> None:
@@ -124,9 +121,8 @@ def write_csv(run: RunResult, path: Path) -> None:
 
 def _csv_row(pose_and_error: Sequence[float], index: int, stamp_ns: int, *values: Any) -> tuple[object, ...]:  # noqa: ANN401
     """Return a row of the table, of x, y, yaw and position error, and what is known of the scan."""
-    cost_m2, beams, inliers, evaluations, iterations, *flags, threshold_m2, rule, doubtful, covariance, attitude = (
-        values
-    )
+    cost_m2, beams, inliers, evaluations, iterations, *flags = values[:-5]
+    threshold_m2, rule, doubtful, covariance, attitude = values[-5:]
     *pose, error_m = pose_and_error
     return (
         *(index, seconds(stamp_ns), *(_field(value, "z.9f") for value in pose)),
@@ -147,8 +143,7 @@ def write_graph(run: RunResult, path: Path) -> None:
 
     A vertex is numbered as its scan in trajectory.csv, at its final pose. Raises ValueError if no loops were searched.
     """
-    if (graph := run.slam.loops.graph) is None:
-        raise ValueError("no loops were looked for")
+    graph = needed(run.slam.loops.graph, "the pose graph")
     numbers, rows = run.slam.steps.column("index")[run.slam.steps.column("tracked")], list(graph.rows)
     names, poses = numbers[rows].tolist(), run.slam.trajectory.xyyaw[rows].tolist()
     lines = [f"VERTEX_SE2 {k} {x:z.9f} {y:z.9f} {yaw:z.9f}\n" for k, (x, y, yaw) in zip(names, poses, strict=True)]

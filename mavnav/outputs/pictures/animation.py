@@ -17,8 +17,9 @@ from mavnav.mapping.occupancy_grid import known_area
 from mavnav.metrics.journey import spread
 from mavnav.outputs.directory import check_file, write_file
 from mavnav.outputs.files.replay_log import placed_scans
+from mavnav.outputs.pictures.canvas import GOAL_RED, POSE_MAGENTA, START_BLUE
+from mavnav.outputs.pictures.map_axes import Viewport, wall_lines, window_of
 from mavnav.outputs.pictures.map_picture import points_to_show
-from mavnav.outputs.pictures.viewport import GOAL_RED, POSE_MAGENTA, START_BLUE, Viewport, wall_lines, window_of
 from mavnav.outputs.run import RunResult, Truth
 from mavnav.pose import Pose, transform_points
 from mavnav.units import DEG, NS
@@ -92,8 +93,7 @@ def _frames(run: RunResult) -> Iterator[Image.Image]:
     """Draw a frame at up to `MAX_FRAMES` of the tracked scans, evenly spread; the last one is the end."""
     window = window_of(known_area(run.slam.grid), points_to_show(run))
     canvas = _Raster(window, max(window.size_m) / LONGEST_PIXELS)
-    count = len(run.slam.trajectory)
-    shown = set(spread(count, MAX_FRAMES).tolist())
+    shown = set(spread(len(run.slam.trajectory), MAX_FRAMES).tolist())
     poses: list[tuple[int, Pose]] = []
     for k, (scan, map_T_laser) in enumerate(placed_scans(run)):
         poses.append((scan.stamp_ns, map_T_laser))

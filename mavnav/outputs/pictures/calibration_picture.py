@@ -10,9 +10,8 @@ import numpy as np
 
 from mavnav.metrics.calibration.motion import Array, Motions
 from mavnav.metrics.calibration.solve import Estimate
-from mavnav.outputs.pictures.canvas import Canvas, stroke
+from mavnav.outputs.pictures.canvas import INK, MEASURED_BLUE, TRUE_ORANGE, Canvas, stroke
 from mavnav.outputs.pictures.plot import Axes, Style, label_ticks, legend, legend_width, ticks
-from mavnav.outputs.pictures.viewport import INK, MEASURED_BLUE, TRUE_ORANGE
 from mavnav.units import DEG, MM
 
 WIDTH, HEIGHT, LEFT, RIGHT = 1500, 1080, 110, 30
@@ -27,11 +26,9 @@ FORWARD, LATERAL, YAW = Style("#009e73", "x", _pen), Style("#cc79a7", "y", _pen)
 def write(motions: Motions, fit: Estimate, title: str, path: Path) -> None:
     """Draw the turn rates and the errors of the steps; the file is a PNG."""
     motions = motions.mirror() if fit.mirrored else motions
-    seconds, elapsed_s = fit.seconds, np.diff(motions.laser_s)
-    laser, odometry = (
-        steps.turned[motions.linked] / elapsed_s[motions.linked] / DEG
-        for steps in (motions.laser_steps(), motions.predicted_steps(fit.values))
-    )
+    seconds, elapsed_s = fit.seconds, np.diff(motions.laser_s)[motions.linked]
+    laser = motions.laser_steps().turned[motions.linked] / elapsed_s / DEG
+    odometry = motions.predicted_steps(fit.values).turned[motions.linked] / elapsed_s / DEG
     errors = fit.errors / (MM, MM, DEG)
     canvas = Canvas.of(WIDTH, HEIGHT)
     canvas.text((WIDTH / 2, 24), title, 10.0, INK, bold=True)

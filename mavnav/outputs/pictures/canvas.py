@@ -19,13 +19,18 @@ from msgspec import Struct
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from mavnav.outputs.pictures.viewport import DPI, INK
-
 Box = tuple[int, int, int, int]
 """Left, top, right and bottom."""
 Points = list[tuple[float, float]]
 
+START_BLUE, GOAL_RED, POSE_MAGENTA, TRUE_ORANGE = "#0033ff", "#e00000", "#d6009a", "#ff6a00"
+MEASURED_BLUE = "#0077bb"
+DOUBT_RED = "#d62728"
+INK, MUTED, FREE_GREY, WALL_GREY, PATH_GREY = "#222222", "#666666", "#eef1f4", "#b9bec4", "#8a929a"
+"""Colours of all pictures."""
+
 FONTS: Final = Path(__file__).parent / "fonts"
+DPI: Final = 150
 SMOOTH: Final = 2
 """Lines are drawn on a mask so many times as large, which is then reduced: so their edges are smooth."""
 POINT: Final = DPI / 72.0  # pixels
@@ -95,9 +100,7 @@ class Canvas(Struct, frozen=True):
         """Draw a rectangle with the pixels at its ends."""
         left, top, right, bottom = (v * self.density for v in box)
         last = self.density - 1
-        self.draw.rectangle(
-            (left, top, right + last, bottom + last), fill=fill, outline=outline, width=width * self.density
-        )
+        self.draw.rectangle((left, top, right + last, bottom + last), fill, outline, width * self.density)
 
     def text(
         self, xy: tuple[float, float], text: str, size_pt: float = 8.0, colour: str = INK, anchor: str = "mm",

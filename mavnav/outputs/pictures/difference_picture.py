@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from mavnav.mapping.occupancy_grid import Grid
 from mavnav.metrics.map_difference import Change, Difference, View
 from mavnav.outputs.pictures import map_axes
-from mavnav.outputs.pictures.canvas import rgb_of
+from mavnav.outputs.pictures.canvas import FREE_GREY, INK, rgb_of
 from mavnav.outputs.pictures.plot import Area, Axes, Mark, circle, cross
-from mavnav.outputs.pictures.viewport import FREE_GREY, INK, window_around
 from mavnav.pose import Pose, transform_points
 
 WALL, GONE, NEW = "#8a929a", "#d55e00", "#0072b2"
@@ -42,7 +41,7 @@ def write(a: View, b: View, a_T_b: Pose, difference: Difference, title: str, pat
         GONE_CELL: difference.gone_xy_m,
         NEW_CELL: difference.new_xy_m,
     }
-    window = window_around(layers[WALL_CELL], least_margin_m=5 * a.grid.cell_m)
+    window = map_axes.window_around(layers[WALL_CELL], least_margin_m=5 * a.grid.cell_m)
     axes = map_axes.framed_map(window, 7.5, MARGINS, least=(700, 420))
     grid, cells = _raster(layers, max(a.grid.cell_m, b.grid.cell_m))
     map_axes.draw_cells(axes, grid, cells, lambda values: _COLOURS[values])

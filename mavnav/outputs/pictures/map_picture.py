@@ -16,14 +16,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from mavnav.metrics.wall_spread import WallSpread
 from mavnav.outputs.documents.verdict import Verdict
 from mavnav.outputs.files.document import run_verdict
 from mavnav.outputs.files.gridmap import GridMap
-from mavnav.outputs.pictures import map_axes, viewport
+from mavnav.outputs.pictures import canvas, map_axes
 from mavnav.outputs.pictures.canvas import stroke
 from mavnav.outputs.pictures.plot import Axes, Mark, Sign, Style, arrow, circle, legend_room
-from mavnav.outputs.run import RunResult, Truth
+from mavnav.outputs.run import RunResult, Truth, needed
 from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.slam.result import doubtful_parts, parts_of_path
 from mavnav.units import MM, pluralize
@@ -44,10 +43,10 @@ LONG_PATH: Final = Style(map_axes.POSE.colour, "estimated path", partial(stroke,
 def write(run: RunResult, path: Path) -> None:
     """Draw the map of a run."""
     trajectory = run.slam.trajectory
-    window = viewport.window_of(run.known, points_to_show(run), run.turn_rad)
+    window = map_axes.window_of(run.known, points_to_show(run), run.turn_rad)
     some = thin_path(trajectory.xyyaw[:, :2], CIRCLE_SPACING * max(window.size_m))
     line, circles = (PATH, some) if len(some) <= MOST_CIRCLES else (LONG_PATH, some[:0])
-    ends = _ends(run, trajectory.stamps_ns[some].tolist())
+    ends = end_marks(run, trajectory.stamps_ns[some].tolist())
     shown = (len(trajectory), run.slam.loops.closed, run.true_walls, doubtful_parts(run.slam))
     signs = (map_axes.POSE if len(circles) else line, map_axes.LOOP, map_axes.TRUE_WALL, map_axes.DOUBTFUL)
     named: list[Sign] = [*compress(signs, shown), *(mark for mark, _ in ends), *map_axes.KNOWN]
@@ -56,7 +55,7 @@ def write(run: RunResult, path: Path) -> None:
     axes.lines(line, parts_of_path(run.slam))
     axes.lines(map_axes.LOOP, [trajectory.xyyaw[[loop.start, loop.end], :2] for loop in run.slam.loops.closed])
     if run.true_walls:
-        axes.lines(map_axes.TRUE_WALL, viewport.wall_lines(run.true_walls))
+        axes.lines(map_axes.TRUE_WALL, map_axes.wall_lines(run.true_walls))
     axes.mark(map_axes.POSE, trajectory.xyyaw[circles, :2])
     axes.lines(map_axes.DOUBTFUL, doubtful_parts(run.slam))
     for mark, xy_m in ends:
@@ -67,28 +66,19 @@ def write(run: RunResult, path: Path) -> None:
 def points_to_show(run: RunResult) -> NDArray[np.float64]:
     """Return the points (n, 2) that the picture has to show besides the map."""
     xy_m, truth = run.slam.trajectory.xyyaw[:, :2], run.truth
-    walls = viewport.wall_lines(run.true_walls) if run.true_walls else []
+    walls = map_axes.wall_lines(run.true_walls) if run.true_walls else []
     mission = () if truth is None else (truth.map_T_laser.xyyaw[:, :2], [truth.goal_xy_map_m])
     return np.vstack((xy_m, *mission, *walls))
 
 
-def _ends(run: RunResult, stamps_ns: list[int]) -> list[tuple[Mark, NDArray[np.float64]]]:
+def end_marks(run: RunResult, stamps_ns: list[int]) -> list[tuple[Mark, NDArray[np.float64]]]:
     """Mark start and end; where the truth is known the true poses at the stamps of the circles, start and goal."""
-    xy_m = run.slam.trajectory.xyyaw[:, :2]
-    if run.truth is not None:
-        return truth_marks(run.truth, stamps_ns)
-    return [(map_axes.START, xy_m[:1]), (map_axes.END, xy_m[-1:])] if len(xy_m) else []
-
-
-def truth_marks(truth: Truth, stamps_ns: list[int]) -> list[tuple[Mark, NDArray[np.float64]]]:
-    """Mark the true poses at the stamps, the true start and the goal."""
-    xy_m = truth.map_T_laser.xyyaw[:, :2]
-    at = np.isin(truth.map_T_laser.stamps_ns, stamps_ns)
-    return [
-        (map_axes.TRUE_POSE, xy_m[at]),
-        (map_axes.START, xy_m[:1]),
-        (map_axes.GOAL, np.array([truth.goal_xy_map_m])),
-    ]
+    if (truth := run.truth) is None:
+        xy_m = run.slam.trajectory.xyyaw[:, :2]
+        return [(map_axes.START, xy_m[:1]), (map_axes.END, xy_m[-1:])] if len(xy_m) else []
+    xy_m, at = truth.map_T_laser.xyyaw[:, :2], np.isin(truth.map_T_laser.stamps_ns, stamps_ns)
+    goal_xy_m = np.array([truth.goal_xy_map_m])
+    return [(map_axes.TRUE_POSE, xy_m[at]), (map_axes.START, xy_m[:1]), (map_axes.GOAL, goal_xy_m)]
 
 
 def thin_path(xy_m: NDArray[np.float64], spacing_m: float) -> NDArray[np.intp]:
@@ -106,22 +96,16 @@ def _subtitle(run: RunResult) -> str:
     cell_mm = run.slam.grid.cell_m / MM
     search = f"method {config.method}, {config.azimuth} yaw samples, search grid {config.grid}"
     how = f"{f'poses of {run.external.name}' if run.external else search}, cell {cell_mm:g} mm"
-    walls = "" if run.measures.cuts is None else f", {thickness_text(run.walls.spread)}"
-    return f"{how}\n{scans}{walls}"
+    if run.measures.cuts is None:
+        return f"{how}\n{scans}"
+    spread = run.walls.spread
+    thickness = f"wall thickness median {spread.median_mm:.0f} mm, p95 {spread.p95_mm:.0f} mm"
+    return f"{how}\n{scans}, {thickness if spread.length_m else 'no straight wall to measure'}"
 
 
-def thickness_text(spread: WallSpread) -> str:
-    """Return the wall thickness as text."""
-    if not spread.length_m:
-        return "no straight wall to measure"
-    return f"wall thickness median {spread.median_mm:.0f} mm, p95 {spread.p95_mm:.0f} mm"
-
-
-def write_merged(
-    drawn: GridMap, paths: dict[str, Trajectory], verdict: Verdict, path: Path, turn_rad: float = 0.0
-) -> None:
+def write_merged(drawn: GridMap, paths: dict[str, Trajectory], verdict: Verdict, path: Path, turn_rad: float) -> None:
     """Draw the map of several sessions, turned, with its verdict, and map_T_laser of each by its name."""
-    window = viewport.window_of(drawn.known, np.concatenate([poses.xyyaw[:, :2] for poses in paths.values()]), turn_rad)
+    window = map_axes.window_of(drawn.known, np.concatenate([poses.xyyaw[:, :2] for poses in paths.values()]), turn_rad)
     axes = map_axes.framed_map(window, 7.5, map_axes.JUDGED_MARGINS, least=(960, 420))
     map_axes.draw_counts(axes, drawn.known, drawn.cells)
     pen, colours = partial(stroke, width_pt=1.2), cycle(SESSION_COLOURS)
@@ -141,22 +125,21 @@ LEAST_SHARE: Final = 0.4
 ARROW_SHARE: Final = 0.07
 """Length of the heading's arrow, of the picture's longer side."""
 
-WALL: Final = Style(viewport.INK, "wall", partial(stroke, width_pt=1.8))
-TRUE_PATH: Final = Style(viewport.PATH_GREY, "", partial(stroke, width_pt=0.9))
-HEADING: Final = Style(viewport.POSE_MAGENTA, "", partial(stroke, width_pt=1.8))
-FIRST_HEADING: Final = Mark(viewport.POSE_MAGENTA, "heading at the start", partial(arrow, size_pt=15.0, width_pt=1.8))
-ON_PATH: Final = Mark(viewport.PATH_GREY, "true path", partial(circle, size_pt=2.4, width_pt=1.2))
+WALL: Final = Style(canvas.INK, "wall", partial(stroke, width_pt=1.8))
+TRUE_PATH: Final = Style(canvas.PATH_GREY, "", partial(stroke, width_pt=0.9))
+HEADING: Final = Style(canvas.POSE_MAGENTA, "", partial(stroke, width_pt=1.8))
+FIRST_HEADING: Final = Mark(canvas.POSE_MAGENTA, "heading at the start", partial(arrow, size_pt=15.0, width_pt=1.8))
+ON_PATH: Final = Mark(canvas.PATH_GREY, "true path", partial(circle, size_pt=2.4, width_pt=1.2))
 
 
 def write_true_map(run: RunResult, path: Path) -> None:
     """Draw the truth of a mission; the run must have one."""
-    if (truth := run.truth) is None:
-        raise ValueError("the truth is not known")
+    truth = needed(run.truth, "the truth")
     measured = [map_axes.MEASURED_WALL] if truth.measured_by_hand else []
     named: list[Sign] = [WALL, *measured, ON_PATH, map_axes.START, FIRST_HEADING, map_axes.GOAL]
-    points = np.vstack((truth.map_T_laser.xyyaw[:, :2], [truth.goal_xy_map_m], *viewport.wall_lines(truth)))
+    points = np.vstack((truth.map_T_laser.xyyaw[:, :2], [truth.goal_xy_map_m], *map_axes.wall_lines(truth)))
     points = transform_points(Pose(yaw_rad=run.turn_rad), points)
-    window = viewport.window_around(points, 0.1, run.turn_rad).widen(LEAST_SHARE)
+    window = map_axes.window_around(points, 0.1, run.turn_rad).widen(LEAST_SHARE)
     axes = map_axes.framed_map(window, 7.0, TRUTH_MARGINS, least=(legend_room(named), 0))
     _draw_truth(axes, truth)
     map_axes.finish(axes, named, f"{run.name}: the true map", _truth_subtitle(truth), path, about_y=62)
@@ -164,9 +147,9 @@ def write_true_map(run: RunResult, path: Path) -> None:
 
 def _draw_truth(axes: Axes, truth: Truth) -> None:
     xy_m = truth.map_T_laser.xyyaw[:, :2]
-    axes.lines(WALL, viewport.wall_lines(truth))
+    axes.lines(WALL, map_axes.wall_lines(truth))
     if truth.measured_by_hand:
-        axes.lines(map_axes.MEASURED_WALL, viewport.wall_lines(truth.measured_by_hand))
+        axes.lines(map_axes.MEASURED_WALL, map_axes.wall_lines(truth.measured_by_hand))
     axes.lines(TRUE_PATH, [xy_m])
     axes.mark(ON_PATH, xy_m)
     _draw_heading(axes, truth)

@@ -13,8 +13,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from mavnav.outputs.pictures.canvas import POINT, SMOOTH, Box, Canvas, Points, font, on_mask
-from mavnav.outputs.pictures.viewport import INK, MUTED
+from mavnav.outputs.pictures.canvas import INK, MUTED, POINT, SMOOTH, Box, Canvas, Points, font, on_mask
 from mavnav.pose import Pose, transform_points
 
 XY = NDArray[np.float64]
@@ -62,8 +61,7 @@ class Axes(Struct, frozen=True):
 
     def to_mask(self, xy: XY, box: Box) -> Points:
         """Bring points (n, 2) to pixels of the mask over a box."""
-        on_mask_xy = (self.to_canvas(xy) - box[:2]) * SMOOTH
-        return [(x, y) for x, y in on_mask_xy.tolist()]
+        return [(x, y) for x, y in ((self.to_canvas(xy) - box[:2]) * SMOOTH).tolist()]
 
     def _ink_box(self, parts: list[XY]) -> Box | None:
         """Return the part of the box that lines or marks at points (n, 2) may reach; None where there is nothing."""

@@ -12,16 +12,14 @@ from typing import Any, Final
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw
 
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, occupancy
 from mavnav.mapping.slices import Slices
 from mavnav.mapping.tiled_arrays import max_pool
-from mavnav.outputs.pictures.canvas import SMOOTH, Canvas, ramp, rgb_of, stroke
+from mavnav.outputs.pictures.canvas import FREE_GREY, INK, MUTED, POSE_MAGENTA, SMOOTH, Canvas, ramp, rgb_of, stroke
 from mavnav.outputs.pictures.map_axes import END, START
 from mavnav.outputs.pictures.plot import Style, centred_legend, heading, stamp
-from mavnav.outputs.pictures.viewport import FREE_GREY, INK, MUTED, POSE_MAGENTA
-from mavnav.outputs.run import RunResult
+from mavnav.outputs.run import RunResult, needed
 
 Floats = NDArray[np.float64]
 
@@ -73,21 +71,19 @@ def _project(xyz_m: Floats) -> tuple[Floats, Floats]:
 
 def write(run: RunResult, path: Path) -> None:
     """Draw the slices of a run that has some."""
-    if run.slices is None:
-        raise ValueError(run.name)
-    blocks = _blocks(run.slices)
+    slices = needed(run.slices, "the map by height")
+    blocks = _blocks(slices)
     view, size = _fit_view(blocks)
-    image = Image.new("RGB", size, "white")
-    draw = ImageDraw.Draw(image)
-    _draw_floor(draw, view, blocks)
-    _draw_columns(draw, view, blocks)
-    _draw_path(draw, view, run.slices.path_m)
-    drawn = image.reduce(SMOOTH)
+    enlarged = Canvas.of(*size)
+    _draw_floor(enlarged.draw, view, blocks)
+    _draw_columns(enlarged.draw, view, blocks)
+    _draw_path(enlarged.draw, view, slices.path_m)
+    drawn = enlarged.image.reduce(SMOOTH)
     canvas = Canvas.of(drawn.width + SCALE, drawn.height + TITLE + MARGIN)
     canvas.image.paste(drawn, (MARGIN // 2, TITLE))
     _draw_scale(canvas, blocks.levels_m)
-    _mark_ends(canvas, view, run.slices.path_m)
-    heading(canvas, run.name, _subtitle(run.slices))
+    _mark_ends(canvas, view, slices.path_m)
+    heading(canvas, run.name, _subtitle(slices))
     canvas.save(path)
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mavnav.errors import UsageError
 from mavnav.mapping.occupancy_grid import OCCUPIED
 from mavnav.metrics.floor_plan import FloorPlan
-from mavnav.outputs.pictures.viewport import GOAL_RED, INK, MUTED, POSE_MAGENTA, START_BLUE
+from mavnav.outputs.pictures.canvas import GOAL_RED, INK, MUTED, POSE_MAGENTA, START_BLUE
 from mavnav.outputs.run import RunResult
 from mavnav.slam.result import parts_of_path
 
@@ -39,11 +39,6 @@ def _template(name: str) -> str:
 
 def write(run: RunResult, path: Path) -> None:
     """Write the known part of the map, with one unit a cell, y upwards on the screen."""
-    path.write_text(svg(run), encoding="utf-8", errors="backslashreplace")
-
-
-def svg(run: RunResult) -> str:
-    """Return the picture."""
     grid, cells = run.known, run.cells[::-1] == OCCUPIED
     rows, cols = cells.shape
     letters = max(LEAST_LETTERS, LETTERS_SHARE * max(rows, cols))
@@ -52,13 +47,14 @@ def svg(run: RunResult) -> str:
     xy = [_on_picture(part, run) for part in parts_of_path(run.slam) if len(part)]
     bar_cells, label = scale_bar(BAR_SHARE * width, grid.cell_m)
     bar_y, mm = rows + margin + letters, grid.cell_m * 1000.0 / RATIO
-    return _template("map.svg").format(
+    text = _template("map.svg").format(
         x=-margin, y=-margin, width=width, height=height, width_mm=width * mm, height_mm=height * mm,
         title=escape(run.name), cell_m=grid.cell_m, ratio=RATIO, ink=INK, walls=outlines(cells), stroke=letters / 6.0,
         path_colour=POSE_MAGENTA, path="".join(map(_line, xy)), ends=_ends(xy, letters / 2.0), letters=letters,
         bar=f"M0 {bar_y:.1f}v{letters / 3:.1f}h{bar_cells:.2f}v{-letters / 3:.1f}", text_x=bar_cells + letters / 2,
         text_y=bar_y + letters / 3, label=label,
     )  # fmt: skip
+    path.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
 def outlines(cells: NDArray[np.bool_]) -> str:
@@ -120,7 +116,8 @@ LAYERS: Final = {"WALLS": 7, "OPENINGS": 8}
 def write_svg(plan: FloorPlan, title: str, ratio: float, path: Path) -> None:
     """Write a floor plan at 1:``ratio``, with the length of the scale bar and the size of the place below."""
     mm = 1000.0 / ratio
-    low, high = _extent(plan)
+    ends = plan.walls.reshape(-1, 2)
+    low, high = ends.min(axis=0), ends.max(axis=0)
     size = (high - low) * mm
     bar_m, label = scale_bar(max(float(size[0]) / 2.0, 10.0) / mm, 1.0)
     base = MARGIN_MM + float(size[1]) + 4.0
@@ -132,12 +129,6 @@ def write_svg(plan: FloorPlan, title: str, ratio: float, path: Path) -> None:
         label=f"{label}, 1:{ratio:g}; {high[0] - low[0]:.2f} m x {high[1] - low[1]:.2f} m",
     )  # fmt: skip
     path.write_text(text, encoding="utf-8", errors="backslashreplace")
-
-
-def _extent(plan: FloorPlan) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the lower left and the upper right corner, (2,) in m."""
-    ends = plan.walls.reshape(-1, 2)
-    return ends.min(axis=0), ends.max(axis=0)
 
 
 def _strokes(lines: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64], mm: float) -> str:

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from mavnav.metrics.wall_spread import WallCuts, WallSpread
 from mavnav.metrics.walls import Sections, WallThickness
-from mavnav.outputs.pictures.canvas import Box, Canvas, font, ramp, rgb_of
-from mavnav.outputs.pictures.map_axes import draw_axes, draw_cells, draw_free, map_axes, name_axes
+from mavnav.outputs.pictures.canvas import INK, MUTED, WALL_GREY, Box, Canvas, font, ramp, rgb_of
+from mavnav.outputs.pictures.map_axes import draw_axes, draw_cells, draw_free, map_axes, name_axes, window_of
 from mavnav.outputs.pictures.plot import Axes, colour_bar, ticks
-from mavnav.outputs.pictures.viewport import INK, MUTED, WALL_GREY, window_of
 from mavnav.outputs.run import RunResult
 from mavnav.units import MM
 

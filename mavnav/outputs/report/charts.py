@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from PIL.Image import Image
 
 from mavnav.outputs.documents.quantities import number
-from mavnav.outputs.pictures.canvas import draw_dashes, stroke
+from mavnav.outputs.pictures.canvas import GOAL_RED, MUTED, draw_dashes, stroke
 from mavnav.outputs.pictures.plot import Axes, Mark, Style, cross, label_ticks, legend, ticks
-from mavnav.outputs.pictures.viewport import GOAL_RED, MUTED
 from mavnav.outputs.pictures.wall_picture import BAR_COLOUR, P95_COLOUR
 from mavnav.outputs.report.entry import Entry
 from mavnav.outputs.report.panels import CHART, CHART_MARGINS, FONT_PT, panel
@@ -82,8 +81,7 @@ def _cost_panel(entry: Entry, limits: tuple[float, float], end_s: float) -> Imag
     box = (left, top + LEGEND_ROW, right, bottom)
     axes = Axes.chart(canvas, box, (0.0, end_s, log10(limits[0]), log10(limits[1])))
     axes.names("time [s]", "cost [mm²]", FONT_PT, 80)
-    cost = np.maximum(entry.scans.cost_mm2, MIN_COST_MM2)
-    marks = _draw_scans(axes, entry, cost)
+    marks = _draw_scans(axes, entry, np.maximum(entry.scans.cost_mm2, MIN_COST_MM2))
     axes.borders()
     axes.ticks(label_ticks(ticks(0.0, end_s)), [(log10(value), label) for value, label in named_costs(*limits)])
     axes.ticks(y=[(log10(value), "") for value in between_powers(*limits)], length=3)

@@ -25,7 +25,7 @@ from mavnav.outputs.directory import RUN_FILE, checked_file
 from mavnav.outputs.files import gridmap
 from mavnav.outputs.files.gridmap import read_npz
 from mavnav.outputs.files.trajectory import ATTITUDE_COLUMNS, TRUE_WALLS_FILE
-from mavnav.outputs.pictures.viewport import wall_lines
+from mavnav.outputs.pictures.map_axes import wall_lines
 from mavnav.outputs.run import RunResult, WallShapes
 
 FAILED: Final = "failed"
@@ -188,7 +188,7 @@ def load_merge(document: dict[str, Any], folder: Path) -> Entry:
     joined = [each for each in document["sessions"] if each["joined"]]
     poses = [_read_tum(file_in(folder, each["trajectory"])) for each in joined]
     walls = folder / gridmap.WALLS_FILE
-    firsts = [0, *accumulate(map(len, poses))]
+    parts = zip(joined, [0, *accumulate(map(len, poses))], strict=False)
     return Entry(
         log=", ".join(each["name"] for each in joined),
         name="merge",
@@ -197,9 +197,7 @@ def load_merge(document: dict[str, Any], folder: Path) -> Entry:
         grid=read_npz(folder / "hits.npz"),
         scans=_columns(poses),
         cuts=gridmap.read_cuts(walls) if walls.is_file() else WallCuts(np.zeros((0, 2)), *np.zeros((3, 0))),
-        sessions=tuple(
-            SessionPart(each["name"], each["recording"], first) for each, first in zip(joined, firsts, strict=False)
-        ),
+        sessions=tuple(SessionPart(each["name"], each["recording"], first) for each, first in parts),
     )
 
 

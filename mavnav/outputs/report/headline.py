@@ -84,11 +84,8 @@ def _of_many(sound: Sequence[NamedRun]) -> str:
         return _ranking(sound, QUALITY, "measure here")
     everywhere = tuple(q for q in QUALITY if not q.per_cell)
     why = quantities.size_note(e.document for e in sound)
-    within = (
-        f"Cells of {cell_mm:g} mm: {_ranking([sound[k] for k in group], QUALITY, 'measure here')}"
-        for cell_mm, group in groups.items()
-        if len(group) > 1
-    )
+    alike = {cell_mm: [sound[k] for k in group] for cell_mm, group in groups.items() if len(group) > 1}
+    within = (f"Cells of {mm:g} mm: {_ranking(runs, QUALITY, 'measure here')}" for mm, runs in alike.items())
     overall = _ranking(sound, everywhere, "measure that does not depend on the cell size")
     return " ".join((overall, f"{why[0].upper()}{why[1:]}.", *within))
 
@@ -111,9 +108,8 @@ def _ranking(sound: Sequence[NamedRun], quality: Sequence[Quantity], measure: st
         equal = f"{_list([sound[k].name for k in leaders])} are each best by {of} ({measures})"
         prefix = _finer(sound, best) or "No run stands out: "
         return f"{prefix}{equal}{_fewest_evaluations(sound)}."
-    return (
-        f"{_finer(sound, best)}{best.name} gives the best map, best by {of} ({measures}). {_cost(sound, best)}".rstrip()
-    )
+    text = f"{_finer(sound, best)}{best.name} gives the best map, best by {of} ({measures})"
+    return f"{text}. {_cost(sound, best)}".rstrip()
 
 
 def _differs(quantity: Quantity, sound: Sequence[NamedRun], best: NamedRun, won: Sequence[int]) -> str:

@@ -21,12 +21,15 @@ from PIL import Image
 
 from mavnav.mapping.occupancy_grid import occupancy
 from mavnav.outputs.pictures import map_axes
-from mavnav.outputs.pictures.canvas import Box, Canvas, stroke
+from mavnav.outputs.pictures.canvas import GOAL_RED, INK, MUTED, POSE_MAGENTA, Box, Canvas, stroke
+from mavnav.outputs.pictures.map_axes import Viewport, window_of
 from mavnav.outputs.pictures.plot import Axes, Mark, Style, circle, legend
-from mavnav.outputs.pictures.viewport import GOAL_RED, INK, MUTED, POSE_MAGENTA, Viewport, window_of
 from mavnav.outputs.report.entry import Entry
 from mavnav.pose import Pose, transform_points
 from mavnav.units import DEG, MM
+
+Boxes = Sequence[tuple[str, Viewport]]
+"""Close-ups by their letters."""
 
 COLOURS: Final = 256
 """Number of colors of a PNG file: a palette reduces its size to a third, and the octree method keeps rare colors, those
@@ -133,10 +136,8 @@ def shape(window: Viewport) -> str:
     return "wide" if width > WIDE * height else "tall" if height > TALL * width else ""
 
 
-def map_panel(
-    entry: Entry, window: Viewport, top_hits: float, boxes: Sequence[tuple[str, Viewport]], *, ends: bool
-) -> Image.Image:
-    """Draw the map of a run with its close-ups ``boxes``, by letter; ``ends`` marks start, end and goal."""
+def map_panel(entry: Entry, window: Viewport, top_hits: float, boxes: Boxes, *, ends: bool) -> Image.Image:
+    """Draw the map of a run with its close-ups; ``ends`` marks start, end and goal."""
     longest_in, max_ticks = (WIDE_IN, 16) if shape(window) == "wide" else (LONGEST_IN, 11)
     axes = _panel(entry.name, window.widen(MIN_ASPECT), longest_in)
     draw_map(axes, entry, top_hits, max_ticks, boxes, ends=ends)
@@ -158,13 +159,7 @@ def _panel(title: str, window: Viewport, longest_in: float) -> Axes:
 
 
 def draw_map(
-    axes: Axes,
-    entry: Entry,
-    top_hits: float,
-    max_ticks: int,
-    boxes: Sequence[tuple[str, Viewport]] = (),
-    *,
-    ends: bool = False,
+    axes: Axes, entry: Entry, top_hits: float, max_ticks: int, boxes: Boxes = (), *, ends: bool = False
 ) -> None:
     """Draw map, path, walls and close-ups onto axes, with about ``max_ticks`` ticks along the longer side."""
     map_axes.draw_free(axes, entry.grid, occupancy(entry.grid))

@@ -16,8 +16,7 @@ from PIL.Image import Image
 
 from mavnav.mapping.occupancy_grid import Grid, cell_centres
 from mavnav.outputs.documents.quantities import why_not_meaningful
-from mavnav.outputs.pictures.map_axes import top_of_scale
-from mavnav.outputs.pictures.viewport import Viewport
+from mavnav.outputs.pictures.map_axes import Viewport, top_of_scale
 from mavnav.outputs.report import panels
 from mavnav.outputs.report.charts import caption, cost_panels, motion_panel, thickness_panels
 from mavnav.outputs.report.entry import Entry

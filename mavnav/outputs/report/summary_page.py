@@ -94,32 +94,25 @@ def diff_summary(document: dict[str, Any], picture: bytes | None) -> Summary:
     if pose is None:
         return Summary(title, document["headline"], ())
     head = ("change", "kind", "x", "y", "area", "length", "moved with")
-    rows = tuple(
-        (
-            str(change["number"]),
-            change["kind"],
-            f"{change['x_m']:z.2f} m",
-            f"{change['y_m']:z.2f} m",
-            f"{change['m2']:.3f} m²",
-            f"{change['length_m']:.2f} m",
-            str(change["moved_with"] or ""),
-        )
-        for change in document["changes"]
-    )
     x, y = (f"{pose[key]:z.3f} m" for key in ("x_m", "y_m"))
     placed = (x, y, f"{pose['yaw_deg']:z.2f} deg", f"{pose['rms_mm']:.0f} mm")
     alignment = PageTable("Pose of the second map in the first", ("x", "y", "yaw", "RMS of the walls"), (placed,))
     verdicts = tuple((document[name], known) for name, known in document["verdicts"].items() if known)
-    tables = (PageTable("Changes", head, rows), alignment)
+    tables = (PageTable("Changes", head, tuple(map(_change_row, document["changes"]))), alignment)
     return Summary(title, document["headline"], tables, picture, verdicts=verdicts)
+
+
+def _change_row(change: dict[str, Any]) -> tuple[str, ...]:
+    place = f"{change['x_m']:z.2f} m", f"{change['y_m']:z.2f} m"
+    size = f"{change['m2']:.3f} m²", f"{change['length_m']:.2f} m"
+    return str(change["number"]), change["kind"], *place, *size, str(change["moved_with"] or "")
 
 
 def calibration_summary(document: dict[str, Any], title: str, picture: bytes | None) -> Summary:
     """Return the page of the document of ``mavnav calibrate``."""
     switches = [{"name": name, **document[name]} for name in ("upside_down", "beams_reversed", "range_bias")]
     every = [*document["quantities"], *switches]
-    measured = [each for each in every if not each["refused"]]
-    rows = tuple(_calibrated_row(each) for each in measured)
+    rows = tuple(_calibrated_row(each) for each in every if not each["refused"])
     refused = tuple((_quantity_name(each)[0], each["refused"]) for each in every if each["refused"])
     head = ("quantity", "value", "95 % interval", "log or configuration", "difference")
     missing = PageTable("Not determined", ("quantity", "reason"), refused, prose=True)

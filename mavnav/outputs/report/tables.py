@@ -72,17 +72,13 @@ def table(runs: Sequence[NamedRun]) -> RunTable:
     documents = [run.document for run in runs]
     columns = tuple(c for c in COLUMNS if any(c.of(document) is not None for document in documents))
     best = {c: quantities.winners(c, documents) for c in columns}
-    rows = tuple(
-        RunRow(
-            run.name,
-            quantities.verdict_texts(run.document)[0],
-            tuple(Field(text(c.of(run.document), c.digits), k in best[c]) for c in columns),
-            (relative_cost(runs, run), relative_cost(runs, run, "timing.cpu_s")),
-            quantities.why_not_meaningful(run.document),
-        )
-        for k, run in enumerate(runs)
-    )
-    return RunTable(columns, rows, quantities.size_note(documents))
+    rows = []
+    for k, run in enumerate(runs):
+        word, why_not = quantities.verdict_texts(run.document)[0], quantities.why_not_meaningful(run.document)
+        fields = tuple(Field(text(c.of(run.document), c.digits), k in best[c]) for c in columns)
+        costs = relative_cost(runs, run), relative_cost(runs, run, "timing.cpu_s")
+        rows.append(RunRow(run.name, word, fields, costs, why_not))
+    return RunTable(columns, tuple(rows), quantities.size_note(documents))
 
 
 def text(value: float | None, digits: int) -> str:
@@ -122,16 +118,12 @@ class Settings(Struct, frozen=True):
 
 def settings(entries: Sequence[Entry]) -> Settings:
     """Compare the configurations of runs, without the sections of methods that no run used."""
-    used = {e.document.get("method") for e in entries}
+    unused = {*METHODS} - {e.document.get("method") for e in entries}
     flat = [by_dotted_key(e.document.get("config") or {}) for e in entries]
-    keys = [
-        key for key in dict.fromkeys(k for f in flat for k in f) if key.partition(".")[0] not in set(METHODS) - used
-    ]
+    keys = [key for key in dict.fromkeys(k for f in flat for k in f) if key.partition(".")[0] not in unused]
     rows = [(key, [str(f.get(key, MISSING)) for f in flat]) for key in keys]
-    return Settings(
-        common=[(key, values[0]) for key, values in rows if len(set(values)) == 1],
-        differing=[(key, values) for key, values in rows if len(set(values)) > 1],
-    )
+    common = [(key, values[0]) for key, values in rows if len(set(values)) == 1]
+    return Settings(common, [(key, values) for key, values in rows if len(set(values)) > 1])
 
 
 def inputs(entries: Sequence[Entry]) -> list[tuple[str, str]]:
@@ -172,23 +164,18 @@ def _lines(document: dict[str, Any]) -> Iterator[str]:
 
 def slice_rows(entries: Sequence[Entry]) -> list[tuple[str, ...]]:
     """Return run, heights, occupied cells, and median and p95 of the wall thickness of each slice, and its length."""
-    return [
-        (entry.name, f"{layer['from_m']:.2f} to {layer['to_m']:.2f}", text(layer["occupied"], 0), *_thickness(layer))
-        for entry in entries
-        for layer in entry.document.get("slices") or []
-    ]
+    return [(e.name, *_slice_texts(layer)) for e in entries for layer in e.document.get("slices") or []]
 
 
-def _thickness(layer: dict[str, Any]) -> list[str]:
-    walls = layer["wall_thickness"].get("2") or {}
-    return [text(walls.get(key), digits) for key, digits in (("median_mm", 0), ("p95_mm", 0), ("length_m", 1))]
+def _slice_texts(layer: dict[str, Any]) -> list[str]:
+    walls, heights = layer["wall_thickness"].get("2") or {}, f"{layer['from_m']:.2f} to {layer['to_m']:.2f}"
+    thickness = [text(walls.get(key), digits) for key, digits in (("median_mm", 0), ("p95_mm", 0), ("length_m", 1))]
+    return [heights, text(layer["occupied"], 0), *thickness]
 
 
 def ghost_rows(entries: Sequence[Entry]) -> list[tuple[str, ...]]:
     """Return run, x, y, direction, length and offset of each ghost wall, as text; the longest of each run first."""
     keys = (("x_m", 2), ("y_m", 2), ("direction_deg", 0), ("length_m", 2), ("offset_mm", 0))
-    return [
-        (entry.name, *(text(place.get(key), digits) for key, digits in keys))
-        for entry in entries
-        for place in sorted(ghosts(entry), key=lambda p: -p["length_m"])[:MAX_GHOSTS]
-    ]
+    longest = [(e.name, sorted(ghosts(e), key=lambda p: -p["length_m"])[:MAX_GHOSTS]) for e in entries]
+    places = [(name, place) for name, several in longest for place in several]
+    return [(name, *(text(place.get(key), digits) for key, digits in keys)) for name, place in places]

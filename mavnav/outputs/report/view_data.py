@@ -37,6 +37,7 @@ from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.scan import LaserSpec, Scan
 from mavnav.units import MM, NS
 
+Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -266,9 +267,7 @@ def recording_of(run: RunResult) -> Recording:
     return Recording(len(stamps_ns), run.log.sensor, lambda: (scan for scan, _ in placed_scans(run)), path)
 
 
-def beams(
-    logs: Sequence[Recording | None], stamps_s: NDArray[np.float64], firsts: Sequence[int], max_ranges: int
-) -> dict[str, NDArray[Any]]:
+def beams(logs: Sequence[Recording | None], stamps_s: Floats, firsts: Sequence[int], max_ranges: int) -> Arrays:
     """Return what was seen: ``bearing`` (beams,) in rad, ``range`` (rows, beams) in mm, 0 is no return.
 
     ``stamps_s`` (n,) are those of the scans; those from ``firsts[k]`` on are of ``logs[k]``. ``row`` (n,) is the row of
@@ -284,7 +283,7 @@ def beams(
     for log, stamps in zip(logs, np.split(stamps_s, firsts[1:]), strict=True):
         first, recorded_s = len(ranges_mm), []
         for scan in log.scans() if log else ():
-            if _same_beams(scan.spec, spec):
+            if scan.spec.directions is spec.directions or np.array_equal(scan.spec.directions, spec.directions):
                 recorded_s.append(scan.stamp_ns * NS)
                 ranges_mm.append(_whole_mm(scan.ranges_m[::step]))
         row = _nearest(np.array(recorded_s), stamps)
@@ -298,15 +297,11 @@ def beams(
     }
 
 
-def _whole_mm(ranges_m: NDArray[np.float64]) -> NDArray[np.uint16]:
+def _whole_mm(ranges_m: Floats) -> NDArray[np.uint16]:
     return np.fmin(np.fmax(ranges_m / MM, 0.0), MAX_RANGE_MM).round().astype(np.uint16)  # fmax turns NaN to 0
 
 
-def _same_beams(spec: LaserSpec, other: LaserSpec) -> bool:
-    return spec.directions is other.directions or np.array_equal(spec.directions, other.directions)
-
-
-def _nearest(sorted_s: NDArray[np.float64], wanted_s: NDArray[np.float64]) -> NDArray[np.intp]:
+def _nearest(sorted_s: Floats, wanted_s: Floats) -> NDArray[np.intp]:
     """Return the row of each wanted time in sorted times, -1 where none is within `SAME_S`."""
     if not len(sorted_s):
         return np.full(len(wanted_s), -1)
@@ -314,7 +309,7 @@ def _nearest(sorted_s: NDArray[np.float64], wanted_s: NDArray[np.float64]) -> ND
     return np.where(np.abs(sorted_s[row] - wanted_s) <= SAME_S, row, -1)
 
 
-def odometry_path(log: Recording, stamp_s: float, map_T_laser: Pose) -> NDArray[np.float64]:
+def odometry_path(log: Recording, stamp_s: float, map_T_laser: Pose) -> Floats:
     """Return the path of the laser by odometry alone, (n, 2) m, which begins at the pose at a time; may be empty."""
     path = log.odom_T_laser
     if path is None or not len(path):

@@ -45,11 +45,6 @@ class Plan(Struct, frozen=True):
     command: MotionCommand
     reason: str = ""
 
-    @property
-    def stuck(self) -> bool:
-        """Whether the planner has given up."""
-        return bool(self.reason)
-
 
 class Planner:
     """Plans step by step on map and estimated pose alone; what it remembers is ``memory``, nothing else."""

@@ -58,8 +58,7 @@ class World(Struct, frozen=True, eq=False):
             no wall.
         """
         rays = _rays(xy_m, bearings_rad)
-        ranges = self._meet(*rays)
-        return self._first(ranges, *rays)
+        return self._first(self._meet(*rays), *rays)
 
     def cast_tilted(
         self, xy_m: Array | tuple[float, float], height_m: Array | float, directions: Array

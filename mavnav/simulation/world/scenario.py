@@ -213,11 +213,8 @@ class Scenario(Strict, frozen=True, kw_only=True, dict=True):
 
 def _without_nulls(entry: dict[str, Any]) -> dict[str, Any]:
     """Leave the shapes that an entry of ``walls`` is not, and what its shape does not have, out of it."""
-    return {
-        name: {key: value for key, value in shape.items() if value is not None}
-        for name, shape in entry.items()
-        if shape
-    }
+    shapes = {name: shape for name, shape in entry.items() if shape}
+    return {name: {key: value for key, value in shape.items() if value is not None} for name, shape in shapes.items()}
 
 
 def laser_model(scenario: Scenario) -> LaserModel:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -27,10 +27,7 @@ STANDS_OUT_M = 0.5
 
 
 def load_scenario(
-    file: str | Path,
-    sets: Iterable[str] = (),
-    overrides: Mapping[str, object] | None = None,
-    config: str | Path | None = None,
+    file: str | Path, sets: Iterable[str] = (), overrides: loading.Overrides = None, config: str | Path | None = None
 ) -> Scenario:
     """Load a scenario.
 
@@ -52,7 +49,7 @@ def load_scenario(
     """
     path = scenario_path(file)
     given = read_yaml(path, f"the YAML file of a scenario, or a shipped one: {', '.join(loading.scenarios())}")
-    layer = loading.overlay(loading.file_layer(config).within("slam").over(given), sets, overrides or {}, LASER_BY_NAME)
+    layer = loading.overlay(loading.file_layer(config).within("slam").over(given), sets, overrides, LASER_BY_NAME)
     layer = layer.over(loading.method_layer(layer.values.get(("slam", "method"))).within("slam"))
     layer = layer.over(Layer({("name",): path.stem}))
     scenario = loading.read_model(Scenario, layer, str(path))

@@ -29,9 +29,8 @@ CENTER = setting("center, [x, y]")
 def check_order(key: str, band: Band | None) -> None:
     """Raise ValueError if the first of two heights is not the lower one."""
     if band and band[0] >= band[1]:
-        raise ValueError(
-            f"{key}: has {band[0]:g} m at its bottom and {band[1]:g} m at its top; give the lower height first"
-        )
+        what = f"has {band[0]:g} m at its bottom and {band[1]:g} m at its top"
+        raise ValueError(f"{key}: {what}; give the lower height first")
 
 
 def check_apart(points_m: tuple[XY, ...]) -> None:

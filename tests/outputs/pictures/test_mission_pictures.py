@@ -10,7 +10,7 @@ from PIL import Image
 from mavnav.errors import OutputError, UsageError
 from mavnav.outputs.documents.schema import number_schema
 from mavnav.outputs.files.trajectory import write_true_walls, write_truth_tum
-from mavnav.outputs.pictures import animation, map_picture, viewport
+from mavnav.outputs.pictures import animation, canvas, map_axes, map_picture
 from mavnav.outputs.pictures.animation import animate
 from mavnav.outputs.pictures.canvas import Canvas
 from mavnav.outputs.run import Truth
@@ -66,18 +66,18 @@ def test_without_a_truth_there_is_nothing_to_write(run, write, tmp_path):
 def test_arcs_are_drawn_where_they_are():
     arc = np.array([[2.0, 3.0, 0.5, pi / 2, -pi]])
     truth = Truth(np.array([[0.0, 1.0, 2.0, 3.0]]), arc, map_T_laser=Trajectory.of([], []), goal_xy_map_m=(0.0, 0.0))
-    straight, curved = viewport.wall_lines(truth)
+    straight, curved = map_axes.wall_lines(truth)
     assert straight.tolist() == [[0.0, 1.0], [2.0, 3.0]]
     np.testing.assert_allclose(np.hypot(*(curved - (2.0, 3.0)).T), 0.5)
     np.testing.assert_allclose(curved[[0, len(curved) // 2, -1]], [(2.0, 3.5), (2.5, 3.0), (2.0, 2.5)], atol=1e-12)
-    assert np.hypot(*np.diff(curved, axis=0).T).max() < 0.5 * viewport.ARC_STEP_RAD * 1.001
+    assert np.hypot(*np.diff(curved, axis=0).T).max() < 0.5 * map_axes.ARC_STEP_RAD * 1.001
 
 
 def test_the_true_map_shows_walls_start_heading_and_goal(mission, tmp_path):
     map_picture.write_true_map(mission, tmp_path / "t.png")
     picture = pixels(tmp_path / "t.png")
-    assert count(picture, viewport.INK) > 5000
-    for colour in (viewport.START_BLUE, viewport.GOAL_RED, viewport.POSE_MAGENTA):
+    assert count(picture, canvas.INK) > 5000
+    for colour in (canvas.START_BLUE, canvas.GOAL_RED, canvas.POSE_MAGENTA):
         assert count(picture, colour) > 50
 
 
@@ -99,14 +99,14 @@ def test_the_true_map_counts_the_scans_as_run_json_does(mission, tmp_path, monke
 def test_the_map_of_a_mission_shows_the_truth_on_top(run, mission, tmp_path):
     map_picture.write(run, tmp_path / "without.png")
     map_picture.write(mission, tmp_path / "with.png")
-    for colour, more in ((viewport.TRUE_ORANGE, 1000), ("#000000", 50)):
+    for colour, more in ((canvas.TRUE_ORANGE, 1000), ("#000000", 50)):
         without, with_truth = (count(pixels(tmp_path / f"{n}.png"), colour, 20) for n in ("without", "with"))
         assert with_truth > without + more, colour
 
 
 def test_true_poses_are_those_at_the_stamps_of_the_circles(mission):
     some = np.arange(0, len(mission.slam.trajectory), 3)
-    marks = map_picture.truth_marks(mission.truth, mission.slam.trajectory.stamps_ns[some].tolist())
+    marks = map_picture.end_marks(mission, mission.slam.trajectory.stamps_ns[some].tolist())
     drawn = {mark.name: xy_m for mark, xy_m in marks}
     apart = np.hypot(*(mission.slam.trajectory.xyyaw[some, :2] - drawn["true pose"]).T)
     np.testing.assert_allclose(apart, 0.05, atol=1e-12)
@@ -118,7 +118,7 @@ def test_a_mission_without_a_believed_pose_is_drawn(mission, tmp_path):
     lost = replace(mission, slam=replace(mission.slam, trajectory=Trajectory.of([], [])))
     map_picture.write(lost, tmp_path / "map.png")
     animate(lost, tmp_path / "a.gif")
-    assert count(pixels(tmp_path / "map.png"), viewport.GOAL_RED) > 50
+    assert count(pixels(tmp_path / "map.png"), canvas.GOAL_RED) > 50
 
 
 def test_the_animation_grows_and_repeats_to_the_byte(mission, tmp_path):
@@ -132,7 +132,7 @@ def test_the_animation_grows_and_repeats_to_the_byte(mission, tmp_path):
     white = [count(pixels(tmp_path / "a.gif", k), "#ffffff", 1) for k in (0, frames // 2, frames - 1)]
     assert white[0] > white[1] > white[2]
     last = pixels(tmp_path / "a.gif", frames - 1)
-    for colour in (viewport.POSE_MAGENTA, viewport.START_BLUE, viewport.GOAL_RED, "#000000"):
+    for colour in (canvas.POSE_MAGENTA, canvas.START_BLUE, canvas.GOAL_RED, "#000000"):
         assert count(last, colour, 1) > 20
 
 
@@ -145,7 +145,7 @@ def test_many_scans_are_shown_in_few_frames(mission, tmp_path, monkeypatch):
 
 def test_a_run_without_a_truth_can_be_animated(run, tmp_path):
     animate(run, tmp_path / "a.gif")
-    assert count(pixels(tmp_path / "a.gif"), viewport.GOAL_RED, 1) == 0
+    assert count(pixels(tmp_path / "a.gif"), canvas.GOAL_RED, 1) == 0
 
 
 def test_what_exists_stays_without_force(run, tmp_path):

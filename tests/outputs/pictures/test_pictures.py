@@ -21,8 +21,8 @@ from mavnav.metrics.wall_spread import WallCuts
 from mavnav.outputs.documents.verdict import Verdict
 from mavnav.outputs.pictures import map_axes, map_picture, wall_picture
 from mavnav.outputs.pictures.canvas import Canvas, font, png, rgb_of
+from mavnav.outputs.pictures.map_axes import Viewport, window_of
 from mavnav.outputs.pictures.plot import Axes, legend_room, legend_width, ticks
-from mavnav.outputs.pictures.viewport import Viewport, window_of
 from mavnav.outputs.run import picture_turn_rad
 from mavnav.pose import Pose, Trajectory
 from mavnav.slam.findings import Doubt, Loop, Loops, Reason
@@ -216,7 +216,7 @@ def test_the_title_of_a_merged_map_counts_its_sessions(run, tmp_path, monkeypatc
     drawn = []
     monkeypatch.setattr(Canvas, "text", lambda _, xy, text, *args, **options: drawn.append(text))
     verdict = Verdict("suspect", "a session did not join", "")
-    map_picture.write_merged(run, dict.fromkeys(names, run.slam.trajectory), verdict, tmp_path / "map.png")
+    map_picture.write_merged(run, dict.fromkeys(names, run.slam.trajectory), verdict, tmp_path / "map.png", 0.0)
     assert f"{title}: suspect" in drawn
     assert any(text.startswith("a session did not join\n") for text in drawn)
 

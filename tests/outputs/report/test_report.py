@@ -14,8 +14,8 @@ from mavnav.errors import OutputError
 from mavnav.mapping.occupancy_grid import Grid
 from mavnav.outputs.files.trajectory import write_true_walls
 from mavnav.outputs.pictures import map_axes
-from mavnav.outputs.pictures.canvas import rgb_of
-from mavnav.outputs.pictures.viewport import MUTED, Viewport
+from mavnav.outputs.pictures.canvas import MUTED, rgb_of
+from mavnav.outputs.pictures.map_axes import Viewport
 from mavnav.outputs.report import charts, panels, tables
 from mavnav.outputs.report.entry import Entry, load
 from mavnav.outputs.report.headline import headline

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavnav.pose import Pose, transform_points
-from mavnav.simulation.world import World
+from mavnav.simulation.world.geometry import World
 from mavnav.simulation.world.shapes import Box, Circle, Polyline, WallEntry, world_of
 
 BEARINGS = np.linspace(-math.pi, math.pi, 181)

@@ -11,9 +11,9 @@ from msgspec import convert
 from mavnav.pose import Pose
 from mavnav.scan import Attitude, level_scan
 from mavnav.simulation.vehicle import Body
-from mavnav.simulation.world import LaserModel, load_scenario, take_scan
-from mavnav.simulation.world.laser import LASERS, tilted_directions
+from mavnav.simulation.world.laser import LASERS, LaserModel, take_scan, tilted_directions
 from mavnav.simulation.world.scenario import FlightConfig
+from mavnav.simulation.world.scenario_file import load_scenario
 from mavnav.simulation.world.shapes import WallEntry, world_of
 from mavnav.units import DEG
 

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from mavnav.pose import Pose
-from mavnav.simulation.world import LaserModel, World, take_scan
-from mavnav.simulation.world.laser import LASERS
+from mavnav.simulation.world.geometry import World
+from mavnav.simulation.world.laser import LASERS, LaserModel, take_scan
 from mavnav.units import DEG
 
 NO_ARCS = np.empty((0, 5))

@@ -14,9 +14,9 @@ from scipy import ndimage
 from mavnav.config.loading import fields, presets, scenarios
 from mavnav.errors import ConfigError, ExitCode
 from mavnav.pose import Pose
-from mavnav.simulation.world import Scenario, laser_model, load_scenario, scenario_schema, take_scan
-from mavnav.simulation.world.laser import LASERS
-from mavnav.simulation.world.scenario import LaserConfig
+from mavnav.simulation.world.laser import LASERS, take_scan
+from mavnav.simulation.world.scenario import LaserConfig, Scenario, laser_model
+from mavnav.simulation.world.scenario_file import load_scenario, scenario_schema
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:

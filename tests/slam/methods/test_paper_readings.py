@@ -16,7 +16,7 @@ from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose
 from mavnav.scan import LaserSpec, Scan
 from mavnav.simulation.mission import fly
-from mavnav.simulation.world import load_scenario
+from mavnav.simulation.world.scenario_file import load_scenario
 from mavnav.slam.matching.motion_model import Motion
 from mavnav.slam.matching.scan_matching import MatchVerdict, no_match
 from mavnav.slam.matching.steps import Step, Steps, refused_by

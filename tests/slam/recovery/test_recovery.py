@@ -15,7 +15,10 @@ from mavnav.metrics.walls import summary, wall_sections
 from mavnav.pose import Pose, Trajectory, rigid_fit, transform_points, wrap_angle
 from mavnav.scan import Scan
 from mavnav.simulation.mission import Flight, fly
-from mavnav.simulation.world import World, laser_model, load_scenario, take_scan
+from mavnav.simulation.world.geometry import World
+from mavnav.simulation.world.laser import take_scan
+from mavnav.simulation.world.scenario import laser_model
+from mavnav.simulation.world.scenario_file import load_scenario
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.recovery.parts import Part, part_warnings
 from mavnav.slam.result import SlamResult
