@@ -17,7 +17,7 @@ from msgspec import Struct
 from msgspec.structs import asdict, replace
 
 from mavnav.atomic_files import discard
-from mavnav.batch.baseline import EXAMPLE, missing, write_baseline
+from mavnav.batch.baseline import EXAMPLE, is_any_unwritten, missing, write_baseline
 from mavnav.batch.cases import Case, CaseResult, make_cases, read_paths
 from mavnav.batch.document import BATCH_FILE, batch_document, compare_repeats, judged_row, of_program, unlisted_runs
 from mavnav.batch.files import check_files, write_batch
@@ -252,6 +252,6 @@ def run_batch(
     if request.part is None:
         document["unlisted"] = [] if request.only else unlisted_runs(rows, request.directory / BATCH_FILE)
         write_batch(document, request.directory)
-    if request.new_baseline:
+    if request.new_baseline and not is_any_unwritten(rows):
         write_baseline(rows, request.new_baseline, rules.watched)
     return document
