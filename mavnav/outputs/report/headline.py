@@ -163,5 +163,6 @@ def _cost(sound: Sequence[NamedRun], best: NamedRun) -> str:
 def _fewest_evaluations(sound: Sequence[NamedRun]) -> str:
     if any(e.document.get("method") == EXTERNAL for e in sound):
         return ""
-    cheapest = min(sound, key=lambda e: number(e.document, "search.evaluations_per_scan.mean") or float("inf"))
-    return f"; {cheapest.name} needs the fewest evaluations"
+    evaluations = [number(e.document, "search.evaluations_per_scan.mean") or float("inf") for e in sound]
+    fewest = min(evaluations)
+    return f"; {sound[evaluations.index(fewest)].name} needs the fewest evaluations" * (evaluations.count(fewest) == 1)
