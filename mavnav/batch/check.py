@@ -97,7 +97,7 @@ def _run(directory: Path) -> _CheckedRun:
 
 @contextmanager
 def _reading(file: Path) -> Iterator[None]:
-    advice = "name the directory of a finished run"
+    advice = "name the directory of a finished run, or make it again"
     try:
         yield
     except OSError as error:

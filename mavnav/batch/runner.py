@@ -74,7 +74,7 @@ def plan_batch(request: BatchRequest, progress: Progress) -> BatchPlan:
     cannot be used. A log that cannot be read only fails its own cases; where none can, an earlier batch is not lost.
     """
     if not request.entries:
-        raise UsageError("no logs; name a manifest, or logs, patterns or folders")
+        raise UsageError("no logs; list them in a manifest, or name logs, patterns or folders")
     if request.files:
         check_files(request.files, (*request.inputs, *read_paths(request)), request.directory)
     check_cache_directory(request.directory, _OWN_FILES)

@@ -65,7 +65,7 @@ def test_a_cluster_is_reported_with_its_workers(
 def test_nothing_at_all_leaves_nothing(mavnav: Callable, empty: Path) -> None:
     code, out, err = mavnav("batch", "-q")
     assert (code, out) == (ExitCode.USAGE, "")
-    assert err == "mavnav: error: no logs; name a manifest, or logs, patterns or folders\n"
+    assert err == "mavnav: error: no logs; list them in a manifest, or name logs, patterns or folders\n"
     assert not Path("runs").exists()
 
 

@@ -74,7 +74,8 @@ def _ghosts(entry: NamedRun) -> str:
     count = number(entry.document, "map_quality.ghost_walls.count")
     if count is None:
         return ""
-    return ", and no wall is drawn twice" if not count else f", and {count} of its walls are drawn twice"
+    are = "is" if count == 1 else "are"
+    return ", and no wall is drawn twice" if not count else f", and {count} of its walls {are} drawn twice"
 
 
 def _of_many(sound: Sequence[NamedRun]) -> str:

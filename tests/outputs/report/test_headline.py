@@ -38,6 +38,13 @@ def test_the_headline_of_a_run_begins_with_its_verdict():
     assert headline([few]).endswith("751 of 756 scans; measures of the map say nothing.")
 
 
+@pytest.mark.parametrize(("count", "said"), [(0, "no wall is"), (1, "1 of its walls is"), (2, "2 of its walls are")])
+def test_walls_that_are_drawn_twice_are_counted(count: int, said: str):
+    run = entry()
+    run.document["map_quality"]["ghost_walls"] = {"count": count}
+    assert headline([run]).endswith(f"mm thick, and {said} drawn twice.")
+
+
 def test_a_run_of_an_earlier_version_has_a_headline_without_a_verdict():
     old = entry()
     del old.document["verdict"]
