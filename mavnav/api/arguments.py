@@ -52,6 +52,8 @@ def optional_path(file: File | None, name: str) -> Path | None:
 def paths_of(files: File | Sequence[File], name: str) -> list[Path]:
     """Return the paths of one file or several."""
     several = [files] if isinstance(files, str | PathLike) else _as_list(files, name)
+    if not several:
+        raise UsageError(f"{name} is {files!r}; give at least one")
     return [path_of(each, name) for each in several]
 
 

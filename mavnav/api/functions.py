@@ -263,8 +263,6 @@ def compare(
     from mavnav.outputs.writers import write_page  # noqa: PLC0415
 
     names = arguments.paths_of(log, "log")
-    if not names:
-        raise UsageError("no log to compare; name one")
     shared = settings_of(arguments.options_of({"online": online}))
     points = [arguments.grid_of(grid, "grids") for grid in arguments.values_of(grids, "grids")]
     options = arguments.values_of(methods, "methods"), points, arguments.values_of(azimuths, "azimuths")

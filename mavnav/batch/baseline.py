@@ -126,6 +126,11 @@ def _figures(cell: Mapping[str, Any]) -> dict[str, float | None] | None:
     return {full_name(name): value for name, value in stored.items()}
 
 
+def is_any_unwritten(rows: Sequence[Mapping[str, Any]]) -> bool:
+    """Return whether a run could not be written, as on a full disk: what it reaches is not known."""
+    return any(row["exit_code"] == ExitCode.OUTPUT for row in rows)
+
+
 def write_baseline(rows: Sequence[Mapping[str, Any]], path: Path, watched: Sequence[Tolerance]) -> None:
     """Write only the metrics that are compared, so that the file can be committed with the code."""
     document = {**DOCUMENT_HEAD, "cells": [_baseline_row(row, watched) for row in rows]}

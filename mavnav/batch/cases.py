@@ -118,10 +118,13 @@ def _logs_in(paths: Sequence[Path]) -> list[Path]:
 
 
 def _relative(path: Path, base: Path) -> str:
-    try:
-        return path.absolute().relative_to(base.absolute()).as_posix()
-    except ValueError:
-        return path.as_posix()
+    """Return the name of a path, the same for ``a`` and ``x/../a`` unless ``x`` is a link to elsewhere."""
+    straight, whole = Path(os.path.normpath(path.absolute())), base.absolute()
+    same = os.path.realpath(straight) == os.path.realpath(path)
+    for each in (straight, path.absolute()) if same else (path.absolute(),):
+        if each.is_relative_to(whole):
+            return each.relative_to(whole).as_posix()
+    return path.as_posix()
 
 
 BASELINE_GATE = "baseline"
@@ -176,14 +179,19 @@ def make_cases(request: BatchRequest, progress: Progress) -> list[Case]:
 
     Every log is read once for the hash of its content. A log that cannot be read, or whose references cannot, gives
     failed cases. The gates and accepted exit codes of several entries for one case are combined. Raises UsageError for
-    a gate that cannot be parsed, for different references of one case, and for folders that cannot be read.
+    a gate that cannot be parsed, for two logs of one name, different references of one case, and for folders that
+    cannot be read.
     """
     logs = [(entry, log) for entry in request.entries for log in _logs(request, entry)]
     names = display_names([log for _, log in logs])
-    cases: dict[str, Case] = {}
+    cases, named = dict[str, Case](), dict[str, str]()
     for number, (entry, log) in enumerate(logs):
         progress("reading", number, len(logs) if len(logs) > 1 else None)
-        for case in _cases(request, entry, log, entry.name or names[log], progress):
+        name = entry.name or names[log]
+        if (other := named.setdefault(name, log)) != log:
+            two = " and ".join(map(public_address, (other, log)))
+            raise UsageError(f"two logs are named {name!r}, {two}; give each a name of its own")
+        for case in _cases(request, entry, log, name, progress):
             cases[case.name] = _combine_cases(cases[case.name], case) if case.name in cases else case
     return [each for case in cases.values() for each in _repeat(case, request.repeat)]
 

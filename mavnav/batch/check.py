@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -57,6 +58,12 @@ def _runs_at(path: Path) -> list[_CheckedRun]:
     return [_run(file.parent) for file in sorted(path.glob(f"cells/*/{RUN_FILE}"))] or [_run(path)]
 
 
+def runs_in(path: Path) -> list[Path]:
+    """Return the directories of the runs of a comparison or batch that have a result; else the path alone."""
+    runs = _runs_at(path) if any((path / name).is_file() for name in WHOLE_FILES) else []
+    return [Path(os.path.normpath(run.name)) for run in runs if run.document is not None] or [path]
+
+
 def _runs_of(file: Path) -> list[_CheckedRun]:
     """Return the runs of batch.json or comparison.json; what a batch accepts counts as done.
 
@@ -97,7 +104,7 @@ def _run(directory: Path) -> _CheckedRun:
 
 @contextmanager
 def _reading(file: Path) -> Iterator[None]:
-    advice = "name the directory of a finished run"
+    advice = "name the directory of a finished run, or make it again"
     try:
         yield
     except OSError as error:

@@ -213,11 +213,11 @@ def remark(row: Mapping[str, Any]) -> str:
 
 
 def unlisted_runs(rows: Sequence[Mapping[str, Any]], file: Path) -> list[str]:
-    """Return the runs in a batch.json or comparison.json that are of other logs than ``rows``, which replace them."""
+    """Return the runs in ``cells`` that a batch.json or comparison.json lists of other logs than ``rows``."""
     try:
         mine = {row[key] for row in rows for key in ("log", "directory")}
-        earlier = read_json(file)["cells"]
-        return [row["directory"] for row in earlier if row["directory"] and not mine & {row["log"], row["directory"]}]
+        earlier = [row for row in read_json(file)["cells"] if (row["directory"] or "").startswith(f"{RUNS_FOLDER}/")]
+        return [row["directory"] for row in earlier if not mine & {row["log"], row["directory"]}]
     except (OSError, ValueError, LookupError, TypeError):
         return []
 

@@ -76,9 +76,9 @@ class LogEntry(_Options, frozen=True):
         if not self.log or "" in self.log:
             raise ValueError("log: should name a log")
         if (self.name or self.sha256) and (len(self.log) != 1 or (not is_address(self.log[0]) and self.sha256)):
-            raise ValueError("log: name and sha256 are of a single log, the latter of one at an address")
+            raise ValueError("log: should be a single log to have a name or sha256, the latter one at an address")
         if (self.sha256 is None) != (self.size_bytes is None):
-            raise ValueError("log: sha256 and size_bytes belong together")
+            raise ValueError("log: should have both sha256 and size_bytes, or neither")
         pose = self.values["extrinsic"]
         if pose and (problem := pose_problem(*pose)):
             raise ValueError(f"extrinsic: {problem}")

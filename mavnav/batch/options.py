@@ -20,7 +20,7 @@ from mavnav.errors import UsageError
 from mavnav.jobs.dask import LOCAL
 from mavnav.jobs.pool import usable_cores
 from mavnav.metrics.gates import Gate, full_name, parse_gate, read_accept
-from mavnav.outputs.documents.addresses import is_address
+from mavnav.outputs.documents.addresses import is_address, public_address
 from mavnav.outputs.documents.provenance import Typed
 from mavnav.pipelines.trajectory_source import read_program
 
@@ -124,15 +124,21 @@ def _is_manifest(source: str) -> bool:
 
 def _entries(options: BatchOptions, manifest: Manifest, base: Path) -> tuple[request.BatchLogs, ...]:
     """Return the entries of the manifest and of the command line, whose paths start at the current folder."""
-    names = [entry.name for entry in manifest.logs if entry.name]
+    names = [name for entry in manifest.logs for name in _names(entry)]
     if unknown := [name for name in options.only if name not in names]:
         known = ", ".join(names) or "none"
         raise UsageError(f"--only {unknown[0]}: no log of the manifest has this name; known are {known}")
     logs = [source for source in options.sources if not _is_manifest(source)]
     absolute = [log if is_address(log) or not base.parts else str(Path(log).absolute()) for log in logs]
-    entries = [_entry(entry, base) for entry in manifest.logs if not options.only or entry.name in options.only]
+    chosen = [each for each in manifest.logs if not options.only or not {*options.only}.isdisjoint(_names(each))]
+    entries = [_entry(entry, base) for entry in chosen]
     entries += [request.BatchLogs(tuple(absolute))] if absolute else []
     return tuple(replace(entry, options=given_options({**entry.options, **options.options})) for entry in entries)
+
+
+def _names(entry: LogEntry) -> tuple[str, ...]:
+    """Return what an entry is called: its name, or else its paths, patterns and addresses."""
+    return (entry.name,) if entry.name else tuple(map(public_address, entry.log))
 
 
 def _entry(entry: LogEntry, base: Path) -> request.BatchLogs:
@@ -182,8 +188,8 @@ def _rules(options: BatchOptions, manifest: Manifest, origins: Origins, path: Pa
         raise UsageError(f"{path} is a directory; name a file for --update-baseline to write")
     if options.update_baseline and path and path.name == BATCH_FILE:
         raise UsageError(f"{path} would be lost; name another file for --update-baseline to write")
-    if options.update_baseline and options.part:
-        raise UsageError("--update-baseline is for all runs of a batch, --part for some; give one of them")
+    if options.update_baseline and (options.part or options.only):
+        raise UsageError("--update-baseline is for all runs of a batch, --part and --only for some; give one of them")
     fresh = options.update_baseline and path is not None and not path.exists()
     return request.Rules(
         gates=tuple(_gates([text for text in texts if text != IDENTICAL_GATE], origins)),

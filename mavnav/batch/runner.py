@@ -17,7 +17,7 @@ from msgspec import Struct
 from msgspec.structs import asdict, replace
 
 from mavnav.atomic_files import discard
-from mavnav.batch.baseline import EXAMPLE, missing, write_baseline
+from mavnav.batch.baseline import EXAMPLE, is_any_unwritten, missing, write_baseline
 from mavnav.batch.cases import Case, CaseResult, make_cases, read_paths
 from mavnav.batch.document import BATCH_FILE, batch_document, compare_repeats, judged_row, of_program, unlisted_runs
 from mavnav.batch.files import check_files, write_batch
@@ -71,7 +71,7 @@ def plan_batch(request: BatchRequest, progress: Progress) -> BatchPlan:
     cannot be used. A log that cannot be read only fails its own cases; where none can, an earlier batch is not lost.
     """
     if not request.entries:
-        raise UsageError("no logs; name a manifest, or logs, patterns or folders")
+        raise UsageError("no logs; list them in a manifest, or name logs, patterns or folders")
     if request.files:
         check_files(request.files, (*request.inputs, *read_paths(request)), request.directory)
     check_cache_directory(request.directory, (RUNS_FOLDER, BATCH_FILE))
@@ -248,6 +248,6 @@ def run_batch(
     if request.part is None:
         document["unlisted"] = [] if request.only else unlisted_runs(rows, request.directory / BATCH_FILE)
         write_batch(document, request.directory)
-    if request.new_baseline:
+    if request.new_baseline and not is_any_unwritten(rows):
         write_baseline(rows, request.new_baseline, rules.watched)
     return document

@@ -138,7 +138,11 @@ def batch(
         options = BatchOptions(words=context.obj, options=read_options(given), files=files, **own)
         plan = _plan(options, progress)
     document = _run(plan, json=json, quiet=quiet)
-    if plan.request.new_baseline and not quiet:
+    from mavnav.batch.baseline import is_any_unwritten
+
+    if plan.request.new_baseline and is_any_unwritten(document["cells"]):
+        note(f"mavnav: warning: no baseline {plan.request.new_baseline} is written: runs could not be; make room")
+    elif plan.request.new_baseline and not quiet:
         codes = [row["code"] for row in document["cells"]]
         failures = f"{sum(map(bool, codes))} of {len(codes)} runs in it failed"
         note(f"mavnav: wrote the baseline {plan.request.new_baseline}; {failures}")

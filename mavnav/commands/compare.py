@@ -80,7 +80,7 @@ def compare(
     if any((path / "run.json").is_file() for path in logs or []):
         for flag in shared.typed_flags(context, {"logs", "directory", "json", "quiet", "gates"}):
             raise UsageError(f"{flag} is for logs; finished runs are compared as they are")
-        target = directory or shared.free_directory(context, Path("runs/compare"), force=False)
+        target = directory or shared.free_directory(context, Path("runs/compare-runs"), force=False)
         document = _compare_finished(shared.without_latest(logs or []), target, bounds, json=json, quiet=quiet)
         raise typer.Exit(document["exit_code"])
     with reporting(quiet=quiet) as report:

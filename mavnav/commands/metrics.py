@@ -36,19 +36,21 @@ def metrics(
     Parameters
     ----------
     paths
-        Run directories, or map_server maps (YAML).
+        Directories of runs, comparisons or batches, or map_server maps (YAML).
     truth
         Ground-truth trajectory of the laser, a TUM file: ATE and RPE.
     """
     with reporting(quiet=quiet) as report:
         with loading_modules():
+            from mavnav.batch.check import runs_in
             from mavnav.ground_truth.references import load_references
             from mavnav.pipelines.evaluate import evaluate
         options = read_options(given)
         if isinstance(truth := options.get("truth"), str):
             raise UsageError(f"--truth {truth}: the ground truth of a log is for replay and compare; name a TUM file")
         references = load_references(**reference_files(options))
-        document = evaluate(shared.without_latest(paths), references, report)
+        runs = dict.fromkeys(run for path in shared.without_latest(paths) for run in runs_in(path))
+        document = evaluate(list(runs), references, report)
     for entry in document["maps"]:
         if references.of_poses and entry["kind"] == "map":
             note(f"mavnav: warning: {entry['path']}: a map has no poses; --truth and --relations are not used for it")

@@ -149,11 +149,16 @@ def _panel(parameter: Parameter) -> str:
     return str(get_args(parameter.annotation)[1].rich_help_panel)
 
 
+def _not_by_link(run: Path | None) -> Path | None:
+    """Return a run by its own name: when it is repeated, ``latest`` leads to the repetition."""
+    return run.parent / run.readlink() if run and run.is_symlink() else run
+
+
 log_argument = partial(typer.Argument, metavar="LOG", show_default=False)
 LogSource = Annotated[str, log_argument()]
 LogParts = Annotated[list[str], log_argument()]
 MaybeLogParts = Annotated[list[str] | None, log_argument()]
-Again = Annotated[Path | None, input_option("--again", metavar="RUN")]
+Again = Annotated[Path | None, input_option("--again", metavar="RUN", callback=_not_by_link)]
 Methods = Annotated[list[str] | None, replay_option("method")]
 Azimuths = Annotated[list[int] | None, replay_option("azimuth")]
 ConfigFile = Annotated[str | None, search_option(metavar="FILE", autocompletion=completion.presets)]

@@ -302,9 +302,10 @@ def _own_poses(own: Sequence[CaseResult]) -> list[TrajectorySource]:
 def compare_finished(paths: Sequence[Path], directory: Path, gates: Sequence[Gate] = ()) -> dict[str, Any]:
     """Write the documents of a comparison of finished runs, each known by its directory; return comparison.json.
 
-    Raises UsageError for what is no run, a merge, an edited run, and gates on unknown names; OutputError where nothing
-    can be written.
+    A run that is named twice counts once. Raises UsageError for what is no run, a merge, an edited run, and gates on
+    unknown names; OutputError where nothing can be written.
     """
+    paths = list({os.path.realpath(path): path for path in paths}.values())
     if len(paths) < 2:
         raise UsageError(f"{paths[0]} is a finished run; name another to compare it with, or a log")
     if others := [path for path in paths if not (path / RUN_FILE).is_file()]:

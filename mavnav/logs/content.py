@@ -7,6 +7,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from math import isfinite
+from numbers import Real
 from pathlib import Path
 from typing import Final
 
@@ -73,8 +74,8 @@ def check_file(path: Path) -> None:
 def check_window(start_s: float | None, end_s: float | None) -> None:
     """Raise UsageError for ends of a window, s from the first usable scan, that are no times or out of order."""
     for name, value in (("--start", start_s), ("--end", end_s)):
-        if value is not None and not (isfinite(value) and value >= 0.0):
-            raise UsageError(f"{name} {value:g} is no time; it counts in seconds from the first usable scan, 0 or more")
+        if value is not None and not (isinstance(value, Real) and isfinite(value) and value >= 0.0):
+            raise UsageError(f"{name} {value!r} is no time; it counts in seconds from the first usable scan, 0 or more")
     if start_s is not None and end_s is not None and end_s <= start_s:
         raise UsageError(f"the window from {start_s:g} s to {end_s:g} s is empty; --end must be later than --start")
 

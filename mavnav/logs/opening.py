@@ -155,7 +155,7 @@ def _chosen_topic(survey: Survey, topic: str | None) -> str:
     """Return the scan topic to use; several to choose from are listed."""
     if topic is not None and any(topic_and_frame(name)[0] == topic != name for name in survey.scans):
         text = f"several lasers on {topic}: {_counts(survey)}; choose one with --topic NAME"
-        raise SeveralTopicsError(f"{survey.path}: {text}, or merge them with both names, joined by a comma")
+        raise SeveralTopicsError(f"{survey.path}: {text}, or merge them in a replay with both names, joined by a comma")
     if topic is not None and topic not in survey.scans:
         named = [t for t in survey.topics if t.name == topic]
         lasers = {t.name for t in survey.topics if t.type in LASER_TYPES and t.count}
@@ -163,7 +163,7 @@ def _chosen_topic(survey: Survey, topic: str | None) -> str:
             raise TopicError(f"{survey.path}: no scans on topic {topic!r}; {_list_topics(survey)}")
     if topic is None and len(survey.scans) > 1:
         text = f"{survey.path}: several scan topics: {_counts(survey)}; choose one with --topic NAME"
-        raise SeveralTopicsError(f"{text}, or merge them with their names, joined by a comma")
+        raise SeveralTopicsError(f"{text}, or merge them in a replay with their names, joined by a comma")
     if not survey.scans:
         raise NoScansError(_no_scans(survey))
     return topic if topic is not None else next(iter(survey.scans))

@@ -50,11 +50,11 @@ class EarlierRun(Struct, frozen=True):
     def outcome(self, document: dict[str, Any]) -> str:
         """Return in a line whether the files of a repetition, by its run.json, are the same bytes."""
         made, now = self.document["outputs"], document["outputs"]
-        both = made.keys() & now.keys()
+        both, file = made.keys() & now.keys(), self.directory / RUN_FILE
         changed = sorted(name for name in both if made[name] != now[name])
         if changed:
-            return f"{len(changed)} of {len(both)} files differ from those in {self.directory}: {', '.join(changed)}"
-        return f"all {len(both)} files are the same as in {self.directory}"
+            return f"{len(changed)} of {len(both)} files differ from those that {file} lists: {', '.join(changed)}"
+        return f"all {len(both)} files are the same as {file} lists"
 
 
 def _versions(document: dict[str, Any]) -> dict[str, str]:

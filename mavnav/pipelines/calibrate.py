@@ -206,7 +206,6 @@ def calibration_headline(document: dict[str, Any]) -> str:
     rows = {row["name"]: row for row in document["quantities"]}
     differing = {name: row["difference"] for name, row in rows.items() if row["agrees"] is False}
     texts = [_difference_text(name, differing[name]) for name in MOST_TELLING if name in differing]
-    texts += [f"the {name.replace('_', ' ')} differs" for name in differing if name not in MOST_TELLING]
     texts += [text for name, text in SWITCHES.items() if document[name]["agrees"] is False]
     known = sum(row["value"] is not None for row in rows.values())
     agreeing = f"the log agrees with all that is determined, {known} of {len(rows)} quantities"
@@ -215,7 +214,7 @@ def calibration_headline(document: dict[str, Any]) -> str:
 
 
 def _difference_text(name: str, difference: float) -> str:
-    words = ("later", "too short") if difference > 0 else ("earlier", "too long")
+    words = ("later", "too short", "right") if difference > 0 else ("earlier", "too long", "left")
     return MOST_TELLING[name].format(abs(difference), *words).replace("%", " %")
 
 
@@ -226,8 +225,9 @@ MOST_TELLING: Final = {
     "x_m": "the laser is {0:.3f} m off in x",
     "y_m": "the laser is {0:.3f} m off in y",
     "yaw_deg": "the laser is turned by {0:.1f} deg",
+    "veer_deg_per_m": "the odometry veers to the {3} by {0:.2f} deg per m",
 }
-"""What differs, the most telling first -> how it is said: of the absolute difference, and of its sign in two words."""
+"""What differs, the most telling first -> how it is said: of the absolute difference, and of its sign in words."""
 
 SWITCHES: Final = {"upside_down": "the laser is mounted the other way up", "beams_reversed": "the beams are in reverse"}
 

@@ -480,8 +480,40 @@ def test_a_part_misses_nothing_and_makes_no_baseline(home: Path) -> None:
     assert (document["baseline"]["missing"], document["exit_code"]) == ([], 0)
     document, _ = batch(**mine | {"sources": ("logs/good.mcap",)}, gates=("baseline",))
     assert (len(document["baseline"]["missing"]), document["exit_code"]) == (1, ExitCode.GATE_FAILED)
-    with pytest.raises(UsageError, match="--part for some"):
+    with pytest.raises(UsageError, match="--part and --only for some"):
         batch(**mine, update_baseline=True, part="1/2")
+
+
+def test_some_logs_of_a_manifest_make_no_baseline(home: Path) -> None:
+    Path("night.yaml").write_text("logs: [logs/good.mcap, {log: logs/cut.mcap, name: cut}]")
+    some = {"sources": ("night.yaml",), "baseline": Path("base.json"), "update_baseline": True}
+    with pytest.raises(UsageError, match="--part and --only for some"):
+        batch(**some, only=("cut",))
+
+
+def test_a_log_without_a_name_is_chosen_by_its_path(home: Path) -> None:
+    Path("night.yaml").write_text("logs: [logs/good.mcap, {log: logs/cut.mcap, name: cut}]")
+    document, _ = batch(sources=("night.yaml",), only=("logs/good.mcap",))
+    assert [row["log"] for row in document["cells"]] == ["logs/good.mcap"]
+    with pytest.raises(UsageError, match=r"known are logs/good\.mcap, cut"):
+        batch(sources=("night.yaml",), only=("logs/cut.mcap",))
+
+
+def test_two_logs_of_one_name_are_refused(home: Path) -> None:
+    Path("night.yaml").write_text("logs: [{log: logs/good.mcap, name: a}, {log: logs/cut.mcap, name: a}]")
+    with pytest.raises(UsageError, match=r"two logs are named 'a', logs/good\.mcap and logs/cut\.mcap; give each"):
+        batch(sources=("night.yaml",))
+
+
+def test_a_run_that_cannot_be_written_leaves_the_baseline_as_it_was(home: Path) -> None:
+    good = {"sources": ("logs/good.mcap",), "baseline": Path("base.json"), "update_baseline": True}
+    batch(**good)
+    before = Path("base.json").read_bytes()
+    shutil.rmtree("runs/batch/cells")
+    Path("runs/batch/cells").write_bytes(b"")
+    document, _ = batch(**good)
+    assert document["exit_code"] == ExitCode.OUTPUT
+    assert Path("base.json").read_bytes() == before
 
 
 @pytest.mark.parametrize("wrong", ["accept: 9", "gates: scans.processed<=7m", "gates: baseline"])

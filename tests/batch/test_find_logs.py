@@ -103,6 +103,14 @@ def test_each_once_in_order(logs: Path) -> None:
     assert find_logs(["logs/b.bag", "logs", "logs/a.mcap"], logs) == ["logs/b.bag", ALL[0], *ALL[2:]]
 
 
+def test_a_way_round_leads_to_the_same_log(logs: Path) -> None:
+    assert find_logs(["logs/b.bag", "logs/sub/../b.bag", f"../{logs.name}/logs/b.bag"], logs) == ["logs/b.bag"]
+    (logs / "far").mkdir()
+    (logs / "far" / "in").mkdir()
+    (logs / "link").symlink_to("far/in", target_is_directory=True)
+    assert find_logs(["link/../a.bag", "a.bag"], logs) == ["link/../a.bag", "a.bag"]
+
+
 def test_what_stands_for_nothing_stays(logs: Path) -> None:
     (logs / "empty").mkdir()
     assert find_logs(["nothing/*.bag", "gone.bag", "empty"], logs) == ["nothing/*.bag", "gone.bag", "empty"]

@@ -185,9 +185,9 @@ def test_names_and_digests_that_cannot_be_meant_are_refused(server: Server) -> N
     with pytest.raises(UsageError, match="--only x: no log of the manifest has this name; known are none"):
         request_of(BatchOptions(sources=("a.bag",), only=("x",)))
     for entry, said in {
-        "{name: a, log: [a.bag, b.bag]}": "name and sha256 are of a single log",
-        f"{{log: a.bag, sha256: {'a' * 64}, size_bytes: 3}}": "the latter of one at an address",
-        f"{{log: 'http://x/a.bag', sha256: {'a' * 64}}}": "belong together",
+        "{name: a, log: [a.bag, b.bag]}": "it should be a single log to have a name or sha256, the",
+        f"{{log: a.bag, sha256: {'a' * 64}, size_bytes: 3}}": "the latter one at an address",
+        f"{{log: 'http://x/a.bag', sha256: {'a' * 64}}}": "it should have both sha256 and size_bytes, or neither",
         "{log: 'http://x/a.bag', sha256: abc, size_bytes: 3}": r"sha256 is 'abc', it should fit \^\[0-9a-f\]\{64\}\$; ",
         "{log: []}": r"logs.0.log is \[\], it should name a log; ",
         "{log: [a.bag, '']}": "it should name a log; ",

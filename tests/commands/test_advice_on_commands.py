@@ -74,7 +74,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, repo_root: Path) -> Path:
             "merge run next.mcap -o merged -q",
             "edit run --keep-largest -o edited -q",
             f"batch log.mcap --baseline kept.json --update-baseline {SHORT} -o first -j 1",
-            "compare run merged/../run -o versions -q",
+            "compare run mission -o versions -q",
         ):
             assert run(split(line)) == 0, line
         assert run(split("replay blind.mcap --map run -o nowhere -q")) == ExitCode.TRACKING_LOST

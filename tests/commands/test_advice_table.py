@@ -71,7 +71,6 @@ TRIED = {
         "leave the rest out with --end": "test_a_log_of_which_the_end_is_lost_is_suspect",
         "if it is wrong, correct --start-pose": "test_a_start_pose_far_from_the_pose_found_is_told",
         "compare both maps with mavnav diff": "test_a_run_in_a_given_map_is_compared_with_it_by_diff",
-        "see both with mavnav diff": "test_a_run_in_a_given_map_is_compared_with_it_by_diff",
     },
     "commands/test_advice_on_tracks.py": {
         "look at the ranges with mavnav info, and at near_mm": "test_too_few_beams_are_told_by_info",

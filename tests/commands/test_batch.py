@@ -65,7 +65,7 @@ def test_a_cluster_is_reported_with_its_workers(
 def test_nothing_at_all_leaves_nothing(mavnav: Callable, empty: Path) -> None:
     code, out, err = mavnav("batch", "-q")
     assert (code, out) == (ExitCode.USAGE, "")
-    assert err == "mavnav: error: no logs; name a manifest, or logs, patterns or folders\n"
+    assert err == "mavnav: error: no logs; list them in a manifest, or name logs, patterns or folders\n"
     assert not Path("runs").exists()
 
 
@@ -203,3 +203,13 @@ def test_a_new_baseline_is_named_with_what_failed(mavnav: Callable, empty: Path)
     said = "mavnav: wrote the baseline base.json; 2 of 2 runs in it failed\n"
     assert said in mavnav(*asked)[2]
     assert "baseline" not in mavnav(*asked, "-q")[2]
+
+
+def test_a_baseline_that_stays_for_a_full_disk_is_named(mavnav: Callable, empty: Path, sample: Path) -> None:
+    Path("runs/batch/batch.json").parent.mkdir(parents=True)
+    Path("runs/batch/batch.json").write_text("{}")
+    Path("runs/batch/cells").write_bytes(b"")
+    asked = ("--baseline", "base.json", "--update-baseline", "--online", "-q")
+    code, _, err = mavnav("batch", sample, *asked)
+    assert (code, Path("base.json").exists()) == (ExitCode.OUTPUT, False)
+    assert "mavnav: warning: no baseline base.json is written: runs could not be; make room" in err

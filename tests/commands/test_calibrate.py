@@ -17,6 +17,8 @@ from PIL import Image
 
 import mavnav as api
 from mavnav.logs.writing.recorder import Recording, record
+from mavnav.metrics.calibration.quantities import KINDS
+from mavnav.pipelines.calibrate import SWITCHES, calibration_headline
 from mavnav.pose import Pose, Trajectory
 from support.log_files import drive, write_mcap
 from support.robots import SMALL, Robot, odometry_of, path_of, scans_of, written
@@ -176,3 +178,13 @@ def test_from_python(tmp_path) -> None:
     assert document["exit_code"] == 1
     assert document["lines"] == {"static_transform": None, "replay": None}
     assert json.loads((tmp_path / "found.json").read_text()) == document
+
+
+@pytest.mark.parametrize("name", [kind.name for kind in KINDS])
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_the_headline_says_of_each_quantity_how_it_differs(name: str, sign: int) -> None:
+    rows = [{"name": kind.name, "value": 1.0, "difference": 0.25 * sign, "agrees": kind.name != name} for kind in KINDS]
+    document = {"refused": None, "quantities": rows, **{switch: {"agrees": True} for switch in SWITCHES}}
+    text = calibration_headline(document)
+    assert re.search(r"0\.25|25\.0 %|0\.2 deg", text) and name not in text and name.replace("_", " ") not in text
+    assert name != "veer_deg_per_m" or f"to the {'right' if sign > 0 else 'left'} by 0.25 deg per m" in text

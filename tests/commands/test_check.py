@@ -151,7 +151,7 @@ def test_what_is_not_ours(mavnav: Callable, home: Path, name: str, text: str) ->
     Path("odd").mkdir()
     (Path("odd") / name).write_text(text)
     wrong = "is not one of mavnav's" if text.endswith(("}", "[]")) else "is no JSON, or cut off"
-    said = f"mavnav: error: odd/{name} {wrong}; name the directory of a finished run\n"
+    said = f"mavnav: error: odd/{name} {wrong}; name the directory of a finished run, or make it again\n"
     assert mavnav("check", "odd") == (ExitCode.USAGE, "", said)
 
 

@@ -61,7 +61,10 @@ def test_three_parts_one_after_another(mavnav, parts, first, tmp_path) -> None:
     for file, part in zip(files, cut(hall, PARTS), strict=True):
         assert errors_m(read_tum(runs[2] / file), part, hall.world_T_laser[0]) < 0.05
     code, _, err = mavnav("replay", "--again", runs[1], "-o", tmp_path / "again", "-q")
-    assert (code, err) == (0, f"mavnav: all {len(found['outputs']) - 2} files are the same as in {runs[1]}\n")
+    assert (code, err) == (
+        0,
+        f"mavnav: all {len(found['outputs']) - 2} files are the same as {runs[1]}/run.json lists\n",
+    )
 
 
 @pytest.mark.slow

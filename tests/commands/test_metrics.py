@@ -294,3 +294,13 @@ def test_places_seen_twice_but_never_by_neighbouring_scans_have_a_row() -> None:
         "why": [],
     }
     assert ("revisits", "12.3 mm apart") in list(quality_rows(quality))
+
+
+def test_a_comparison_stands_for_its_runs(mavnav, run, comparison, tmp_path) -> None:
+    """Those that are named besides are measured once; a folder of nothing is refused as before."""
+    runs = sorted(str(path.parent) for path in comparison.glob("cells/*/run.json"))
+    assert sorted(each["path"] for each in measured(mavnav, run, comparison, runs[0])) == sorted([str(run), *runs])
+    finished = tmp_path / "finished"
+    assert mavnav("compare", *runs, "-o", finished, "-q")[0] == 0
+    assert len(measured(mavnav, finished, comparison)) == len(runs)
+    assert mavnav("metrics", tmp_path, "-q")[0] == 2

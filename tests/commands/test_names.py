@@ -138,8 +138,12 @@ def test_a_command_that_is_repeated_writes_beside_and_compares(
     document: dict[str, Any] = json.loads(out)
     assert code == ExitCode.DONE
     assert [cell["differs"] for cell in document["cells"]] == ["corridor-robust-20-10x10", "moved"]
-    assert "robust 20/10x10 moved" in Path("runs/compare/report.html").read_text("utf-8")
-    assert not Path("runs/compare/cells").exists()
-    assert {each.name for each in Path("runs/compare").glob("comparison.*")} == {
+    assert "robust 20/10x10 moved" in Path("runs/compare-runs/report.html").read_text("utf-8")
+    assert not Path("runs/compare-runs/cells").exists()
+    code, _, err = mavnav("compare", "moved", "runs/../moved", "-q")
+    assert (code, "moved is a finished run; name another to compare it with" in err) == (ExitCode.USAGE, True)
+    code, _, err = mavnav("compare", sample, *SHORT, "--grid", "10x10", "-o", "runs/compare-runs", "-q")
+    assert (code, err) == (ExitCode.DONE, "")
+    assert {each.name for each in Path("runs/compare-runs").glob("comparison.*")} == {
         f"comparison.{x}" for x in ("json", "csv", "md")
     }

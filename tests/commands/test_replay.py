@@ -140,7 +140,7 @@ def with_options(sample: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
 def test_again_repeats_a_run_from_a_read_only_copy(mavnav: Callable, with_options: Path, tmp_path: Path) -> None:
     code, _, err = mavnav("replay", "--again", with_options, "-o", tmp_path / "again", "-q")
     assert code == 0
-    assert re.fullmatch(rf"mavnav: all \d+ files are the same as in {re.escape(str(with_options))}\n", err)
+    assert re.fullmatch(rf"mavnav: all \d+ files are the same as {re.escape(str(with_options))}/run.json lists\n", err)
     first, second = (json.loads((path / "run.json").read_text()) for path in (with_options, tmp_path / "again"))
     assert differing(first, second) <= {"timing", "provenance"}
     assert second["provenance"]["options"] == first["provenance"]["options"]
@@ -743,7 +743,23 @@ def test_again_names_the_files_that_differ(mavnav: Callable, with_options: Path,
     (made / "run.json").write_text(json.dumps(document))
     code, _, err = mavnav("replay", "--again", made, "-o", tmp_path / "again", "-q")
     assert code == 0
-    assert f"1 of {len(document['outputs'])} files differ from those in {made}: map.pgm" in err
+    assert f"1 of {len(document['outputs'])} files differ from those that {made}/run.json lists: map.pgm" in err
+
+
+def test_again_of_the_last_run_is_compared_with_that_run(
+    mavnav: Callable, with_options: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The link to the last run leads to the repetition by then."""
+    monkeypatch.chdir(tmp_path)
+    made = Path(shutil.copytree(with_options, "runs/made"))
+    made.chmod(0o755)
+    (made / "run.json").chmod(0o644)
+    document = json.loads((made / "run.json").read_text())
+    (made / "run.json").write_text(json.dumps(document | {"outputs": document["outputs"] | {"map.pgm": "0" * 64}}))
+    Path("runs/latest").symlink_to("made")
+    code, _, err = mavnav("replay", "--again", "runs/latest", "-q")
+    assert (code, Path("runs/latest").resolve().name) == (0, "made-again")
+    assert f"1 of {len(document['outputs'])} files differ from those that runs/made/run.json lists: map.pgm" in err
 
 
 def test_a_map_that_is_too_large_is_refused_before_it_takes_memory(

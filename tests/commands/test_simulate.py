@@ -136,7 +136,7 @@ def test_again_repeats_a_mission_without_its_file(mavnav: Callable, scenario: Pa
     scenario.unlink()
     code, _, err = mavnav("simulate", "--again", tmp_path / "first", "-o", tmp_path / "second", "-q")
     assert code == 0
-    assert "files are the same as in" in err
+    assert f"files are the same as {tmp_path / 'first' / 'run.json'} lists" in err
     first, second = (json.loads((tmp_path / name / "run.json").read_text()) for name in ("first", "second"))
     assert {name for name in first if first[name] != second[name]} <= {"timing", "provenance"}
     assert shlex.split(first["provenance"]["again"]) == ["mavnav", "simulate", "--again", str(tmp_path / "first")]

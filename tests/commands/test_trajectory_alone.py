@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -107,5 +108,6 @@ def test_what_needs_a_map_says_that_there_is_none(alone: Path, whole: Path, tmp_
     assert code == 0
     assert "Only robust 20/10x10 whole gives a map worth looking at" in out
     assert "no map" in out
-    code, out, _ = mavnav("compare", alone, alone, "-q", "-o", tmp_path / "d")
+    other = Path(shutil.copytree(alone, tmp_path / "other"))
+    code, out, _ = mavnav("compare", alone, other, "-q", "-o", tmp_path / "d")
     assert (code, NO_MAP in out) == (0, True)

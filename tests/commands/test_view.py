@@ -57,6 +57,20 @@ def test_a_run_that_cannot_be_written_is_shown_by_the_page_it_has(mavnav, finish
     assert page.read_text() == "as it is"
 
 
+def test_a_page_is_not_replaced_by_one_without_a_run(mavnav, comparison, finished_run, tmp_path):
+    run, several = tmp_path / "run", tmp_path / "several"
+    shutil.copytree(finished_run, run)
+    shutil.copytree(comparison, several)
+    (run / "hits.npz").unlink()
+    shutil.rmtree(several / "cells")
+    for directory in (run, several):
+        (directory / "report.html").write_text("as it is")
+        code, out, err = mavnav("view", directory, "-q", "--no-browser")
+        assert (code, out) == (2, "") and f"{directory} cannot be shown: " in err
+        assert (directory / "report.html").read_text() == "as it is"
+    assert "it has no hits.npz" in mavnav("view", run, "-q", "--no-browser")[2]
+
+
 def test_a_run_of_an_earlier_version_without_a_verdict_is_shown(mavnav, finished_run, tmp_path):
     run = shutil.copytree(finished_run, tmp_path / "run")
     document = json.loads((run / "run.json").read_text())

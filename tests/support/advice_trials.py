@@ -268,7 +268,7 @@ TRIALS = [
     ("or one of 'mavnav simulate --list'", "simulate", "simulate --list"),
     ("choose one with --topic NAME", "replay two.mcap", f"replay two.mcap --topic /rear -o new {FAST}"),
     (
-        "or merge them with their names, joined by a comma",
+        "or merge them in a replay with their names, joined by a comma",
         "replay lasers.mcap",
         f"replay lasers.mcap --topic /scan,/rear -o new {FAST}",
     ),

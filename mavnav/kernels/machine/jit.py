@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from functools import cached_property
+from functools import cached_property, partial
 from inspect import get_annotations
 from threading import RLock
 from typing import Annotated, Any, ParamSpec, TypeVar, cast
@@ -178,6 +179,16 @@ class Kernel:
         self.load()
         return self.run(*args)
 
+    def _run_first(self, code: Callable[..., Any], *args: Any) -> Any:  # noqa: ANN401
+        """Call the machine code for the first time, beside the main thread.
+
+        The first call looks up by Python code what its arrays are (`loader`). In the main thread a signal handler may
+        run there, and raise: the array would have no type, and the process would crash.
+        """
+        self.run = code  # type: ignore[method-assign]
+        with ThreadPoolExecutor(1) as beside:
+            return beside.submit(code, *args).result()
+
     def _mismatch(self, args: tuple[Any, ...]) -> str:
         given = ", ".join(f"{getattr(each, 'dtype', type(each).__name__)}{getattr(each, 'shape', '')}" for each in args)
         return f"{self.name} takes other arguments than ({given})"
@@ -213,7 +224,7 @@ class Kernel:
             self.compiled = True
             if made is not None:
                 write_code(self._entry, made.pack())
-        self.run, self.loaded, self.code = run, True, None  # type: ignore[method-assign]
+        self.run, self.loaded, self.code = partial(self._run_first, run), True, None  # type: ignore[method-assign]
 
     def _from_disk(self, content: memoryview) -> Callable[..., Any] | None:
         """Load an entry; None if it is not valid, or if numba has other internals than when it was written."""

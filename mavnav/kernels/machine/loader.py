@@ -131,7 +131,8 @@ def _object_at(content: int, size: int, _digest: int) -> Any:  # noqa: ANN401
 _UNPICKLE = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.c_int, ctypes.c_void_p)(_object_at)
 """What machine code calls for the type of an array that it returns; numba's own function imports numba for it.
 
-After the first call the cache answers in C: a signal handler of Python, which may raise, cannot run in between.
+After the first call the cache answers in C: a signal handler of Python, which may raise, cannot run in between. In the
+first call it cannot either, because that is not made in the main thread.
 """
 
 

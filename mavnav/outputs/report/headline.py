@@ -72,9 +72,8 @@ def _of_one(run: NamedRun) -> str:
 
 def _ghosts(entry: NamedRun) -> str:
     count = number(entry.document, "map_quality.ghost_walls.count")
-    if count is None:
-        return ""
-    return ", and no wall is drawn twice" if not count else f", and {count} of its walls are drawn twice"
+    many = f"{count} of its walls {'is' if count == 1 else 'are'}"
+    return "" if count is None else f", and {many if count else 'no wall is'} drawn twice"
 
 
 def _of_many(sound: Sequence[NamedRun]) -> str:
@@ -159,5 +158,6 @@ def _cost(sound: Sequence[NamedRun], best: NamedRun) -> str:
 def _fewest_evaluations(sound: Sequence[NamedRun]) -> str:
     if any(e.document.get("method") == EXTERNAL for e in sound):
         return ""
-    cheapest = min(sound, key=lambda e: number(e.document, "search.evaluations_per_scan.mean") or float("inf"))
-    return f"; {cheapest.name} needs the fewest evaluations"
+    evaluations = [number(e.document, "search.evaluations_per_scan.mean") or float("inf") for e in sound]
+    cheapest = [e.name for e, number_of in zip(sound, evaluations, strict=True) if number_of == min(evaluations)]
+    return f"; {cheapest[0]} needs the fewest evaluations" if len(cheapest) == 1 else ""

@@ -151,16 +151,24 @@ def _title(sections: list[LogSection]) -> str:
     return f"{title}: {words[0]}" if len(words) == 1 and words[0] else title
 
 
+def _shown(comparison: dict[str, Any], directory: Path) -> str:
+    """Return the page of `page_text`; raises UsageError where it would show no run: an earlier page stays."""
+    sections = _sections(comparison, directory)
+    if sections and not any(section.entries for section in sections):
+        raise UsageError(f"{directory} cannot be shown: {sections[0].failures[0].why}")
+    return _page(comparison, sections)
+
+
 def _of_batch(document: dict[str, Any], directory: Path) -> str:
     runs = [load(cell, directory) for cell in document["cells"]]
     return list_text(runs, f"Batch of {pluralize(len(runs), 'run')}")
 
 
 PAGES: Final[dict[str, tuple[str, Callable[[dict[str, Any], Path], str]]]] = {
-    "comparison.json": ("report.html", page_text),
+    "comparison.json": ("report.html", _shown),
     "batch.json": ("view.html", _of_batch),
     MERGE_FILE: ("view.html", lambda merge, folder: list_text([load_merge(merge, folder)], merge["headline"])),
-    RUN_FILE: ("report.html", lambda run, folder: page_text(single(run), folder)),
+    RUN_FILE: ("report.html", lambda run, folder: _shown(single(run), folder)),
 }
 """The document of a directory -> the name and the text of its page; report.html of a merge is another one."""
 

@@ -75,5 +75,5 @@ def place_in_given_map(track: Track, _refiner: Refiner) -> Track:
     other = rebuild_at(track, tracked_trajectory(track.steps).seen_from(map_T_own))
     return (other or track).with_warning(
         "scan by scan the laser was lost in the given map: the log was mapped alone, and its map placed in the "
-        "given one as a whole; where that is bent, poses are off by as much: see both with mavnav diff"
+        "given one as a whole; where that is bent, poses are off by as much: look at both in one frame, as in RViz"
     )

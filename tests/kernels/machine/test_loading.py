@@ -362,3 +362,30 @@ for _ in range(2000):
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers here")
 def test_a_signal_handler_that_raises_never_ends_the_process() -> None:
     subprocess.run([sys.executable, "-c", STORM], check=True, capture_output=True)
+
+
+FIRST = """
+import signal
+import numpy as np
+from mavnav.kernels.planning.potential import clearance
+
+class Stop(Exception):
+    pass
+
+def stop(*_):
+    raise Stop
+
+clearance.load()
+signal.signal(signal.SIGALRM, stop)
+try:
+    signal.setitimer(signal.ITIMER_REAL, 0.05)
+    clearance(np.ones((4000, 2)), np.ones((100000, 2)))
+except Stop:
+    print("stopped")
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers here")
+def test_a_signal_in_the_first_call_of_a_kernel_never_ends_the_process() -> None:
+    ended = subprocess.run([sys.executable, "-c", FIRST], check=True, capture_output=True, text=True)
+    assert ended.stdout == "stopped\n"

@@ -38,6 +38,13 @@ def test_the_headline_of_a_run_begins_with_its_verdict():
     assert headline([few]).endswith("751 of 756 scans; measures of the map say nothing.")
 
 
+@pytest.mark.parametrize(("count", "said"), [(0, "no wall is"), (1, "1 of its walls is"), (2, "2 of its walls are")])
+def test_walls_that_are_drawn_twice_are_counted(count: int, said: str):
+    run = entry()
+    run.document["map_quality"]["ghost_walls"] = {"count": count}
+    assert headline([run]).endswith(f"mm thick, and {said} drawn twice.")
+
+
 def test_a_run_of_an_earlier_version_has_a_headline_without_a_verdict():
     old = entry()
     del old.document["verdict"]
@@ -80,7 +87,12 @@ def test_the_headline_says_first_whether_a_finer_grid_pays():
 
 def test_maps_that_differ_within_the_noise_are_equally_good_and_the_noise_is_told():
     pair = [entry("robust 10/5x5", p95_mm=131.2, cells_per_m=200.0), entry(p95_mm=135.4, cells_per_m=205.0)]
-    assert "equally good by every measure here (wall p95 131 to 135 mm, uncertain by 9 %); robust" in headline(pair)
+    assert "equally good by every measure here (wall p95 131 to 135 mm, uncertain by 9 %)." in headline(pair)
+    for run, mean in zip(pair, (30, 20), strict=True):
+        run.document["search"] = {"evaluations_per_scan": {"mean": mean}}
+    assert headline(pair).endswith("uncertain by 9 %); robust 20/10x10 needs the fewest evaluations.")
+    pair[1].document["search"] = pair[0].document["search"]
+    assert headline(pair).endswith("uncertain by 9 %).")
 
 
 def test_the_measures_that_decide_are_told_with_their_uncertainty():
@@ -103,7 +115,7 @@ def test_counts_of_cells_of_two_sizes_are_not_among_the_measures_that_hardly_dif
     pair = [entry("robust 10/5x5", p95_mm=60.0), entry(p95_mm=60.2, cells_per_m=100.0, cell_mm=40)]
     assert headline(pair).startswith(
         "A finer grid does not pay on this log: the maps of robust 10/5x5 and robust 20/10x10 are equally good by "
-        "every measure that does not depend on the cell size; robust 10/5x5 needs the fewest evaluations. "
+        "every measure that does not depend on the cell size. "
         "Wall thickness and crispness are not compared, because the cell sizes differ (40 and 20 mm)."
     )
     pair[0].document["map"]["accepted_share"], pair[1].document["map"]["accepted_share"] = 0.99, 0.97
