@@ -89,8 +89,7 @@ def make(folder: Path, logs: Path) -> None:
     for log, (start_s, end_s) in PARTS.items():
         opened = open_log(logs / LOGS[log][0], start_s=start_s, end_s=end_s)
         scans = list(opened.scans())
-        odometry = opened.odometry.odom_T_laser if opened.odometry else None
-        undisturbed = Case(scans, opened.period_s, odometry, Trajectory.of([], []), opened.base_T_laser)
+        undisturbed = Case(scans, opened.period_s, opened.odom_T_laser, Trajectory.of([], []), opened.base_T_laser)
         write_poses(undisturbed.track().trajectory, folder / f"{log}.tum")
         for name in (name for name in names() if name.startswith(f"{log}.")):
             kind, level, seed = parts_of(name)

@@ -80,7 +80,7 @@ MEANINGS: Final = {
     SECOND_MOTION: "something large moves with the laser or past it",
     "placed by odometry alone": "a part is placed by odometry alone",
     "may have been carried": "after a stretch without poses, the laser may be elsewhere",
-    "odometry contradicts": "odometry contradicts the scans",
+    "odometry contradicts": "odometry shows another motion",
 }
 """Reason of the doubt -> what it says of the run."""
 
