@@ -34,10 +34,9 @@ from doubt_corpus import LOGS, at_scans, flown, largest_errors, mission_names
 import mavnav.slam
 from mavnav.config.loading import load_config
 from mavnav.logs import open_log
-from mavnav.pose import Trajectory, correct_path
+from mavnav.pose import Trajectory
 from mavnav.slam import pipeline
 from mavnav.slam.result import SlamResult
-from mavnav.units import NS
 
 PASSES = ("ATTEMPTS", "RECOVERING", "CHECKING", "FINISHING")
 """The tuples of the pipeline of which each entry is undone."""
@@ -220,9 +219,13 @@ def track_log(folder: Path, logs: Path, name: str, sets: list[str]) -> tuple[Sla
     else:
         start_s, end_s = PARTS.get(name, (None, None))
         log = open_log(logs / LOGS[name][0], start_s=start_s, end_s=end_s)
-    odometry = correct_path(log.odometry.odom_T_laser, -round(log.mid_sweep_s / NS)) if log.odometry else None
     slam = pipeline.run_slam(
-        log.scans, load_config(sets=sets), log.period_s, odometry, base_T_laser=log.base_T_laser, scans_ns=log.stamps_ns
+        log.scans,
+        load_config(sets=sets),
+        log.period_s,
+        log.odom_T_laser,
+        base_T_laser=log.base_T_laser,
+        scans_ns=log.stamps_ns,
     )
     if log_name in PARTS:
         return slam, read_poses(folder / f"{log_name}.tum")

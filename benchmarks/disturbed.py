@@ -26,9 +26,8 @@ from typing import Any
 
 import numpy as np
 from doubt import is_wrong
-from doubt_corpus import LOGS, disturbed, largest_errors
+from doubt_corpus import LOGS, Case, disturbed, largest_errors
 
-from mavnav.config.models import Config
 from mavnav.logs import open_log
 from mavnav.logs.log import Log
 from mavnav.logs.messages import cdr, definitions
@@ -37,7 +36,6 @@ from mavnav.outputs.files.trajectory import write_poses
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import Scan
 from mavnav.slam.findings import HIGH
-from mavnav.slam.pipeline import run_slam
 
 Run = dict[str, Any]
 
@@ -91,9 +89,8 @@ def make(folder: Path, logs: Path) -> None:
     for log, (start_s, end_s) in PARTS.items():
         opened = open_log(logs / LOGS[log][0], start_s=start_s, end_s=end_s)
         scans = list(opened.scans())
-        odometry = opened.odometry.odom_T_laser if opened.odometry else None
-        slam = run_slam(partial(iter, scans), Config(), opened.period_s, odometry)
-        write_poses(slam.trajectory, folder / f"{log}.tum")
+        undisturbed = Case(scans, opened.period_s, opened.odom_T_laser, Trajectory.of([], []), opened.base_T_laser)
+        write_poses(undisturbed.track().trajectory, folder / f"{log}.tum")
         for name in (name for name in names() if name.startswith(f"{log}.")):
             kind, level, seed = parts_of(name)
             some, _ = disturbed(scans, opened.period_s, kind, level, seed)

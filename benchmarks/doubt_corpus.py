@@ -16,13 +16,13 @@ from msgspec.structs import replace
 
 from mavnav.config.models import Config
 from mavnav.logs import open_log
-from mavnav.pose import Pose, Trajectory, correct_path, rigid_fit, transform_points
+from mavnav.pose import Pose, Trajectory, rigid_fit, transform_points
 from mavnav.scan import LaserSpec, Scan
 from mavnav.simulation.mission import fly
 from mavnav.simulation.world.scenario_file import load_scenario
 from mavnav.slam import pipeline
 from mavnav.slam.result import SlamResult
-from mavnav.units import DEG, NS
+from mavnav.units import DEG
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
@@ -170,9 +170,7 @@ def read(folder: Path, log: str, odom: str) -> Case:
     file, start_s, end_s = (LOGS | WRONG_LOGS)[log]
     topic = "/scan" if log.startswith("neato") else None
     opened = open_log(folder / file, odom=odom, start_s=start_s, end_s=end_s, topic=topic)
-    poses = opened.odometry.odom_T_laser if opened.odometry else None
-    odometry = correct_path(poses, -round(opened.mid_sweep_s / NS)) if poses else None
-    return Case(list(opened.scans()), opened.period_s, odometry, Trajectory.of([], []), opened.base_T_laser)
+    return Case(list(opened.scans()), opened.period_s, opened.odom_T_laser, Trajectory.of([], []), opened.base_T_laser)
 
 
 def recorded(folder: Path, name: str) -> Case:

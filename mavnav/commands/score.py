@@ -24,7 +24,7 @@ from mavnav.config.options import REFERENCES, read_options, settings_of
 from mavnav.errors import worst
 
 
-@shared.with_options("topic", "start_s", "end_s", "attitude", "extrinsic", "strict", *REFERENCES)
+@shared.with_options("topic", "odom", "start_s", "end_s", "attitude", "extrinsic", "strict", *REFERENCES)
 def score(
     context: typer.Context,
     logs: shared.LogParts,

@@ -22,7 +22,7 @@ from mavnav.logs.records import Channel, Gap, Imu, LogContents, Odometry, Record
 from mavnav.logs.segments import Recorded, SweepJoiners
 from mavnav.logs.stamps import Clock, StampSource
 from mavnav.logs.topic_scans import KEPT_BYTES
-from mavnav.pose import Pose
+from mavnav.pose import Pose, Trajectory, correct_path
 from mavnav.profiling import Stage, each
 from mavnav.scan import LONGEST_SWEEP, LaserSpec, Line, Scan, scan_before
 from mavnav.units import NS
@@ -140,6 +140,11 @@ class Log(LogContents, frozen=True, eq=False, kw_only=True):
         """Time from the stamp of a scan to the middle of its sweep, where its pose holds; 0 if it cannot be right."""
         sweep_s = self.sensor.sweep_s
         return 0.5 * sweep_s if sweep_s <= LONGEST_SWEEP * self.period_s else 0.0
+
+    @property
+    def odom_T_laser(self) -> Trajectory | None:
+        """Odometry of the laser, with the stamp of a scan at the middle of its sweep; None without odometry."""
+        return correct_path(self.odometry.odom_T_laser, -round(self.mid_sweep_s / NS)) if self.odometry else None
 
     @property
     def duration_s(self) -> float:

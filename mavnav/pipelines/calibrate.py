@@ -33,14 +33,14 @@ from mavnav.outputs.pictures import calibration_picture
 from mavnav.outputs.report.summary_page import calibration_summary, draw_png, write_summary
 from mavnav.outputs.run import half_sweep_s
 from mavnav.pipelines.maps import config_for_log
-from mavnav.pose import Pose, correct_path
+from mavnav.pose import Pose
 from mavnav.profiling import Progress
 from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, LogOdometry, fit_odometry
 from mavnav.slam.methods.registry import load_kernels
 from mavnav.slam.pipeline import MEASURING, run_slam
 from mavnav.slam.result import SlamResult
 from mavnav.slam.retries import beam_order
-from mavnav.units import DEG, NS
+from mavnav.units import DEG
 from mavnav.version import DOCUMENT_HEAD
 
 MOUNTING: Final = ("x_m", "y_m", "yaw_deg")
@@ -80,7 +80,7 @@ def calibrate(request: CalibrationRequest, progress: Progress) -> dict[str, Any]
         log.scans,
         config,
         log.period_s,
-        correct_path(odometry.odom_T_laser, -round(log.mid_sweep_s / NS)),
+        log.odom_T_laser,
         rotation=log.imu.rotation if log.imu else None,
         on_step=lambda phase, done: progress(phase, done, log.counts.usable),
         last=MEASURING,

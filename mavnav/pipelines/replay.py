@@ -295,7 +295,7 @@ def _track(
         lambda: takewhile(going, log.scans()),
         config,
         log.period_s,
-        correct_path(log.odometry.odom_T_laser, -round(log.mid_sweep_s / NS)) if log.odometry else None,
+        log.odom_T_laser,
         rotation=log.imu.rotation if log.imu else None,
         on_step=lambda phase, done: progress(phase, done, log.counts.usable),
         prior_map=known,

@@ -27,14 +27,17 @@ from mavnav.outputs.run import RunResult, Timing, half_sweep_s
 from mavnav.outputs.writers import write_run
 from mavnav.pipelines.again import changed_values
 from mavnav.pipelines.maps import check_references, comparison_fields, config_for_log, measured_map, references_in_map
-from mavnav.pipelines.replay import ReplayRequest, open_request
+from mavnav.pipelines.replay import ReplayRequest, open_request, with_corrected_odometry
 from mavnav.pipelines.trajectory_source import LASER, WHOLE, Program, TrajectorySource, run_program
 from mavnav.pose import Pose, Trajectory
 from mavnav.profiling import Progress, new_profile
-from mavnav.slam.given_poses import draw_at_poses
+from mavnav.slam.given_poses import FittedOdometry, draw_at_poses
 from mavnav.slam.matching.differences import differences
+from mavnav.slam.matching.odometry_fit import LogOdometry
 from mavnav.slam.methods.registry import load_kernels
 from mavnav.slam.pipeline import run_slam
+from mavnav.slam.result import SlamResult
+from mavnav.slam.retries.floor_line import floor_warning
 from mavnav.units import DEG, MM, NS
 
 BASE: Final = "base"
@@ -63,7 +66,7 @@ class ScoreRequest(ReplayRequest, frozen=True, kw_only=True):
         return self.directory if self.alone else self.directory / name
 
 
-SCORED_OPTIONS: Final = ("topic", "start_s", "end_s", "attitude", "extrinsic", "strict", *REFERENCES)
+SCORED_OPTIONS: Final = ("topic", "odom", "start_s", "end_s", "attitude", "extrinsic", "strict", *REFERENCES)
 """Options of a replay that hold for given poses, too."""
 
 
@@ -81,7 +84,7 @@ class Scored(NamedTuple):
 
 
 class _GivenPoses(Struct, frozen=True):
-    """A trajectory of the laser, what its poses were of, what a program took to write it, and mavnav's own."""
+    """A trajectory of the laser, what its poses were of, what a program took to write it, and mavnav's own poses."""
 
     source: TrajectorySource
     world_T_laser: Trajectory
@@ -104,18 +107,21 @@ def score_log(request: ScoreRequest, progress: Progress) -> list[Scored]:
         check_directory(request.directory_of(name), force=request.force, inputs=(*inputs, *files))
     references = load_references(**reference_files(request.options))
     progress("reading", 0, None)
-    log = open_request(request, progress, odom="off", truth=request.recorded_truth)
+    log = open_request(request, progress, odom=request.config.odom, truth=request.recorded_truth)
+    log = with_corrected_odometry(log, request.config)
     check_references(references, log, request.options, own_frame=True)
     poses = [_read(source, request, log, progress) for source in request.sources]
     config, warnings = config_for_log(request.config, log)
     load_kernels(config, progress)
     log = replace(log, warnings=(*warnings, *log.warnings))
     request = replace(request, config=config)
-    own = cache(partial(own_path, log, config, progress))
+    own = cache(partial(own_run, log, config, progress))
+    wheels, scored_log = confirmed_odometry(log, own(whole=True) if log.odometry else None)
 
     def score(given: _GivenPoses) -> Scored:
-        given = replace(given, own=own(whole=given.source.pose_at == WHOLE))
-        return Scored(given.source.name, _score(given, request, log, references, progress))
+        track = own(whole=given.source.pose_at == WHOLE)
+        given = replace(given, own=track.trajectory if track else None)
+        return Scored(given.source.name, _score(given, request, scored_log, wheels, references, progress))
 
     scored = [score(each) for each in poses]
     for program in request.programs:
@@ -200,7 +206,12 @@ def _mounting(source: TrajectorySource, log: Log) -> Pose:
 
 
 def _score(
-    poses: _GivenPoses, request: ScoreRequest, log: Log, references: References, progress: Progress
+    poses: _GivenPoses,
+    request: ScoreRequest,
+    log: Log,
+    wheels: FittedOdometry | None,
+    references: References,
+    progress: Progress,
 ) -> dict[str, Any]:
     """Draw, judge, measure and write one trajectory; return its run.json."""
     wall_s, cpu_s, stages = perf_counter(), process_time(), new_profile(loading=0.0, starting=0.0)
@@ -215,6 +226,7 @@ def _score(
         log.stamps_ns,
         whole=source.pose_at == WHOLE,
         of_run=source.in_log is None and Path(source.text).is_dir(),
+        wheels=wheels,
         on_step=lambda _, done: progress(source.name, done, log.counts.usable),
     )
     outcome, world_T_map, misfit_m = draw(holds_ns=round(instant * log.mid_sweep_s / NS))
@@ -223,7 +235,12 @@ def _score(
         outcome, world_T_map, misfit_m = draw(holds_ns=round(instant * half_s / NS))
     held = in_time_of_truth(outcome.trajectory, half_s, config.truth_at)
     references, warnings = references_in_map(references, log, int(held.stamps_ns[0]) if len(held) else None)
-    outcome = replace(outcome, warnings=(*outcome.warnings, *poses.warnings, *warnings))
+    left_out = (floor_warning(log.floor_m),) if log.floor_m else ()
+    outcome = replace(
+        outcome,
+        warnings=(*outcome.warnings, *poses.warnings, *left_out, *warnings),
+        odometry=wheels[1] if wheels else None,
+    )
     comparison = comparison_fields(references, held, outcome, config)
     run = RunResult(
         log=log,
@@ -257,13 +274,28 @@ def _again(request: ScoreRequest, source: TrajectorySource) -> Iterator[str]:
     yield from (f"--set={key}={to_scalar(value)}" for key, value in changed.items() if key != "method")
 
 
-def own_path(log: Log, config: Config, progress: Progress, *, whole: bool) -> Trajectory | None:
-    """Return mavnav's own poses of the scans as recorded, or of the laser at mid-sweep; None if they are doubtful."""
+def own_run(log: Log, config: Config, progress: Progress, *, whole: bool) -> SlamResult | None:
+    """Return mavnav's own run, with poses of the scans as recorded, or of the laser at mid-sweep; None if doubtful."""
     config = replace(config, method="robust", final_pass=whole)
     own = run_slam(
-        log.scans, config, log.period_s, on_step=lambda phase, done: progress(phase, done, log.counts.usable), last=()
+        log.scans,
+        config,
+        log.period_s,
+        log.odom_T_laser,
+        on_step=lambda phase, done: progress(phase, done, log.counts.usable),
+        last=(),
+        base_T_laser=log.base_T_laser,
+        scans_ns=log.stamps_ns,
     )
-    return own.trajectory if own.doubt and not own.doubt.high and not own.lost_for_good else None
+    return own if own.doubt and not own.doubt.high and not own.lost_for_good else None
+
+
+def confirmed_odometry(log: Log, own: SlamResult | None) -> tuple[FittedOdometry | None, Log]:
+    """Return the odometry that mavnav's own run confirms, and the log without the floor that it shows, if any."""
+    if log.odom_T_laser is None or own is None or own.odometry is None:
+        return None, log
+    wheels = LogOdometry.of_laser(log.odom_T_laser, log.base_T_laser or Pose(), log.stamps_ns)
+    return (wheels, own.odometry), log.without_floor(own.floor_m) if own.floor_m else log
 
 
 def difference_section(path: Trajectory, own: Trajectory | None, log: Log) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from mavnav.metrics.wall_spread import wall_report
 from mavnav.outputs.documents.sections import PoseJump
 from mavnav.outputs.files.document import track_verdict
 from mavnav.pipelines.maps import measured_map
-from mavnav.pipelines.score import ScoreRequest, difference_section, own_path, score_log
+from mavnav.pipelines.score import ScoreRequest, difference_section, own_run, score_log
 from mavnav.pipelines.trajectory_source import TrajectorySource, read_source
 from mavnav.pose import Pose, Trajectory
 from mavnav.profiling import silent
@@ -93,7 +93,8 @@ def test_the_truth_is_good_and_stays_where_it_is(log: Log, true: tuple[SlamResul
 
 @pytest.fixture(scope="module")
 def own(log: Log) -> Trajectory | None:
-    return own_path(log, load_config(None, [], {}), silent, whole=False)
+    run = own_run(log, load_config(None, [], {}), silent, whole=False)
+    return run.trajectory if run else None
 
 
 @pytest.mark.parametrize("error", ERRORS)

@@ -68,19 +68,20 @@ EVERYWHERE: Final = 0.9
 """Share of a log from which a reason holds everywhere."""
 
 SYMPTOM: Final = "two tracks disagree"
+OPEN: Final = "weakly constrained pose"
 
 MEANINGS: Final = {
     SYMPTOM: "tracked again with coarser voxels, the path differs",
     "a second track is lost": "tracked again with coarser voxels, the laser is lost",
     "slip": "the path jumps",
-    "weakly constrained pose": "the walls leave a direction open",
+    OPEN: "the walls leave a direction open",
     "sampling too sparse for the motion": "the laser moves too far between two scans",
     NOT_PLANAR: "the laser seems to have tilted, or the place to have changed",
     "too few beams": "the scans have few points",
     SECOND_MOTION: "something large moves with the laser or past it",
     "placed by odometry alone": "a part is placed by odometry alone",
     "may have been carried": "after a stretch without poses, the laser may be elsewhere",
-    "odometry contradicts": "odometry contradicts the scans",
+    "odometry contradicts": "odometry shows another motion",
 }
 """Reason of the doubt -> what it says of the run."""
 
@@ -199,9 +200,13 @@ def _is_looser(name: str, value: Any, usual: dict[str, Any]) -> bool:  # noqa: A
 
 
 def _doubted(run: Run, above: float, how: str) -> Cause:
-    """Say of a track with a higher doubt what raises it most, and where."""
+    """Say of a track with a higher doubt what raises it most, and where.
+
+    What walls leave open makes no poses wrong that another program has given: it may know more than the scans.
+    """
     doubt = run["tracking"]["doubt"]
-    if (doubt["probability"] or 0.0) <= above:
+    is_open = run["method"] == EXTERNAL and [each["reason"] for each in doubt["reasons"][:1]] == [OPEN]
+    if (doubt["probability"] or 0.0) <= (1.0 if is_open and above >= CERTAIN else above):
         return None
     return f"the path {how} (doubt {doubt['probability']:.2f}): {_evidence(run)}", _advice_if_doubted(run)
 

@@ -61,9 +61,15 @@ def without_floor(track: Track) -> Track:
         return track
     x_m, y_m = ((1.0 - NEAR) * line_m).tolist()
     cut = replace(track, log_scans=scans_before(track.log_scans, (x_m, y_m)))
-    return cut.with_findings(floor_m=(x_m, y_m)).with_warning(
-        f"what the laser sees {np.hypot(*line_m):.2g} m ahead moves along with the vehicle, as the floor does if the "
-        "laser is pitched down, or what is carried: returns from there on are left out; mount the laser level"
+    return cut.with_findings(floor_m=(x_m, y_m)).with_warning(floor_warning((x_m, y_m)))
+
+
+def floor_warning(floor_m: Line) -> str:
+    """Say that the returns from a line on are left out, and why."""
+    return (
+        f"what the laser sees {np.hypot(*floor_m) / (1.0 - NEAR):.2g} m ahead moves along with the vehicle, as the "
+        "floor does if the laser is pitched down, or what is carried: returns from there on are left out; mount the "
+        "laser level"
     )
 
 
