@@ -31,6 +31,10 @@ MEMORY, MOST_EXCESS, IGNORED = 0.9, 10.0, 1e-9
 """Weight of the past in the running mean of excess, excess from which a prediction hardly weighs, and its weight then:
 the wheels of a carried vehicle show nothing."""
 
+APPARENT = 0.002
+"""Share of its points by which a scan seems to show the direction that walls leave open, as the directions of lines
+have noise: it is as large in plain corridors. Half and four times of it do as well."""
+
 EYE = np.eye(3)
 NONE = np.zeros((3, 3))
 LEAST = np.array((LEAST_SIGMA_M**2, LEAST_SIGMA_M**2, 0.1))
@@ -54,14 +58,21 @@ class Evidence(NamedTuple):
         return hessian, self.spread + LEAST_SIGMA_M**2 * hessian
 
 
-def evidence_of(points: Array, map_T_laser: Pose, line_map: LineMap, truncate_m: float) -> Evidence:
+def evidence_of(
+    points: Array, map_T_laser: Pose, line_map: LineMap, truncate_m: float, apparent: float = 0.0
+) -> Evidence:
     """Return what points (n, 2), m, laser frame, show about a pose near it, by distances across their lines alone.
 
-    Points on unmapped area and beyond the truncation show nothing.
+    Points on unmapped area and beyond the truncation show nothing. In the direction that walls leave most open, they
+    show less by the share ``apparent`` of their number, as if so many points were across it.
     """
     information, pulls = line_map.pulls(points, map_T_laser, truncate_m)
-    pulls = pulls[:3]
-    return Evidence(symmetric(information), pulls.sum(axis=1), pulls @ pulls.T)
+    hessian, count, pulls = symmetric(information), float(pulls[5].sum()), pulls[:3]
+    along = np.append(np.linalg.eigh(hessian[:2, :2])[1][:, 0], 0.0)
+    shown = hessian @ along
+    seen = max(float(along @ shown), 1e-9)
+    kept = EYE - min(1.0, apparent * count / seen) * np.outer(shown, along) / seen
+    return Evidence(kept @ hessian, kept @ pulls.sum(axis=1), kept @ pulls @ pulls.T @ kept.T)
 
 
 def longer_than_predicted(evidence: Evidence, matched: Pose, predicted: Pose, before: Pose) -> tuple[float, float]:
@@ -92,7 +103,7 @@ class Fusion(NamedTuple):
     ``covariance`` (3, 3) is that of the last fused pose, of which the next prediction inherits the share ``inherited``:
     a small error of every prediction, as of the scale of wheels, adds up until walls show it. The share is less than 1,
     as errors of matches of scans in a row are alike. ``strict`` is the factor by which a match counts as more exact
-    where it judges a prediction: walls seldom move.
+    where it judges a prediction: walls seldom move. ``apparent`` is that of `evidence_of`.
     """
 
     position_m2: float = 0.02**2
@@ -104,6 +115,7 @@ class Fusion(NamedTuple):
     covariance: Array = NONE
     inherited: float = 0.0
     strict: float = 1.0
+    apparent: float = 0.0
 
     def fuse(self, evidence: Evidence, matched: Pose, predicted: Pose, units: float) -> tuple[Pose, Fusion]:
         """Return the mean of a matched pose and that which is predicted after some motion; what it shows."""
@@ -140,5 +152,5 @@ class Fusion(NamedTuple):
         return fused, learnt
 
 
-WHEELS = Fusion(position_m2=1e-3, yaw_rad2=1e-3, factor=8.0, freedom=4.0, inherited=0.8, strict=2.0)
+WHEELS = Fusion(position_m2=1e-3, yaw_rad2=1e-3, factor=8.0, freedom=4.0, inherited=0.8, strict=2.0, apparent=APPARENT)
 """What is known of wheels at first: the error of a motion of 0.1 m or 0.1 rad is a tenth of it."""

@@ -93,7 +93,8 @@ class Fused(Robust):
 
     def _fuse(self, match: Match, points: NDArray[np.float64], predicted: Pose) -> Match:
         """Return a match at the mean of its pose and the predicted one; what that shows is learnt if it is accepted."""
-        evidence = evidence_of(points, match.map_T_laser, self.lines, self.config.robust.expert.truncate_m)
+        used, truncate_m = self._used, self.config.robust.expert.truncate_m
+        evidence = evidence_of(points, match.map_T_laser, self.lines, truncate_m, used.apparent)
         pose, learnt = self._used.fuse(evidence, match.map_T_laser, predicted, self._units)
         self._learnt = self._fusion if self._used is VELOCITY else learnt
         if not self._used.inherited:

@@ -7,7 +7,7 @@ import pytest
 
 from mavnav.config.models import Config
 from mavnav.pose import Pose
-from mavnav.slam.matching.fusion import WHEELS, Evidence, Fusion, evidence_of
+from mavnav.slam.matching.fusion import APPARENT, WHEELS, Evidence, Fusion, evidence_of
 from mavnav.slam.matching.scan_matching import empty_line_map
 
 RNG = np.random.default_rng(0)
@@ -30,6 +30,21 @@ def test_along_two_walls_only_yaw_and_the_direction_across_are_known() -> None:
     assert along < 1e-4 * across
     assert off.pull[1] / across == pytest.approx(-0.01, abs=1e-3)
     assert off.spread[1, 1] > 5.0 * off.pull[1] ** 2 / across  # more than of as many independent residuals
+
+
+@pytest.mark.parametrize(("frame_points", "least", "most"), [(0, 0.0, 0.01), (40, 0.9, 1.0)])
+def test_what_rough_walls_seem_to_show_of_the_direction_along_them_does_not_count(
+    frame_points: int, least: float, most: float
+) -> None:
+    """Beside a door frame that share hardly matters."""
+    rough = WALLS + np.column_stack((np.zeros(len(WALLS)), 0.005 * RNG.standard_normal(len(WALLS))))
+    frame = np.column_stack((np.full(frame_points, 0.5), np.linspace(0.8, 1.0, frame_points)))
+    walls, line_map = np.vstack((rough, frame)), empty_line_map(Config())
+    line_map.insert(walls)
+    seen = walls[np.abs(walls[:, 0]) < 2.0]
+    whole, less = (evidence_of(seen, Pose(), line_map, TRUNCATE_M, share).hessian for share in (0.0, APPARENT))
+    assert least <= less[0, 0] / whole[0, 0] <= most
+    assert less[1, 1] == pytest.approx(whole[1, 1], rel=0.01)
 
 
 def test_commands_decide_along_the_walls_and_the_match_across() -> None:
