@@ -28,7 +28,7 @@ from mavnav.config.loading import load_config
 from mavnav.ground_truth.tables import read_trajectory
 from mavnav.logs import open_log
 from mavnav.metrics.journey import Journey, placed_scans
-from mavnav.metrics.revisits import pairs_of, revisits
+from mavnav.metrics.revisits import Pairs, long_pairs, revisits, short_pairs
 from mavnav.pipelines.trajectory_source import Program, run_program
 from mavnav.pose import Trajectory
 from mavnav.slam.methods.registry import load_kernels
@@ -136,7 +136,7 @@ PEERS: dict[str, Callable[[Clouds], Clouds]] = {"kiss-icp": with_kiss_icp, "smal
 
 def measured(log: Log, map_T_laser: Trajectory) -> Revisits:
     """Return the revisit metric of poses."""
-    pairs = pairs_of(map_T_laser)
+    pairs = Pairs(short_pairs(map_T_laser.stamps_ns), long_pairs(map_T_laser))
     scans = placed_scans(Journey(map_T_laser, log.scans, 1.0), np.unique(np.concatenate(pairs)))
     return revisits(map_T_laser, pairs, scans)
 

@@ -53,7 +53,7 @@ class ReplayOptions(SearchOptions, Generic[PathType], total=False):
     end_s
         Stop this many seconds after the first scan (default at the end).
     odom
-        Odometry used as motion prior (robust only; default auto).
+        Odometry that predicts motion, and is evidence (robust only; default auto).
     attitude
         Tilt and height of the laser, to level the scans by (default auto).
     extrinsic

@@ -31,9 +31,9 @@ from mavnav.pipelines.replay import ReplayRequest, open_request, with_corrected_
 from mavnav.pipelines.trajectory_source import LASER, WHOLE, Program, TrajectorySource, run_program
 from mavnav.pose import Pose, Trajectory
 from mavnav.profiling import Progress, new_profile
-from mavnav.slam.given_poses import FittedOdometry, draw_at_poses
+from mavnav.slam.given_poses import draw_at_poses
 from mavnav.slam.matching.differences import differences
-from mavnav.slam.matching.odometry_fit import LogOdometry
+from mavnav.slam.matching.odometry_fit import FittedOdometry
 from mavnav.slam.methods.registry import load_kernels
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.result import SlamResult
@@ -115,13 +115,17 @@ def score_log(request: ScoreRequest, progress: Progress) -> list[Scored]:
     load_kernels(config, progress)
     log = replace(log, warnings=(*warnings, *log.warnings))
     request = replace(request, config=config)
-    own = cache(partial(own_run, log, config, progress))
-    wheels, scored_log = confirmed_odometry(log, own(whole=True) if log.odometry else None)
+    own = cache(partial(own_run, config=config, progress=progress))
+
+    @cache
+    def by_odometry() -> tuple[FittedOdometry | None, Log]:
+        return confirmed_odometry(log, own(log, whole=True) if log.odometry else None)
 
     def score(given: _GivenPoses) -> Scored:
-        track = own(whole=given.source.pose_at == WHOLE)
-        given = replace(given, own=track.trajectory if track else None)
-        return Scored(given.source.name, _score(given, request, scored_log, wheels, references, progress))
+        wheels, cut = by_odometry()
+        run = own(log, whole=True) if given.source.pose_at == WHOLE else own(cut, whole=False)
+        given = replace(given, own=run.trajectory if run else None)
+        return Scored(given.source.name, _score(given, request, cut, wheels, references, progress))
 
     scored = [score(each) for each in poses]
     for program in request.programs:
@@ -180,7 +184,9 @@ def _read(source: TrajectorySource, request: ScoreRequest, log: Log, progress: P
         path, frame = (truth.world_T_laser, truth.body_frame or BASE) if truth else (None, "")
     else:
         poses, several = read_trajectory(source.path)
-        path, frame = poses.compose(_mounting(source, log)), source.frame
+        of_laser = source.frame in {LASER, log.frame_id.lstrip("/")}
+        mounted = log if of_laser else open_request(request, progress, odom="off", truth=None)  # on any base
+        path, frame = poses.compose(_mounting(source, mounted)), source.frame
         if several:
             stamps = f"{several} of {len(poses)} stamps have poses that differ"
             warnings = (f"{source.text}: {stamps}; the last of each is used; leave one row of each stamp",)
@@ -236,11 +242,7 @@ def _score(
     held = in_time_of_truth(outcome.trajectory, half_s, config.truth_at)
     references, warnings = references_in_map(references, log, int(held.stamps_ns[0]) if len(held) else None)
     left_out = (floor_warning(log.floor_m),) if log.floor_m else ()
-    outcome = replace(
-        outcome,
-        warnings=(*outcome.warnings, *poses.warnings, *left_out, *warnings),
-        odometry=wheels[1] if wheels else None,
-    )
+    outcome = replace(outcome, warnings=(*outcome.warnings, *poses.warnings, *left_out, *warnings))
     comparison = comparison_fields(references, held, outcome, config)
     run = RunResult(
         log=log,
@@ -274,7 +276,7 @@ def _again(request: ScoreRequest, source: TrajectorySource) -> Iterator[str]:
     yield from (f"--set={key}={to_scalar(value)}" for key, value in changed.items() if key != "method")
 
 
-def own_run(log: Log, config: Config, progress: Progress, *, whole: bool) -> SlamResult | None:
+def own_run(log: Log, *, whole: bool, config: Config, progress: Progress) -> SlamResult | None:
     """Return mavnav's own run, with poses of the scans as recorded, or of the laser at mid-sweep; None if doubtful."""
     config = replace(config, method="robust", final_pass=whole)
     own = run_slam(
@@ -282,6 +284,7 @@ def own_run(log: Log, config: Config, progress: Progress, *, whole: bool) -> Sla
         config,
         log.period_s,
         log.odom_T_laser,
+        rotation=log.imu.rotation if log.imu else None,
         on_step=lambda phase, done: progress(phase, done, log.counts.usable),
         last=(),
         base_T_laser=log.base_T_laser,
@@ -292,10 +295,9 @@ def own_run(log: Log, config: Config, progress: Progress, *, whole: bool) -> Sla
 
 def confirmed_odometry(log: Log, own: SlamResult | None) -> tuple[FittedOdometry | None, Log]:
     """Return the odometry that mavnav's own run confirms, and the log without the floor that it shows, if any."""
-    if log.odom_T_laser is None or own is None or own.odometry is None:
+    if own is None or own.wheels is None:
         return None, log
-    wheels = LogOdometry.of_laser(log.odom_T_laser, log.base_T_laser or Pose(), log.stamps_ns)
-    return (wheels, own.odometry), log.without_floor(own.floor_m) if own.floor_m else log
+    return own.wheels, log.without_floor(own.floor_m) if own.floor_m else log
 
 
 def difference_section(path: Trajectory, own: Trajectory | None, log: Log) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from mavnav.pose import MAX_GAP_NS, Pose, Trajectory
 from mavnav.slam.doubt.judge import UNASKED, UNDECIDED, judge, match_again, redraw
 from mavnav.slam.findings import SECOND_LOST
 from mavnav.slam.matching.motion_model import Motion
-from mavnav.slam.matching.odometry_fit import LogOdometry, OdometryFit
+from mavnav.slam.matching.odometry_fit import FittedOdometry
 from mavnav.slam.matching.scan_matching import first_match, no_match
 from mavnav.slam.matching.steps import Step, Steps
 from mavnav.slam.methods.robust import Robust
@@ -26,9 +26,6 @@ from mavnav.units import DEG
 
 ROUNDED_NS: Final = 1_000_000
 """Largest time of a scan before the first pose or after the last that rounding in a text file explains."""
-
-FittedOdometry = tuple[LogOdometry, OdometryFit]
-"""Odometry of a log, and what makes it fit."""
 
 MOST_SCANS: Final = 0.5
 """Share of the scans with a pose of their own from which on the others have none: they were lost, or left out."""
@@ -66,7 +63,7 @@ def draw_at_poses(
     holds_ns : time from the stamp of a scan to that of its pose
     whole : the poses are those at which the scans as recorded fit best, not those of the laser at mid-sweep
     of_run : they are those of a run: its map has their frame
-    wheels : odometry of the log that is known to be right: evidence where walls leave the motion open
+    wheels : odometry of the log that mavnav's own track confirms: evidence where walls leave the motion open
     on_step : called with the name of the pass and the number of scans done
     """
     xyyaw = world_T_laser.poses_at(_within_rounding(scans_ns + holds_ns, world_T_laser), MAX_GAP_NS)
@@ -79,13 +76,14 @@ def draw_at_poses(
     steps = Steps(_steps(scans_ns, xyyaw, world_T_map.inverse()))
     causal = replace(config, final_pass=False)  # what warns of a log that mavnav tracked does not apply
     track = Track(log_scans, causal, Motion(period_s), Robust(config), steps=steps, on_step=on_step)
-    track = track.with_odometry(*wheels) if wheels else track
+    track = replace(track, recorded_ns=wheels[0].odom_T_base.stamps_ns) if wheels else track
     refiner = redraw(track, recorded=whole)
     for change in (time_sweeps, reverse_beams):
         if changed := change(replace(track, config=config, method=refiner)):
             track = replace(track, log_scans=changed.log_scans, findings=changed.findings)
             refiner = redraw(track, recorded=whole)
     drawn = match_again(track, refiner)
+    drawn = drawn.with_odometry(*wheels) if wheels else drawn
     judged = judge(drawn, refiner, UNDECIDED)
     if (doubt := judged.findings.doubt) and SECOND_LOST in {reason.name for reason in doubt.reasons}:
         judged = judge(drawn, refiner, UNASKED)  # a laser that is lost says nothing of where others put it
@@ -94,7 +92,7 @@ def draw_at_poses(
         for step, best in zip(steps, drawn.steps, strict=True)
     )
     misfit_m = _misfit_m(steps, drawn.steps)
-    return summarize(replace(judged.without_odometry(), steps=Steps(unmoved))), world_T_map, misfit_m
+    return summarize(replace(judged, log_odometry=None, steps=Steps(unmoved))), world_T_map, misfit_m
 
 
 def _is_near_origin(pose: Pose) -> bool:

@@ -105,7 +105,8 @@ def run_slam(
     method = make_method(config, prior_map)
     given: LogOdometry | None = None
     if odom_T_laser is not None and len(odom_T_laser):
-        given = LogOdometry.of_laser(odom_T_laser, base_T_laser or Pose(), scans_ns)
+        mounting = base_T_laser or Pose()
+        given = LogOdometry(odom_T_laser.compose(mounting.inverse()), mounting, scans_ns)
     fastest = config.robust.max_speed_m_s, config.robust.max_turn_rad_s
     fit = in_meters(given, config.robust.max_speed_m_s) if given else GOOD_ODOMETRY
     odometry = given.lookup(fit) if given else None

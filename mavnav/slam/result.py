@@ -13,7 +13,7 @@ from mavnav.pose import Pose, Trajectory
 from mavnav.scan import Line
 from mavnav.slam.findings import NOT_PLANAR, Doubt, Loops, TrackedAgain
 from mavnav.slam.matching.observability import covariances_of
-from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, OdometryFit, fit_odometry, with_noise
+from mavnav.slam.matching.odometry_fit import GOOD_ODOMETRY, FittedOdometry, OdometryFit, fit_odometry, with_noise
 from mavnav.slam.matching.steps import NEARLY_ALL, LostInterval, Steps, jumps, lost_intervals, tracked_trajectory
 from mavnav.slam.methods.pauses import pause_warnings
 from mavnav.slam.recovery.bridges import Bridges, bridge_by_odometry
@@ -42,7 +42,8 @@ class SlamResult(Struct, frozen=True):
     nothing was tracked. It is put at ``map_T_begin``, else at the origin. ``odometry`` is what corrects the odometry
     that is used; None if none is. ``sweep_s`` is the time of a sweep where it is another than stated, else None.
     ``bridges`` are poses of lost scans by odometry. ``floor_m`` is the line from which on returns are left out
-    (`scan_before`), if any are.
+    (`scan_before`), if any are. ``wheels`` is the odometry of the log that is used, as it was corrected;
+    None if none is.
     """
 
     steps: Steps
@@ -61,6 +62,7 @@ class SlamResult(Struct, frozen=True):
     bridges: Bridges = field(default_factory=Bridges)
     map_T_begin: Pose | None = None
     floor_m: Line | None = None
+    wheels: FittedOdometry | None = None
 
     @property
     def path(self) -> Trajectory:
@@ -121,6 +123,7 @@ def summarize(track: Track) -> SlamResult:
         bridges,
         findings.map_T_begin,
         findings.floor_m,
+        (track.log_odometry, findings.odometry) if track.log_odometry and track.motion.odometry else None,
     )
 
 

@@ -93,7 +93,7 @@ def test_the_truth_is_good_and_stays_where_it_is(log: Log, true: tuple[SlamResul
 
 @pytest.fixture(scope="module")
 def own(log: Log) -> Trajectory | None:
-    run = own_run(log, load_config(None, [], {}), silent, whole=False)
+    run = own_run(log, whole=False, config=load_config(None, [], {}), progress=silent)
     return run.trajectory if run else None
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,14 +11,17 @@ import pytest
 from msgspec.structs import replace
 
 from mavnav.config.loading import load_config
+from mavnav.logs import open_log
 from mavnav.logs.writing.recorder import Recording as Recorded
 from mavnav.logs.writing.recorder import record as write
 from mavnav.outputs.files.trajectory import write_poses
-from mavnav.pipelines.score import ScoreRequest, score_log
+from mavnav.pipelines.score import ScoreRequest, confirmed_odometry, own_run, score_log
 from mavnav.pipelines.trajectory_source import LASER, TrajectorySource
-from mavnav.pose import Trajectory
+from mavnav.pose import Pose, Trajectory
 from mavnav.profiling import silent
-from support.synthetic import NOTHING, SHORT, Recording, along, box, polyline, record
+from support.field_logs import drive_log, tour, wheels
+from support.log_files import TF, Message, write_mcap
+from support.synthetic import NOTHING, SHORT, Recording, along, box, past_cupboards, polyline, record
 
 CORRIDOR = np.vstack(
     (
@@ -68,6 +72,36 @@ def test_odometry_that_is_not_asked_for_is_no_evidence(tmp_path: Path) -> None:
 
 
 def test_the_floor_is_left_out_and_named(tmp_path: Path) -> None:
+    """The own track with poses at mid-sweep, in which nothing shows it, stood still."""
     drive = record(CORRIDOR, PATH, SHORT, 0.003, carried=FLOOR)
     truth = scores(drive, drive.map_T_laser, tmp_path)["truth"]
     assert any("moves along with the vehicle, as the floor does" in text for text in truth["warnings"])
+    log, own = open_log(tmp_path / "log.mcap"), partial(own_run, config=load_config(None, [], {}), progress=silent)
+    _, cut = confirmed_odometry(log, own(log, whole=True))
+    at_mid_sweep = own(cut, whole=False)
+    assert at_mid_sweep is not None
+    assert at_mid_sweep.trajectory.length_m == pytest.approx(drive.map_T_laser.length_m, rel=0.02)
+
+
+def test_odometry_is_no_evidence_where_the_own_track_leaves_it_out(tmp_path: Path) -> None:
+    """Wheels that stand still for 5 s past cupboards made the truth wrong."""
+    drive = past_cupboards(bare_m=24.0)
+    true, poses = drive.map_T_laser, [Pose()]
+    for k in range(1, len(true)):
+        poses.append(poses[-1] if 100 <= k < 150 else poses[-1] @ true[k - 1].between(true[k]))
+    odometry = Trajectory.of(true.stamps_ns.tolist(), poses)
+    truth = scores(drive, odometry, tmp_path)["truth"]
+    assert truth["verdict"]["word"] == "good"
+    assert truth["tracking"]["odometry"]["used"]
+
+
+def test_poses_of_the_base_are_read_where_odometry_is_of_another_frame(tmp_path: Path) -> None:
+    """The mounting was not known then."""
+    path = tour(10.0)
+    mounting = {"parent": "base_link", "child": "laser", "x": 0.1, "y": 0.0, "yaw": 0.0}
+    messages = [Message("/tf_static", TF, int(path.stamps_ns[0]), mounting), *drive_log(path=path)]
+    log = write_mcap(tmp_path / "log.mcap", [*messages, *wheels(path, child="base_footprint")])
+    write_poses(path, tmp_path / "base.tum")
+    source = TrajectorySource("base", str(tmp_path / "base.tum"), "base_link")
+    request = ScoreRequest(log, tmp_path / "scores", load_config(None, [], {}), sources=(source,))
+    assert score_log(request, silent)[0].document

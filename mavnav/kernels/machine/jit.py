@@ -14,7 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import cached_property, partial
 from inspect import get_annotations
-from threading import RLock
+from threading import RLock, current_thread, main_thread
 from typing import Annotated, Any, ParamSpec, TypeVar, cast
 
 import numpy as np
@@ -185,9 +185,13 @@ class Kernel:
         The first call looks up by Python code what its arrays are (`loader`). In the main thread a signal handler may
         run there, and raise: the array would have no type, and the process would crash.
         """
+        if current_thread() is main_thread():
+            with ThreadPoolExecutor(1) as beside:
+                result = beside.submit(code, *args).result()
+        else:
+            result = code(*args)
         self.run = code  # type: ignore[method-assign]
-        with ThreadPoolExecutor(1) as beside:
-            return beside.submit(code, *args).result()
+        return result
 
     def _mismatch(self, args: tuple[Any, ...]) -> str:
         given = ", ".join(f"{getattr(each, 'dtype', type(each).__name__)}{getattr(each, 'shape', '')}" for each in args)

@@ -205,8 +205,8 @@ def _doubted(run: Run, above: float, how: str) -> Cause:
     What walls leave open makes no poses wrong that another program has given: it may know more than the scans.
     """
     doubt = run["tracking"]["doubt"]
-    is_open = run["method"] == EXTERNAL and [each["reason"] for each in doubt["reasons"][:1]] == [OPEN]
-    if (doubt["probability"] or 0.0) <= (1.0 if is_open and above >= CERTAIN else above):
+    is_open = run["method"] == EXTERNAL and {each["reason"] for each in doubt["reasons"]} == {OPEN}
+    if (doubt["probability"] or 0.0) <= above or (is_open and above >= CERTAIN):
         return None
     return f"the path {how} (doubt {doubt['probability']:.2f}): {_evidence(run)}", _advice_if_doubted(run)
 

@@ -33,7 +33,7 @@ the wheels of a carried vehicle show nothing."""
 
 APPARENT = 0.002
 """Share of its points by which a scan seems to show the direction that walls leave open, as the directions of lines
-have noise: it is as large in plain corridors. Half and four times of it do as well."""
+have noise: it is as large in plain corridors. A quarter to four times of it does as well."""
 
 EYE = np.eye(3)
 NONE = np.zeros((3, 3))
@@ -68,6 +68,8 @@ def evidence_of(
     """
     information, pulls = line_map.pulls(points, map_T_laser, truncate_m)
     hessian, count, pulls = symmetric(information), float(pulls[5].sum()), pulls[:3]
+    if not apparent:
+        return Evidence(hessian, pulls.sum(axis=1), pulls @ pulls.T)
     along = np.append(np.linalg.eigh(hessian[:2, :2])[1][:, 0], 0.0)
     shown = hessian @ along
     seen = max(float(along @ shown), 1e-9)

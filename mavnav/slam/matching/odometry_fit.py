@@ -85,13 +85,6 @@ class LogOdometry(Struct, frozen=True):
     base_T_laser: Pose = Pose()
     scans_ns: NDArray[np.int64] | None = None
 
-    @classmethod
-    def of_laser(
-        cls, odom_T_laser: Trajectory, base_T_laser: Pose, scans_ns: NDArray[np.int64] | None = None
-    ) -> LogOdometry:
-        """Return the odometry of a base with these poses of its laser."""
-        return cls(odom_T_laser.compose(base_T_laser.inverse()), base_T_laser, scans_ns)
-
     def lookup(self, fit: OdometryFit) -> Odometry:
         """Return the corrected pose of the laser by stamp, ns; None outside, or in a gap of over ``GAP_S``."""
         odom_T_base = correct_path(self.odom_T_base, round(fit.offset_s / NS), fit.distance_scale, fit.turn_scale)
@@ -114,6 +107,10 @@ class LogOdometry(Struct, frozen=True):
             return None
         averaged_ns = np.interp(map_T_laser.stamps_ns, self.scans_ns, average_stamps(self.scans_ns))
         return replace(map_T_laser, stamps_ns=np.round(averaged_ns).astype(np.int64))
+
+
+FittedOdometry = tuple[LogOdometry, OdometryFit]
+"""Odometry of a log, and what corrects it."""
 
 
 def average_stamps(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:

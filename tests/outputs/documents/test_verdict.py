@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from mavnav.metrics.gates import VERDICTS
-from mavnav.outputs.documents.verdict import CERTAIN, MEANINGS, Verdict, verdict_of, worst_verdict
+from mavnav.outputs.documents.verdict import CERTAIN, MEANINGS, OPEN, Verdict, verdict_of, worst_verdict
 from mavnav.slam.doubt.features import FEATURES
 from mavnav.slam.findings import HIGH
 
@@ -299,3 +299,10 @@ def test_the_worst_of_some_verdicts() -> None:
     assert worst_verdict(verdicts[1::-1]) == verdicts[1]
     assert worst_verdict(verdicts) == verdicts[3]
     assert worst_verdict([]) is None
+
+
+def test_what_walls_leave_open_alone_makes_no_given_poses_wrong() -> None:
+    open_way, jump = (OPEN, 0.0, 9.0, 9.0), ("slip", 3.0, 3.1, 2.0)
+    own, given = (doubtful(0.9, open_way) | {"method": method} for method in ("robust", "external"))
+    assert (verdict_of(own).word, verdict_of(given).word) == ("wrong", "suspect")
+    assert verdict_of(doubtful(0.9, open_way, jump) | {"method": "external"}).word == "wrong"
