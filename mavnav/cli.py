@@ -13,7 +13,7 @@ from io import TextIOWrapper
 from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
-from typing import Annotated, NoReturn
+from typing import Annotated, Final, NoReturn
 
 import typer
 
@@ -109,13 +109,19 @@ def _epilog(text: str, page: str) -> str:
     return "\n\n".join(lines)
 
 
+SPARE_BYTES: Final = 4 << 20
+"""Memory that is kept for the message on an error, which may be that there is none."""
+
+
 def run(args: Sequence[str], *, debug: bool = False) -> int:
     """Run one command line and return its exit code; an error is printed on stderr in one line."""
+    spare = bytearray(SPARE_BYTES)
     try:
         _check_words(args)
         code = app_for(args)(args=list(args), prog_name="mavnav", standalone_mode=False, obj=("mavnav", *args))
         sys.stdout.flush()
     except BaseException as error:
+        spare.clear()
         if debug and isinstance(error, Exception):
             print_traceback(error)
         reason = None if isinstance(error, MavnavError) else signals.pending_stop()

@@ -507,9 +507,9 @@ mavnav.__main__.main()
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="RLIMIT_AS is another elsewhere")
-@pytest.mark.parametrize("limit_mb", [120, 250])
+@pytest.mark.parametrize("limit_mb", [116, 118, 120, 250])
 def test_without_memory_for_a_library_there_is_one_line(repo_root: Path, tmp_path: Path, limit_mb: int) -> None:
-    """For OpenBLAS, and for llvmlite, which was a bug: exit code 70."""
+    """For OpenBLAS, llvmlite (which was a bug: exit code 70), and a message, for which 4 MB are kept."""
     import resource
 
     def limit() -> None:
