@@ -92,7 +92,7 @@ def picture_turn_rad(cuts: WallCuts | None, options: object) -> float:
     return 0.0 if any(isinstance(value, str) for value in framing) else turn_to_cuts(cuts)
 
 
-def needed(value: Value | None, name: str) -> Value:
+def require(value: Value | None, name: str) -> Value:
     """Return what a writer needs of a run; raises ValueError where the run does not have it."""
     if value is None:
         raise ValueError(f"{name} is not known")

@@ -185,8 +185,8 @@ def _read(source: TrajectorySource, request: ScoreRequest, log: Log, progress: P
     else:
         poses, several = read_trajectory(source.path)
         of_laser = source.frame in {LASER, log.frame_id.lstrip("/")}
-        mounted = log if of_laser else open_request(request, progress, odom="off", truth=None)  # on any base
-        path, frame = poses.compose(_mounting(source, mounted)), source.frame
+        on_any_base = log if of_laser else open_request(request, progress, odom="off", truth=None)
+        path, frame = poses.compose(_mounting(source, on_any_base)), source.frame
         if several:
             stamps = f"{several} of {len(poses)} stamps have poses that differ"
             warnings = (f"{source.text}: {stamps}; the last of each is used; leave one row of each stamp",)

@@ -202,7 +202,7 @@ def _is_looser(name: str, value: Any, usual: dict[str, Any]) -> bool:  # noqa: A
 def _doubted(run: Run, above: float, how: str) -> Cause:
     """Say of a track with a higher doubt what raises it most, and where.
 
-    What walls leave open makes no poses wrong that another program has given: it may know more than the scans.
+    What walls leave open alone makes no poses wrong that another program has given: it may know more than the scans.
     """
     doubt = run["tracking"]["doubt"]
     is_open = run["method"] == EXTERNAL and {each["reason"] for each in doubt["reasons"]} == {OPEN}

@@ -23,7 +23,7 @@ from mavnav.mapping.slices import Slice, slice_name
 from mavnav.mapping.tiled_arrays import bands
 from mavnav.metrics.wall_spread import WallCuts
 from mavnav.outputs.documents.run_json import Map
-from mavnav.outputs.run import RunResult, needed
+from mavnav.outputs.run import RunResult, require
 from mavnav.units import DEG, LARGEST_COORDINATE_M, MM
 
 _PIXELS: Final = {FREE: 254, OCCUPIED: 0, UNKNOWN: 205}
@@ -195,7 +195,7 @@ def slice_files(layers: Iterable[Slice]) -> list[str]:
 
 def write_slice(run: RunResult, path: Path) -> None:
     """Write one of the `slice_files` of a run that has slices: map_server's picture, or its description."""
-    layers = needed(run.slices, "the map by height").layers
+    layers = require(run.slices, "the map by height").layers
     drawn = next(GridMap(layer.grid) for layer in layers if slice_name(layer) == path.stem)
     if path.suffix == ".pgm":
         write_pgm(drawn, path)

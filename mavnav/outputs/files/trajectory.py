@@ -13,7 +13,7 @@ import numpy as np
 
 from mavnav.logs.messages import cdr, definitions
 from mavnav.logs.writing.mcap_writer import OutputChannel, write_serialized
-from mavnav.outputs.run import RunResult, Walls, half_sweep_s, needed
+from mavnav.outputs.run import RunResult, Walls, half_sweep_s, require
 from mavnav.pose import Trajectory, correct_path
 from mavnav.scan import Scan
 from mavnav.slam.findings import Edge
@@ -46,12 +46,12 @@ def write_tum(run: RunResult, path: Path) -> None:
 
 def write_base_tum(run: RunResult, path: Path) -> None:
     """Write map_T_base; raises ValueError where the run does not know the mounting."""
-    write_poses(run.slam.path.compose(needed(run.log.base_T_laser, "the laser's mounting").inverse()), path)
+    write_poses(run.slam.path.compose(require(run.log.base_T_laser, "the laser's mounting").inverse()), path)
 
 
 def write_truth_tum(run: RunResult, path: Path) -> None:
     """Write the true map_T_laser of every scan with the time of it; raises ValueError where the run is no mission."""
-    truth = needed(run.truth, "the truth")
+    truth = require(run.truth, "the truth")
     write_poses(correct_path(truth.map_T_laser, round(half_sweep_s(run.log, run.slam) / NS)), path)
 
 
@@ -143,7 +143,7 @@ def write_graph(run: RunResult, path: Path) -> None:
 
     A vertex is numbered as its scan in trajectory.csv, at its final pose. Raises ValueError if no loops were searched.
     """
-    graph = needed(run.slam.loops.graph, "the pose graph")
+    graph = require(run.slam.loops.graph, "the pose graph")
     numbers, rows = run.slam.steps.column("index")[run.slam.steps.column("tracked")], list(graph.rows)
     names, poses = numbers[rows].tolist(), run.slam.trajectory.xyyaw[rows].tolist()
     lines = [f"VERTEX_SE2 {k} {x:z.9f} {y:z.9f} {yaw:z.9f}\n" for k, (x, y, yaw) in zip(names, poses, strict=True)]

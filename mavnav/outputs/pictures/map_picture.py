@@ -22,7 +22,7 @@ from mavnav.outputs.files.gridmap import GridMap
 from mavnav.outputs.pictures import canvas, map_axes
 from mavnav.outputs.pictures.canvas import stroke
 from mavnav.outputs.pictures.plot import Axes, Mark, Sign, Style, arrow, circle, legend_room
-from mavnav.outputs.run import RunResult, Truth, needed
+from mavnav.outputs.run import RunResult, Truth, require
 from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.slam.result import doubtful_parts, parts_of_path
 from mavnav.units import MM, pluralize
@@ -134,7 +134,7 @@ ON_PATH: Final = Mark(canvas.PATH_GREY, "true path", partial(circle, size_pt=2.4
 
 def write_true_map(run: RunResult, path: Path) -> None:
     """Draw the truth of a mission; the run must have one."""
-    truth = needed(run.truth, "the truth")
+    truth = require(run.truth, "the truth")
     measured = [map_axes.MEASURED_WALL] if truth.measured_by_hand else []
     named: list[Sign] = [WALL, *measured, ON_PATH, map_axes.START, FIRST_HEADING, map_axes.GOAL]
     points = np.vstack((truth.map_T_laser.xyyaw[:, :2], [truth.goal_xy_map_m], *map_axes.wall_lines(truth)))

@@ -19,7 +19,7 @@ from mavnav.mapping.tiled_arrays import max_pool
 from mavnav.outputs.pictures.canvas import FREE_GREY, INK, MUTED, POSE_MAGENTA, SMOOTH, Canvas, ramp, rgb_of, stroke
 from mavnav.outputs.pictures.map_axes import END, START
 from mavnav.outputs.pictures.plot import Style, centred_legend, heading, stamp
-from mavnav.outputs.run import RunResult, needed
+from mavnav.outputs.run import RunResult, require
 
 Floats = NDArray[np.float64]
 
@@ -71,7 +71,7 @@ def _project(xyz_m: Floats) -> tuple[Floats, Floats]:
 
 def write(run: RunResult, path: Path) -> None:
     """Draw the slices of a run that has some."""
-    slices = needed(run.slices, "the map by height")
+    slices = require(run.slices, "the map by height")
     blocks = _blocks(slices)
     view, size = _fit_view(blocks)
     enlarged = Canvas.of(*size)

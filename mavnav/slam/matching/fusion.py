@@ -71,10 +71,10 @@ def evidence_of(
     if not apparent:
         return Evidence(hessian, pulls.sum(axis=1), pulls @ pulls.T)
     along = np.append(np.linalg.eigh(hessian[:2, :2])[1][:, 0], 0.0)
-    shown = hessian @ along
-    seen = max(float(along @ shown), 1e-9)
-    kept = EYE - min(1.0, apparent * count / seen) * np.outer(shown, along) / seen
-    return Evidence(kept @ hessian, kept @ pulls.sum(axis=1), kept @ pulls @ pulls.T @ kept.T)
+    gradient = hessian @ along
+    curvature = max(float(along @ gradient), 1e-9)
+    reduce = EYE - min(1.0, apparent * count / curvature) * np.outer(gradient, along) / curvature
+    return Evidence(reduce @ hessian, reduce @ pulls.sum(axis=1), reduce @ pulls @ pulls.T @ reduce.T)
 
 
 def longer_than_predicted(evidence: Evidence, matched: Pose, predicted: Pose, before: Pose) -> tuple[float, float]:
